@@ -1,0 +1,72 @@
+"""accelsurf: surfaces of objects in 3D images by level sets with momentum.
+
+The public names are loaded when first used, so that ``import accelsurf`` and ``accelsurf --help`` cost nothing.
+
+Examples
+--------
+>>> import accelsurf
+>>> accelsurf.__version__.count(".")
+2
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+#: Public name -> module that holds it.
+_HOMES = {
+    "AccelsurfError": "accelsurf.errors",
+    "EmptyResultError": "accelsurf.errors",
+    "GeometryError": "accelsurf.errors",
+    "InputError": "accelsurf.errors",
+    "OutputError": "accelsurf.errors",
+    "UsageError": "accelsurf.errors",
+    "Geometry": "accelsurf.geometry",
+    "Volume": "accelsurf.volume",
+    "read": "accelsurf.io",
+    "read_labels": "accelsurf.io",
+    "write": "accelsurf.io",
+    "RunConfig": "accelsurf.config",
+    "Surface": "accelsurf.surface",
+    "Result": "accelsurf.segmentation",
+    "segment": "accelsurf.segmentation",
+    "evolve": "accelsurf.evolution",
+    "evaluate": "accelsurf.metrics",
+}
+
+__all__ = ["__version__", *_HOMES]
+
+if TYPE_CHECKING:
+    from accelsurf.config import RunConfig as RunConfig
+    from accelsurf.errors import AccelsurfError as AccelsurfError
+    from accelsurf.errors import EmptyResultError as EmptyResultError
+    from accelsurf.errors import GeometryError as GeometryError
+    from accelsurf.errors import InputError as InputError
+    from accelsurf.errors import OutputError as OutputError
+    from accelsurf.errors import UsageError as UsageError
+    from accelsurf.evolution import evolve as evolve
+    from accelsurf.geometry import Geometry as Geometry
+    from accelsurf.io import read as read
+    from accelsurf.io import read_labels as read_labels
+    from accelsurf.io import write as write
+    from accelsurf.metrics import evaluate as evaluate
+    from accelsurf.segmentation import Result as Result
+    from accelsurf.segmentation import segment as segment
+    from accelsurf.surface import Surface as Surface
+    from accelsurf.volume import Volume as Volume
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module the first time it is asked for."""
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'accelsurf' has no attribute {name!r}")
+    value = getattr(import_module(home), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names, loaded or not."""
+    return sorted(__all__)

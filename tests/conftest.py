@@ -1,0 +1,17 @@
+"""What every test may use."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def real_volumes() -> Path:
+    """Folder of real scans; the test is skipped where ACCELSURF_VOLUMES does not name one."""
+    folder = os.environ.get("ACCELSURF_VOLUMES", "")
+    if not folder:
+        pytest.skip("ACCELSURF_VOLUMES is not set")
+    if not Path(folder).is_dir():
+        pytest.fail(f"ACCELSURF_VOLUMES names {folder}, which is not a folder")
+    return Path(folder)
