@@ -1,0 +1,84 @@
+"""One family of errors: each says what was given, what was expected, and what to do about it.
+
+The command line turns them into one line, a hint and an exit code; in Python the hint travels as a note, so a
+traceback shows it below the message.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class AccelsurfError(Exception):
+    """Base of every error that accelsurf raises on purpose.
+
+    Parameters
+    ----------
+    message : str
+        What was given and what was expected. Line breaks are folded, so that ``str(error)`` is one line.
+    hint : str, optional
+        What to do about it; empty when there is nothing to advise.
+
+    Attributes
+    ----------
+    message, hint : str
+        The two texts, each one line.
+    exit_code : int
+        What the command line returns for this family.
+    kind : str
+        Short machine-readable name of the family, as written in reports.
+
+    Examples
+    --------
+    >>> error = InputError("scan.nii: the file is empty", hint="copy it again")
+    >>> str(error), error.hint, error.exit_code, error.kind
+    ('scan.nii: the file is empty', 'copy it again', 3, 'input')
+    """
+
+    exit_code: ClassVar[int] = 1
+    kind: ClassVar[str] = "internal"
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        self.message = " ".join(str(message).split())
+        self.hint = " ".join(str(hint).split())
+        super().__init__(self.message)
+        if self.hint:
+            self.add_note(f"hint: {self.hint}")
+
+    def __reduce__(self) -> tuple[type[AccelsurfError], tuple[str, str]]:
+        # Exception pickles only `args`; without this a worker process would lose the hint.
+        return type(self), (self.message, self.hint)
+
+
+class UsageError(AccelsurfError):
+    """An option, a setting or a combination of them that makes no sense (exit 2)."""
+
+    exit_code = 2
+    kind = "usage"
+
+
+class InputError(AccelsurfError):
+    """A file or an array that cannot be used: unreadable, damaged, or of the wrong sort (exit 3)."""
+
+    exit_code = 3
+    kind = "input"
+
+
+class GeometryError(InputError):
+    """A grid that is not one: bad spacing, sheared axes, or two grids that should agree and do not (exit 3)."""
+
+    kind = "geometry"
+
+
+class EmptyResultError(AccelsurfError):
+    """The surface vanished or filled the whole volume, so there is no object to write (exit 5)."""
+
+    exit_code = 5
+    kind = "empty-result"
+
+
+class OutputError(AccelsurfError):
+    """An output exists already, or cannot be written (exit 7)."""
+
+    exit_code = 7
+    kind = "output"
