@@ -1,0 +1,318 @@
+"""Everything a run needs, validated once.
+
+One model serves the command line, Python, batches and reports: it is read from TOML, written back to TOML without
+loss, and described by a JSON schema. Lengths are millimetres unless the description says voxels.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from accelsurf.errors import UsageError
+
+EnergyName = Literal["chan-vese"]
+FlowName = Literal["constant-density", "gradient"]
+MeshFormat = Literal["ply", "stl", "obj", "vtp"]
+LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd"]
+
+
+def _one_or_many(value: Any) -> Any:
+    """Let a single start stand for a tuple of one."""
+    return (value,) if isinstance(value, str) else value
+
+
+def _split_commas(value: Any) -> Any:
+    """Let ``"ply,stl"`` stand for ``("ply", "stl")``; names given twice count once."""
+    if isinstance(value, str):
+        value = value.split(",")
+    if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
+        return tuple(dict.fromkeys(item.strip().lower() for item in value))
+    return value
+
+
+class RunConfig(BaseModel):
+    """Settings of one segmentation run.
+
+    The fields are the options of ``accelsurf segment`` (``max_steps`` is ``--max-steps``) and the keys of a TOML
+    configuration file. Instances cannot be changed; use :meth:`replace`.
+
+    Raises
+    ------
+    UsageError
+        When a key is unknown or a value is out of bounds. The message names the key, the value given and what is
+        expected.
+
+    Examples
+    --------
+    >>> config = RunConfig(start="ball:0,0,0,20", smoothness=0.5)
+    >>> config.start, config.flow, config.diffusion
+    (('ball:0,0,0,20',), 'constant-density', 'auto')
+    >>> RunConfig(cfl=3)
+    Traceback (most recent call last):
+    ...
+    accelsurf.errors.UsageError: cfl: 3 was given, expected a number greater than 0 and at most 1
+    hint: ...
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+    energy: EnergyName = Field(
+        "chan-vese", description="Energy to minimise. chan-vese: two regions, each with its own mean."
+    )
+    flow: FlowName = Field(
+        "constant-density",
+        description="How the surface moves: constant-density (with momentum) or gradient (descent, the baseline).",
+    )
+    start: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = Field(
+        ("center",),
+        min_length=1,
+        description="First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, label:FILE, threshold:LO,HI or center. "
+        "Coordinates in world mm (LPS), or voxel indices (x,y,z) with the suffix vox. Several are united.",
+    )
+    smoothness: float = Field(
+        0.0,
+        ge=0,
+        description="Weight of the surface's area, in mm: larger is smoother; 0 keeps corners. "
+        "Independent of the image's intensity scale.",
+    )
+    presmooth: float = Field(
+        0.0, ge=0, description="Sigma of a Gaussian applied to the image before the run, in mm; 0 for none."
+    )
+    k: float = Field(2.0, gt=1, description="Order of the accelerated flow (no unit); it sets the friction (k+1)/t.")
+    lam: float = Field(1.0, gt=0, description="Strength of the energy against inertia (no unit), the paper's lambda.")
+    rho: float = Field(1.0, gt=0, description="Mass per area of the surface (relative units).")
+    diffusion: Annotated[float, Field(ge=0)] | Literal["auto"] = Field(
+        "auto",
+        description="Diffusion of the surface's speed along the surface, in mm^2 per unit of flow time; "
+        "auto chooses it from the voxel size, 0 is none.",
+    )
+    friction: Annotated[float, Field(gt=0)] | Literal["t"] = Field(
+        "t", description="Friction of the accelerated flow: t is (k+1)/t, a number is constant, per unit of flow time."
+    )
+    restart: Literal["auto", "off"] = Field(
+        "auto", description="auto puts the surface at rest when its energy rises, after it has travelled; off never."
+    )
+    cfl: float = Field(0.5, gt=0, le=1, description="Largest motion of the surface in one step, in voxels.")
+    max_steps: int = Field(1000, ge=1, description="The run ends after this many steps, converged or not.")
+    percentile: float = Field(
+        95.0,
+        gt=0,
+        le=100,
+        description="Speed limiter: the time step follows this percentile of the speeds on the surface (percent); "
+        "faster places are held to cfl voxels per step. 100 limits nothing.",
+    )
+    half_width: int = Field(4, ge=3, le=32, description="Half width of the narrow band, in voxels.")
+    mesh: Annotated[tuple[MeshFormat, ...], BeforeValidator(_split_commas)] = Field(
+        ("ply",), min_length=1, description="Mesh formats to write, separated by commas: ply, stl, obj, vtp."
+    )
+    mesh_space: Literal["lps", "ras"] = Field(
+        "lps", description="World axes of the mesh, in mm: lps as ITK, or ras as NIfTI."
+    )
+    save_sdf: bool = Field(False, description="Also write the signed distance (mm, negative inside) as a volume.")
+    format: LabelFormat | None = Field(
+        None, description="Format of the label map: nii.gz, nii, nrrd, mha or mhd. Follows the input unless given."
+    )
+    seed: int = Field(0, ge=0, description="Seed of everything random in the run.")
+    threads: int = Field(1, ge=1, description="Number of threads; the result does not depend on it.")
+
+    def __init__(self, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise _usage_error(error, values) from None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truth_for_numbers(cls, values: Any) -> Any:
+        # Pydantic takes True for 1; in a configuration file that is always a mistake.
+        for key, value in values.items() if isinstance(values, dict) else ():
+            if isinstance(value, bool) and key in cls.model_fields and key != "save_sdf":
+                raise UsageError(*_complaint(key, value))
+        return values
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some fields changed, validated again.
+
+        Parameters
+        ----------
+        **changes
+            New values by field name.
+
+        Raises
+        ------
+        UsageError
+            When a key is unknown or a value is out of bounds.
+
+        Examples
+        --------
+        >>> RunConfig().replace(flow="gradient").flow
+        'gradient'
+        """
+        return type(self)(**{**self.model_dump(), **changes})
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a configuration file; keys that are not in it keep their defaults.
+
+        Parameters
+        ----------
+        path : str or Path
+            TOML file with fields of this class at its top level.
+
+        Raises
+        ------
+        UsageError
+            When the file cannot be read, is not TOML, has an unknown key (the nearest valid one is named), or a
+            value is out of bounds.
+        """
+        return cls(**read_toml(path))
+
+    def to_toml(self) -> str:
+        """Return the configuration as TOML; :meth:`from_toml` gives an equal object back.
+
+        Returns
+        -------
+        str
+            One line per field; fields that are ``None`` are left out.
+
+        Examples
+        --------
+        >>> print(RunConfig(mesh="ply,stl").to_toml())
+        energy = "chan-vese"
+        ...
+        mesh = ["ply", "stl"]
+        ...
+        """
+        lines = [f"{key} = {_toml(value)}" for key, value in self.model_dump().items() if value is not None]
+        return "\n".join(lines) + "\n"
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON schema of a configuration: types, bounds, defaults and descriptions.
+
+        Examples
+        --------
+        >>> RunConfig.json_schema()["properties"]["cfl"]["maximum"]
+        1
+        """
+        return cls.model_json_schema()
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file as a dictionary.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing, unreadable or not TOML.
+    """
+    try:
+        with open(path, "rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise UsageError(
+            f"{path}: the configuration cannot be read ({error.strerror or error})",
+            "accelsurf segment INPUT -o DIR --dump-config prints one to start from",
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(
+            f"{path}: not a TOML file: {error}", "write one setting per line, e.g.: smoothness = 0.5"
+        ) from None
+
+
+def _toml(value: Any) -> str:
+    """Return one value as TOML. Only what RunConfig holds: str, bool, int, finite float, tuple."""
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    if isinstance(value, str):
+        # A JSON string is a TOML string but for DEL, which TOML wants escaped.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value)
+
+
+def _usage_error(error: ValidationError, values: dict[str, Any]) -> UsageError:
+    """Turn pydantic's findings into one line about the first of them."""
+    key = str(error.errors()[0]["loc"][0])
+    if key in RunConfig.model_fields:
+        return UsageError(*_complaint(key, values.get(key)))
+    near = difflib.get_close_matches(key.replace("-", "_"), RunConfig.model_fields, n=1, cutoff=0.5)
+    guess = f"did you mean {near[0]}? " if near else ""
+    return UsageError(f"{key}: there is no such setting", f"{guess}Valid are {', '.join(RunConfig.model_fields)}")
+
+
+def _complaint(key: str, value: Any) -> tuple[str, str]:
+    """Return message and hint for a value that ``key`` does not take."""
+    given = value if isinstance(value, str) and value else json.dumps(value, default=str)
+    return f"{key}: {given} was given, expected {expected(key)}", RunConfig.model_fields[key].description or ""
+
+
+def expected(key: str) -> str:
+    """Say in words which values a field takes.
+
+    Parameters
+    ----------
+    key : str
+        Name of a field of RunConfig.
+
+    Examples
+    --------
+    >>> expected("diffusion"), expected("restart")
+    ('a number at least 0, or auto', 'auto or off')
+    """
+    words = _in_words(RunConfig.json_schema()["properties"][key])
+    return " or ".join(words) if len(words) < 3 else ", ".join(words[:-1]) + " or " + words[-1]
+
+
+def _in_words(schema: dict[str, Any]) -> list[str]:
+    """Return the alternatives that a JSON schema allows, in words."""
+    if "anyOf" in schema:
+        parts = [_in_words(part) for part in schema["anyOf"]]
+        words = [word for part in parts for word in part]
+        return [", or ".join(words)] if len(words) == 2 and words[0].startswith("a number") else words
+    if "const" in schema:
+        return [schema["const"]]
+    if "enum" in schema:
+        return list(schema["enum"])
+    match schema["type"]:
+        case "number" | "integer":
+            noun = "a number" if schema["type"] == "number" else "a whole number"
+            return [noun + _bounds(schema)]
+        case "array":
+            names = _in_words(schema["items"])
+            return ["one or more of " + ", ".join(names) if len(names) > 1 else "one text or a list of them"]
+        case "boolean":
+            return ["true", "false"]
+        case "null":
+            return []
+        case kind:
+            return [f"a {kind}"]
+
+
+def _bounds(schema: dict[str, Any]) -> str:
+    """Return the bounds of a number in words, with a leading blank, or nothing."""
+    names = {
+        "exclusiveMinimum": "greater than",
+        "minimum": "at least",
+        "exclusiveMaximum": "less than",
+        "maximum": "at most",
+    }
+    parts = [f"{word} {schema[name]:g}" for name, word in names.items() if name in schema]
+    return " " + " and ".join(parts) if parts else ""
+
+
+#: Names a caller can list without building a configuration.
+ENERGIES: tuple[str, ...] = get_args(EnergyName)
+FLOWS: tuple[str, ...] = get_args(FlowName)

@@ -1,0 +1,149 @@
+"""RunConfig: one validated object, TOML in and out without loss, errors that name the key."""
+
+import json
+
+import pytest
+from pydantic import ValidationError
+
+from accelsurf.config import RunConfig, expected
+from accelsurf.errors import UsageError
+
+ODD = RunConfig(
+    flow="gradient",
+    start=("ball:-1.5,2,3,4", 'label:a "quoted"\\ name\x7f é\n.nii.gz'),
+    smoothness=0.1 + 0.2,
+    presmooth=1e-7,
+    k=2.25,
+    lam=1e22,
+    rho=3,
+    diffusion=1 / 3,
+    friction=2.5,
+    restart="off",
+    cfl=0.9,
+    max_steps=7,
+    percentile=70,
+    half_width=6,
+    mesh="stl,vtp",
+    mesh_space="ras",
+    save_sdf=True,
+    format="mha",
+    seed=2**40,
+    threads=2,
+)
+
+
+@pytest.mark.parametrize("config", [RunConfig(), ODD], ids=["defaults", "all changed"])
+def test_toml_round_trip_is_exact(config, tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(config.to_toml(), encoding="utf-8")
+    assert RunConfig.from_toml(path) == config
+
+
+def test_odd_config_changes_every_field():
+    # Otherwise the round trip above could lose a field without anyone noticing.
+    same = [name for name in RunConfig.model_fields if getattr(ODD, name) == getattr(RunConfig(), name)]
+    assert same == ["energy"]  # there is only one energy
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("cfl", 3, "greater than 0 and at most 1"),
+        ("cfl", 0, "greater than 0"),
+        ("k", 1, "greater than 1"),
+        ("k", True, "a number"),
+        ("k", float("nan"), "a number"),
+        ("lam", float("inf"), "a number"),
+        ("smoothness", -0.1, "at least 0"),
+        ("smoothness", "rough", "rough was given"),
+        ("presmooth", -1, "at least 0"),
+        ("rho", 0, "greater than 0"),
+        ("diffusion", -1, "or auto"),
+        ("friction", 0, "or t"),
+        ("friction", "x", "or t"),
+        ("restart", "never", "auto or off"),
+        ("flow", "sobolov", "constant-density or gradient"),
+        ("energy", "edges", "chan-vese"),
+        ("start", (), "one text"),
+        ("start", 5, "one text"),
+        ("max_steps", 0, "a whole number at least 1"),
+        ("max_steps", 2.5, "a whole number"),
+        ("percentile", 101, "at most 100"),
+        ("half_width", 2, "at least 3"),
+        ("mesh", "ply,glb", "ply, stl, obj, vtp"),
+        ("mesh", "", "ply, stl, obj, vtp"),
+        ("mesh_space", "xyz", "lps or ras"),
+        ("save_sdf", "maybe", "true or false"),
+        ("format", "png", "nii.gz, nii, nrrd, mha or mhd"),
+        ("seed", -1, "at least 0"),
+        ("threads", 0, "at least 1"),
+    ],
+)
+def test_bad_value_is_one_clear_line(key, value, words):
+    with pytest.raises(UsageError) as caught:
+        RunConfig(**{key: value})
+    message = str(caught.value)
+    assert message.startswith(f"{key}: ") and " was given, expected " in message and words in message
+    assert "\n" not in message
+    assert caught.value.hint == " ".join((RunConfig.model_fields[key].description or "").split())
+
+
+def test_text_values_are_read_as_the_command_line_gives_them():
+    config = RunConfig(cfl="0.25", max_steps="12", friction="0.5", diffusion="2", mesh="PLY, stl,ply", start="center")
+    assert (config.cfl, config.max_steps, config.friction, config.diffusion) == (0.25, 12, 0.5, 2.0)
+    assert config.mesh == ("ply", "stl") and config.start == ("center",)
+
+
+@pytest.mark.parametrize(("key", "near"), [("smothness", "smoothness"), ("max-steps", "max_steps"), ("Flow", "flow")])
+def test_unknown_key_names_the_nearest(key, near, tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(f'"{key}" = 1\n')
+    with pytest.raises(UsageError, match="no such setting") as caught:
+        RunConfig.from_toml(path)
+    assert f"did you mean {near}?" in caught.value.hint
+
+
+def test_unknown_key_without_a_near_one_lists_all():
+    with pytest.raises(UsageError) as caught:
+        RunConfig(zzz=1)
+    assert "did you mean" not in caught.value.hint
+    assert all(name in caught.value.hint for name in RunConfig.model_fields)
+
+
+def test_unreadable_files_are_usage_errors(tmp_path):
+    with pytest.raises(UsageError, match="cannot be read"):
+        RunConfig.from_toml(tmp_path / "absent.toml")
+    with pytest.raises(UsageError, match="cannot be read"):
+        RunConfig.from_toml(tmp_path)
+    broken = tmp_path / "broken.toml"
+    broken.write_text("k = = 2\n")
+    with pytest.raises(UsageError, match="not a TOML file.*line 1"):
+        RunConfig.from_toml(broken)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UsageError, match="not a TOML file"):
+        RunConfig.from_toml(binary)
+
+
+def test_frozen_and_replace():
+    config = RunConfig()
+    with pytest.raises(ValidationError, match="frozen"):
+        config.cfl = 0.1  # type: ignore[misc]
+    assert config.replace(cfl=0.1).cfl == 0.1 and config.cfl == 0.5
+    with pytest.raises(UsageError, match="cfl"):
+        config.replace(cfl=-1)
+
+
+def test_schema_describes_every_field_with_its_unit():
+    schema = RunConfig.json_schema()
+    json.dumps(schema)
+    assert set(schema["properties"]) == set(RunConfig.model_fields)
+    assert all(entry["description"].endswith(".") for entry in schema["properties"].values())
+    lengths = ("smoothness", "presmooth", "diffusion")
+    assert all("mm" in schema["properties"][name]["description"] for name in lengths)
+    assert all("voxels" in schema["properties"][name]["description"] for name in ("cfl", "half_width"))
+
+
+@pytest.mark.parametrize("name", list(RunConfig.model_fields))
+def test_expected_has_words_for_every_field(name):
+    assert len(expected(name)) > 5
