@@ -1,0 +1,103 @@
+"""The protocol that every energy follows, and the region sums that most of them need."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from accelsurf.kernels import motion, region
+from accelsurf.kernels.grid import BLOCK
+from accelsurf.levelset import Change, LevelSet
+
+
+class Energy(Protocol):
+    """What the loop asks of an energy.
+
+    Attributes
+    ----------
+    alpha : float
+        Weight of the surface's area in the energy (0 when there is none); it bounds the time step.
+    """
+
+    alpha: float
+
+    def start(self, surface: LevelSet) -> None:
+        """Take up a surface: full sums, once."""
+        ...
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up what the last redistancing changed, in O(band)."""
+        ...
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U for the present surface; ``part`` and ``area`` (n,) are `LevelSet.cut`'s."""
+        ...
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front: dU = -int f (dS.N) dA with N inward, so f > 0 shrinks."""
+        ...
+
+
+class Sums(NamedTuple):
+    """Sums over voxels, each by the share of it that counts: of 1, of the image, of its square."""
+
+    count: float
+    total: float
+    squares: float
+
+
+class RegionSums:
+    """Sums of an image over the inside of the surface, kept up to date in O(band).
+
+    The inside voxels that are not in the band are summed once; after that only cells that enter or leave
+    the band change that part. The band itself is summed afresh, each voxel by its share inside.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx), float32
+        Not modified.
+    """
+
+    def __init__(self, image: np.ndarray) -> None:
+        self.image = np.ascontiguousarray(image, dtype=np.float32).ravel()
+        self._beyond_band = np.zeros(3)
+
+    def start(self, surface: LevelSet) -> None:
+        """Sum the inside voxels that are not in the band."""
+        self._beyond_band = surface.workers.sums(
+            region.inside_sums, self.image.size, 3, surface.dense, self.image
+        )
+
+    def follow(self, change: Change) -> None:
+        """Move the cells that entered or left the band to the right side of the account."""
+        self._beyond_band = (
+            self._beyond_band + self._plain_sums(change.left_inside) - self._plain_sums(change.entered_inside)
+        )
+
+    def inside(self, surface: LevelSet, part: np.ndarray) -> Sums:
+        """Sums over the inside of the surface, voxels cut by it counted in part."""
+        band = surface.workers.sums(
+            region.weighted_sums, surface.size, 3, surface.band.cells, part, self.image
+        )
+        return Sums(*(float(v) for v in self._beyond_band + band))
+
+    def everything(self) -> Sums:
+        """Sums over the whole volume."""
+        blocks = [self.image[i : i + 1024 * BLOCK].astype(np.float64) for i in range(0, self.image.size, 1024 * BLOCK)]
+        return Sums(
+            float(self.image.size),
+            float(np.sum([block.sum() for block in blocks])),
+            float(np.sum([np.dot(block, block) for block in blocks])),
+        )
+
+    def _plain_sums(self, cells: np.ndarray) -> np.ndarray:
+        values = self.image[cells].astype(np.float64)
+        return np.array([values.size, values.sum(), np.dot(values, values)])
+
+
+def sample_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> np.ndarray:
+    """Values (n,) of a raveled float32 image at the foot of every front cell, by cubic interpolation."""
+    out = np.empty(surface.size, np.float32)
+    surface.workers.run(motion.sample_image, surface.size, image, surface.grid, surface.band, front, out)
+    return out

@@ -1,0 +1,67 @@
+"""Chan-Vese: the image is one constant inside, another outside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.energies.area import AreaTerm
+from accelsurf.energies.base import RegionSums, Sums, sample_at_front
+from accelsurf.levelset import Change, LevelSet
+
+
+class ChanVese:
+    """U = int_in (I - c1)^2 + int_out (I - c2)^2 + alpha A, with f = (I - c1)^2 - (I - c2)^2 + alpha H.
+
+    The first variation of the paper's region energy for an inward normal. c1 and c2 are the means inside and
+    outside, at each step those of the present surface (by the envelope theorem they add nothing to f).
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx)
+        Values in any unit; U is in that unit squared times mm3.
+    alpha : float
+        Weight of the area, in the image's unit squared times mm.
+    means : (float, float), optional
+        Fixed (c1, c2) instead of the surface's own.
+    """
+
+    def __init__(self, image: np.ndarray, alpha: float = 0.0, means: tuple[float, float] | None = None) -> None:
+        self._area = AreaTerm(alpha)
+        self.alpha = self._area.alpha
+        self._fixed = means
+        self._sums = RegionSums(image)
+        self._all = self._sums.everything()
+        self.means = means or (0.0, 0.0)
+
+    def start(self, surface: LevelSet) -> None:
+        """Sum the image over the first inside."""
+        self._sums.start(surface)
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up the cells that entered or left the band."""
+        self._sums.follow(change)
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface; also sets `means` for the next `force`."""
+        inside = self._sums.inside(surface, part)
+        energy = 0.0
+        means = []
+        for i, sums in enumerate((inside, self._outside(inside))):
+            mean = self._fixed[i] if self._fixed else sums.total / sums.count if sums.count > 0 else 0.0
+            means.append(mean)
+            energy += sums.squares - 2.0 * mean * sums.total + mean * mean * sums.count
+        self.means = (means[0], means[1])
+        return energy * surface.voxel_volume + self._area.value(area)
+
+    def _outside(self, inside: Sums) -> Sums:
+        return Sums(*(a - b for a, b in zip(self._all, inside, strict=True)))
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front with the image at each cell's closest surface point."""
+        c1, c2 = self.means
+        values = sample_at_front(self._sums.image, surface, front)
+        # (I - c1)^2 - (I - c2)^2 = (c1 - c2)(c1 + c2 - 2 I)
+        force = np.float32(c1 - c2) * (np.float32(c1 + c2) - 2.0 * values)
+        force[~front] = 0.0
+        self._area.add_force(force, curvature)
+        return force

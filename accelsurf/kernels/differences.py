@@ -1,0 +1,129 @@
+"""Differences of psi on its grid: curvature, normals, Godunov's upwind gradient norm."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.grid import unravel
+
+
+@kernel
+def axis_differences(psi, cell, i, n, stride, h):
+    """One-sided and second differences along an axis: (D-, D+, D2).
+
+    At the border the surface is continued straight: the missing one-sided difference equals the other and
+    the second difference is zero; on a single slice all are zero.
+    """
+    if n == 1:
+        return 0.0, 0.0, 0.0
+    if i == 0:
+        up = (psi[cell + stride] - psi[cell]) / h
+        return up, up, 0.0
+    down = (psi[cell] - psi[cell - stride]) / h
+    if i == n - 1:
+        return down, down, 0.0
+    up = (psi[cell + stride] - psi[cell]) / h
+    return down, up, (up - down) / h
+
+
+@kernel
+def mixed_difference(psi, cell, at, stride, h):
+    """Centred d2/dadb; ``at`` = (i_a, n_a, i_b, n_b), ``stride`` = (s_a, s_b), ``h`` = (h_a, h_b)."""
+    ia, na, ib, nb = at
+    sa, sb = stride
+    a0 = -1 if ia > 0 else 0
+    a1 = 1 if ia < na - 1 else 0
+    b0 = -1 if ib > 0 else 0
+    b1 = 1 if ib < nb - 1 else 0
+    width = (a1 - a0) * (b1 - b0)
+    if width == 0:
+        return 0.0
+    total = psi[cell + a1 * sa + b1 * sb] - psi[cell + a0 * sa + b1 * sb]
+    total += psi[cell + a0 * sa + b0 * sb] - psi[cell + a1 * sa + b0 * sb]
+    return total / (width * h[0] * h[1])
+
+
+@kernel
+def gradient(psi, cell, iz, iy, ix, grid):
+    """Centred gradient (z, y, x) at a cell."""
+    az, bz, _ = axis_differences(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
+    ay, by, _ = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+    ax, bx, _ = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
+    return 0.5 * (az + bz), 0.5 * (ay + by), 0.5 * (ax + bx)
+
+
+@kernel
+def curvatures(psi, cell, iz, iy, ix, grid):
+    """Of the level through a cell: (H, K), the sum and the product of the principal curvatures (1/mm, 1/mm2).
+
+    H = div(g/|g|), K = g . adj(D2 psi) g / |g|^4; both positive on a sphere with psi negative inside.
+    """
+    plane = grid.ny * grid.nx
+    az, bz, pzz = axis_differences(psi, cell, iz, grid.nz, plane, grid.hz)
+    ay, by, pyy = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+    ax, bx, pxx = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
+    pz, py, px = 0.5 * (az + bz), 0.5 * (ay + by), 0.5 * (ax + bx)
+    pzy = mixed_difference(psi, cell, (iz, grid.nz, iy, grid.ny), (plane, grid.nx), (grid.hz, grid.hy))
+    pzx = mixed_difference(psi, cell, (iz, grid.nz, ix, grid.nx), (plane, 1), (grid.hz, grid.hx))
+    pyx = mixed_difference(psi, cell, (iy, grid.ny, ix, grid.nx), (grid.nx, 1), (grid.hy, grid.hx))
+    g2 = pz * pz + py * py + px * px
+    if g2 < 1e-8:
+        return 0.0, 0.0
+    mean = pxx * (py * py + pz * pz) + pyy * (px * px + pz * pz) + pzz * (px * px + py * py)
+    mean -= 2.0 * (px * py * pyx + px * pz * pzx + py * pz * pzy)
+    gauss = px * px * (pyy * pzz - pzy * pzy) + py * py * (pxx * pzz - pzx * pzx) + pz * pz * (pxx * pyy - pyx * pyx)
+    gauss += 2.0 * (px * py * (pzx * pzy - pyx * pzz) + py * pz * (pyx * pzx - pzy * pxx) + px * pz * (pyx * pzy - pzx * pyy))
+    return mean / (g2 * np.sqrt(g2)), gauss / (g2 * g2)
+
+
+@kernel
+def surface_curvature(start, stop, psi, grid, band, front, out):
+    """Curvature H of the surface at the foot of every front cell, clipped to what the grid resolves.
+
+    The level through the cell is the surface moved by d = psi along its normal, so its principal curvatures
+    are k/(1 + d k); undone here: H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Limit: |H| <= 2/min(h).
+    """
+    most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
+    for s in range(start, stop):
+        if not front[s]:
+            out[s] = 0.0
+            continue
+        cell = band.cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        mean, gauss = curvatures(psi, cell, iz, iy, ix, grid)
+        d = band.psi[s]
+        denominator = 1.0 - d * mean + d * d * gauss
+        h = (mean - 2.0 * d * gauss) / denominator if denominator > 0.2 else mean
+        out[s] = min(max(h, -most), most)
+
+
+@kernel
+def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
+    """|grad psi| of psi_t = beta |grad psi| by Godunov's upwind choice; ``shrinking`` says beta > 0.
+
+    beta > 0: max(min(D-, 0)^2, max(D+, 0)^2) per axis; beta < 0: max(max(D-, 0)^2, min(D+, 0)^2).
+    """
+    total = 0.0
+    for axis in range(3):
+        if axis == 0:
+            down, up, _ = axis_differences(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
+        elif axis == 1:
+            down, up, _ = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+        else:
+            down, up, _ = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
+        if shrinking:
+            a, b = min(down, 0.0), max(up, 0.0)
+        else:
+            a, b = max(down, 0.0), min(up, 0.0)
+        total += max(a * a, b * b)
+    return np.sqrt(total)
+
+
+@kernel
+def upwind_norms(start, stop, psi, grid, band, beta, out):
+    """Godunov's |grad psi| at every cell of the range, upwind for the speed ``beta`` (n,)."""
+    for s in range(start, stop):
+        cell = band.cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        out[s] = godunov_norm(psi, cell, iz, iy, ix, grid, beta[s] > 0.0)

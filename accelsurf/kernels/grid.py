@@ -1,0 +1,68 @@
+"""The grid as the kernels see it, and the band that lives on it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf.kernels._jit import kernel
+
+#: Band slots per block of a reduction. Partial sums are kept per block and added in order of the blocks.
+BLOCK = 4096
+
+
+class Grid(NamedTuple):
+    """Shape (voxels) and spacing (mm) in array order (z, y, x)."""
+
+    nz: int
+    ny: int
+    nx: int
+    hz: float
+    hy: float
+    hx: float
+
+
+class Band(NamedTuple):
+    """Narrow band: cells in raster order, with what is known about each.
+
+    ``cells`` (n,) int64 raveled index; ``psi`` (n,) float32 signed distance, mm; ``foot`` (n, 3) float32
+    vector (z, y, x) in mm from the cell to its closest point on the surface.
+    """
+
+    cells: np.ndarray
+    psi: np.ndarray
+    foot: np.ndarray
+
+
+class Lattice(NamedTuple):
+    """Dense arrays over the whole volume, raveled: ``psi`` float32 (mm), ``slot`` int32 (band slot or -1)."""
+
+    psi: np.ndarray
+    slot: np.ndarray
+
+
+@kernel
+def unravel(cell, grid):
+    """Index (z, y, x) of a raveled cell."""
+    row = cell // grid.nx
+    iz = row // grid.ny
+    return iz, row - iz * grid.ny, cell - row * grid.nx
+
+
+@kernel
+def neighbours(cell, iz, iy, ix, grid, out):
+    """Write the raveled 6-neighbours (-z, +z, -y, +y, -x, +x) to ``out``; -1 beyond the volume's border."""
+    plane = grid.ny * grid.nx
+    out[0] = cell - plane if iz > 0 else -1
+    out[1] = cell + plane if iz < grid.nz - 1 else -1
+    out[2] = cell - grid.nx if iy > 0 else -1
+    out[3] = cell + grid.nx if iy < grid.ny - 1 else -1
+    out[4] = cell - 1 if ix > 0 else -1
+    out[5] = cell + 1 if ix < grid.nx - 1 else -1
+
+
+@kernel
+def voxels_along(vz, vy, vx, grid):
+    """Length of a vector (mm) in voxels: the norm of its index displacement."""
+    return np.sqrt((vz / grid.hz) ** 2 + (vy / grid.hy) ** 2 + (vx / grid.hx) ** 2)

@@ -1,0 +1,82 @@
+"""One step of the surface: force sampling, kick, diffusion, drift."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.grid import neighbours, unravel, voxels_along
+from accelsurf.kernels.interpolate import value_at
+
+
+@kernel
+def sample_image(start, stop, image, grid, band, front, out):
+    """Cubic interpolation of a raveled dense image at the foot of every front cell (0 elsewhere)."""
+    w = np.empty(24)
+    for s in range(start, stop):
+        out[s] = 0.0
+        if front[s]:
+            iz, iy, ix = unravel(band.cells[s], grid)
+            pz = iz + band.foot[s, 0] / grid.hz
+            py = iy + band.foot[s, 1] / grid.hy
+            px = ix + band.foot[s, 2] / grid.hx
+            out[s] = value_at(image, grid, pz, py, px, w)
+
+
+@kernel
+def kick(start, stop, beta, force, curvature, front, rates):
+    """Leap-frog kick, centred in time, of the front's speeds (in place); numerics of the surface system.
+
+    beta+ = [beta (1 - gamma dm/2) + dm force] / [1 + gamma dm/2 - dm beta H/2], the transport term
+    1/2 beta^2 H taken as 1/2 beta beta+ H, which makes the scheme second order. ``force`` is w f/rho plus
+    the diffusion; ``rates`` = (gamma dm, dm). The denominator is kept above 0.2.
+    """
+    damping, dm = rates
+    for s in range(start, stop):
+        if front[s]:
+            b = beta[s]
+            denominator = max(1.0 + 0.5 * damping - 0.5 * dm * b * curvature[s], 0.2)
+            beta[s] = (b * (1.0 - 0.5 * damping) + dm * force[s]) / denominator
+
+
+@kernel
+def surface_laplacian(start, stop, slot, grid, cells, beta, front, out):
+    """7-point Laplacian of an extended field at the front cells: the surface Laplacian, since grad F.grad psi = 0.
+
+    A neighbour that is not in the band or beyond the border passes no flux.
+    """
+    near = np.empty(6, np.int64)
+    for s in range(start, stop):
+        out[s] = 0.0
+        if not front[s]:
+            continue
+        cell = cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        neighbours(cell, iz, iy, ix, grid, near)
+        total = 0.0
+        for side in range(6):
+            if near[side] < 0:
+                continue
+            other = slot[near[side]]
+            if other >= 0:
+                h = grid.hz if side < 2 else (grid.hy if side < 4 else grid.hx)
+                total += (beta[other] - beta[s]) / (h * h)
+        out[s] = total
+
+
+@kernel
+def voxel_rates(start, stop, grid, band, front, beta, out):
+    """Speed of every front cell in voxels along its normal per unit time, |beta| |n/h| (0 elsewhere)."""
+    for s in range(start, stop):
+        out[s] = 0.0
+        if front[s]:
+            d = abs(band.psi[s])
+            v = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid)
+            out[s] = abs(beta[s]) * v / d
+
+
+@kernel
+def drift(start, stop, psi, band, beta, dt):
+    """psi_t = beta |grad psi| with |grad psi| = 1, since psi is a distance and beta constant along normals."""
+    for s in range(start, stop):
+        psi[band.cells[s]] = band.psi[s] + dt * beta[s]

@@ -1,0 +1,187 @@
+"""LevelSet: psi near its zero level, with the closest point of every cell, kept a distance as it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf.kernels import band as band_kernels
+from accelsurf.kernels import differences, march, region
+from accelsurf.kernels.grid import Band, Grid, Lattice
+from accelsurf.levelset.parallel import Workers
+
+#: Distance from the surface, in voxels, within which cells count as the front: forces, curvature and kicks
+#: are evaluated there; the other band cells get the front's values along the normals. Linear interpolation
+#: at a foot reaches sqrt(3) voxels.
+FRONT_WIDTH = 2.0
+#: Components of at most this many voxels are below what the grid resolves (a ball of radius 1.5 voxels).
+SMALLEST = 14
+
+
+class Change(NamedTuple):
+    """What a redistancing did to the band.
+
+    ``entered_inside`` and ``left_inside`` are the raveled cells with psi < 0 that came into the band and
+    that left it; ``fields`` are the extended fields on the new band.
+    """
+
+    entered_inside: np.ndarray
+    left_inside: np.ndarray
+    fields: list[np.ndarray]
+
+
+class LevelSet:
+    """A surface as the zero level of psi on a narrow band.
+
+    Parameters
+    ----------
+    psi : ndarray (nz, ny, nx)
+        Any function negative inside and positive outside; its zero level is the surface. Not modified.
+    spacing : sequence of 3 floats
+        (hz, hy, hx), mm.
+    half_width : float
+        Half width of the band in voxels along the normal.
+    workers : Workers
+        The threads to use.
+
+    Notes
+    -----
+    psi is a signed distance (mm) in the band and +-gamma outside it, gamma = half_width x max(h). Cells are
+    kept in raster order. After `advance` psi is no distance any more until `redistance` is called.
+    """
+
+    def __init__(
+        self, psi: np.ndarray, spacing: Sequence[float], half_width: float = 4.0, workers: Workers | None = None
+    ) -> None:
+        shape = psi.shape
+        self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
+        self.grid = Grid(*self.shape, *(float(h) for h in spacing))
+        self.half_width = float(half_width)
+        self.gamma = np.float32(half_width * max(spacing))
+        self.workers = workers or Workers(1)
+        dense = np.array(psi, dtype=np.float32, order="C", copy=True).ravel()
+        self.dense = Lattice(dense, np.full(dense.size, -1, np.int32))
+        self._start()
+
+    def _start(self) -> None:
+        count = march.front_cells(self.dense, self.grid, np.empty(0, np.int64))
+        cells = np.empty(count, np.int64)
+        march.front_cells(self.dense, self.grid, cells)
+        self.dense.slot[cells] = np.arange(count, dtype=np.int32)
+        self.band = Band(cells, self.dense.psi[cells], np.zeros((count, 3), np.float32))
+        self.redistance()
+        outside = self.dense.slot < 0
+        self.dense.psi[outside] = np.where(self.dense.psi[outside] < 0, -self.gamma, self.gamma)
+
+    # -- what it is ----------------------------------------------------------------------------------------
+
+    @property
+    def size(self) -> int:
+        """Number of band cells."""
+        return int(self.band.cells.size)
+
+    @property
+    def psi(self) -> np.ndarray:
+        """Signed distance (nz, ny, nx), float32, mm; a read-only view, +-gamma outside the band."""
+        view = self.dense.psi.reshape(self.shape)
+        view.flags.writeable = False
+        return view
+
+    @property
+    def labels(self) -> np.ndarray:
+        """Voxels whose centre is inside, uint8 (nz, ny, nx)."""
+        return (self.dense.psi < 0).astype(np.uint8).reshape(self.shape)
+
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of a voxel, mm3."""
+        return self.grid.hz * self.grid.hy * self.grid.hx
+
+    def front(self, width: float = FRONT_WIDTH) -> np.ndarray:
+        """Mask (n,) of the band cells within ``width`` voxels of the surface."""
+        mask = np.empty(self.size, np.bool_)
+        self.workers.run(band_kernels.front_mask, self.size, self.grid, self.band, width, mask)
+        return mask
+
+    def curvature(self, front: np.ndarray) -> np.ndarray:
+        """Sum of the principal curvatures (1/mm) of the surface at the foot of every front cell, (n,)."""
+        out = np.empty(self.size, np.float32)
+        self.workers.run(
+            differences.surface_curvature, self.size, self.dense.psi, self.grid, self.band, front, out
+        )
+        return out
+
+    def cut(self) -> tuple[np.ndarray, np.ndarray]:
+        """Share of each band voxel that is inside, and the area (mm2) of the surface in it, both (n,) float64."""
+        part, area = np.empty(self.size), np.empty(self.size)
+        self.workers.run(region.cut_band, self.size, self.dense.psi, self.grid, self.band, part, area)
+        return part, area
+
+    # -- how it moves --------------------------------------------------------------------------------------
+
+    def remove_small(self) -> int:
+        """Remove components, inside or outside, of at most `SMALLEST` voxels; returns how many.
+
+        Between `advance` and `redistance`: signs are flipped, distances follow in the latter.
+        """
+        depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
+        inside, outside, _ = band_kernels.small_components(self.dense, self.grid, self.band, SMALLEST, depth)
+        return int(inside + outside)
+
+    def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:
+        """Overwrite ``values`` (n,) off the front by those of the front, constant along normals."""
+        self.workers.run(
+            band_kernels.extend_outwards, self.size, self.dense.slot, self.grid, self.band, front, values
+        )
+
+    def redistance(self, fields: Sequence[np.ndarray] = ()) -> Change:
+        """Make psi a distance again about its zero level, move the band after it, extend ``fields``.
+
+        Parameters
+        ----------
+        fields : sequence of ndarray (n,)
+            Values on the present band. Each comes back on the new band, sampled at the closest point of
+            every cell, so that grad F . grad psi = 0.
+
+        Returns
+        -------
+        Change
+        """
+        run, n = self.workers.run, self.size
+        foot, state = np.empty((n, 3), np.float32), np.empty(n, np.int8)
+        run(march.find_feet, n, self.dense, self.grid, self.band.cells, foot, state)
+        reviewed = np.empty(n, np.int8)
+        run(march.review_feet, n, self.dense, self.grid, self.band.cells, foot, state, reviewed)
+        cells, foot, state, total = march.march(
+            self.dense, self.grid, self.band.cells, foot, reviewed, self.half_width
+        )
+        keep = np.empty(total, np.bool_)
+        run(band_kernels.keep_mask, total, self.grid, foot, state, self.half_width, keep)
+        entered = n + np.flatnonzero(keep[n:])
+        entered = entered[np.argsort(cells[entered], kind="stable")]
+        order = band_kernels.merged_order(cells, n, keep, entered)
+
+        size = order.size
+        new = Band(np.empty(size, np.int64), np.empty(size, np.float32), np.empty((size, 3), np.float32))
+        old = Band(cells, self.band.psi, foot)
+        run(band_kernels.gather_band, size, self.dense.psi, self.grid, order, old, new)
+        extended = [self._sample(new, n, field) for field in fields]
+
+        entered_cells, left_cells = cells[entered], cells[:n][~keep[:n]]
+        change = Change(
+            entered_cells[self.dense.psi[entered_cells] < 0], left_cells[self.dense.psi[left_cells] < 0], extended
+        )
+        run(band_kernels.drop_cells, total, self.dense, cells, keep, self.gamma)
+        run(band_kernels.store_band, size, self.dense, new)
+        self.band = new
+        return change
+
+    def _sample(self, new: Band, n_old: int, field: np.ndarray) -> np.ndarray:
+        out = np.empty(new.cells.size, np.float32)
+        known = np.ones(n_old, np.bool_)
+        self.workers.run(
+            band_kernels.sample_at_feet, new.cells.size, self.dense.slot, self.grid, new, n_old, known, field, out
+        )
+        return out
