@@ -1,0 +1,344 @@
+"""Pictures of a run: how the energy fell, where the surface lies in the image, what it looks like.
+
+Pure functions from arrays to PNG bytes. Drawn with matplotlib's objects, never through pyplot, so they keep no state
+and need no screen. Colours are Okabe and Ito's, which people with any colour vision can tell apart.
+
+Slices are turned so that the nearest anatomical axes stand as radiologists hang them: the patient's left at the
+right, front at the top (axial) or head at the top. Their axes are mm: world coordinates where the grid is parallel to
+the world, so that a `--start` can be read off the picture, otherwise mm along the grid from its first voxel.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.geometry import Geometry
+from accelsurf.splat import render
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from accelsurf.evolution import Row
+    from accelsurf.surface import Surface
+
+BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
+_INK, _GRID = "#222222", "#D9D9D9"
+_RUN_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
+_RUN_DASHES = ("solid", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1, 2)))
+_LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))  # low and high end of the world's x, y, z axes in LPS
+_DPI = 110
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a picture of one run shows.
+
+    Attributes
+    ----------
+    image : ndarray, shape (nz, ny, nx)
+        The image.
+    psi : ndarray, shape (nz, ny, nx)
+        Level-set function, mm, negative inside.
+    geometry : Geometry
+        Their grid.
+    ledger : sequence of Row
+        One row per step.
+    surface : Surface or None
+        The surface in world mm; None when there is none (vanished or filled).
+    title : str
+        One line above the picture.
+    anatomical : bool
+        Whether the world axes are known to be a patient's, so that letters (R L A P I S) may be written.
+    reference : ndarray, shape (nz, ny, nx), optional
+        Labels to compare with (> 0 is the object), drawn as a second contour.
+    """
+
+    image: NDArray[Any]
+    psi: NDArray[Any]
+    geometry: Geometry
+    ledger: Sequence[Row]
+    surface: Surface | None
+    title: str
+    anatomical: bool = False
+    reference: NDArray[Any] | None = None
+
+
+def preview_png(scene: Scene) -> bytes:
+    """Draw one run: three slices with the contour, energies against step, the surface in 3D.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to show.
+
+    Returns
+    -------
+    bytes
+        A PNG file.
+    """
+    figure = _figure(12.6, 8.6, scene.title)
+    grid = figure.add_gridspec(2, 3, left=0.06, right=0.965, top=0.89, bottom=0.075, hspace=0.27, wspace=0.26)
+    for plane in range(3):
+        _draw_slice(figure.add_subplot(grid[0, plane]), scene, plane)
+    _draw_energies(figure.add_subplot(grid[1, :2]), scene.ledger)
+    _draw_surface(figure.add_subplot(grid[1, 2]), scene)
+    return _png(figure)
+
+
+def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
+    """Draw several runs on the same image side by side: a slice and the surface of each, then all energies.
+
+    Parameters
+    ----------
+    scenes : mapping of str to Scene
+        Name of each run (the heading of its column) and what it shows; at least one.
+    title : str
+        One line above the picture.
+
+    Returns
+    -------
+    bytes
+        A PNG file.
+    """
+    count = len(scenes)
+    figure = _figure(max(4.1 * count, 8.2), 12.0, title)
+    grid = figure.add_gridspec(
+        3, count, left=0.09, right=0.965, top=0.905, bottom=0.055, hspace=0.24, wspace=0.25, height_ratios=(1, 1, 0.75)
+    )
+    everything = [scene.surface.vertices for scene in scenes.values() if scene.surface is not None]
+    box = np.concatenate(everything) if everything else None
+    for column, (name, scene) in enumerate(scenes.items()):
+        top = figure.add_subplot(grid[0, column])
+        _draw_slice(top, scene, 0)
+        top.set_title(f"{name}\n{scene.title}", fontsize=10, color=_INK)
+        color = _RUN_COLORS[column % len(_RUN_COLORS)]
+        _draw_surface(figure.add_subplot(grid[1, column]), scene, box=box, color=color)
+    below = figure.add_subplot(grid[2, :])
+    for number, (name, scene) in enumerate(scenes.items()):
+        steps = [row.step for row in scene.ledger]
+        below.plot(
+            steps,
+            [row.potential for row in scene.ledger],
+            color=_RUN_COLORS[number % len(_RUN_COLORS)],
+            linestyle=_RUN_DASHES[number % len(_RUN_DASHES)],
+            linewidth=1.8,
+            label=name,
+        )
+    _style(below, "step", "energy")
+    below.legend(frameon=False, fontsize=9, labelcolor=_INK)
+    return _png(figure)
+
+
+# ------------------------------------------------------------------------------------------------------------ slices
+
+
+@dataclass(frozen=True, eq=False)
+class _Upright:
+    """Arrays turned so that their axes run along the nearest world axes, (z, y, x) as ever."""
+
+    order: tuple[int, int, int]  # array axis that becomes z, y, x
+    flips: tuple[bool, bool, bool]  # of the new axes
+    spacing: tuple[float, float, float]
+    first: tuple[float, float, float]  # coordinate of the first voxel along the new axes, mm
+    names: tuple[str, str, str]
+
+    def turn(self, array: NDArray[Any]) -> NDArray[Any]:
+        turned = array.transpose(self.order)
+        return turned[tuple(slice(None, None, -1) if flip else slice(None) for flip in self.flips)]
+
+    def coordinate(self, axis: int, index: float) -> float:
+        return self.first[axis] + index * self.spacing[axis]
+
+
+def _upright(geometry: Geometry) -> _Upright:
+    """Find the grid axis nearest to each world axis, every grid axis used once, nearest pairs first."""
+    direction = np.asarray(geometry.direction)
+    near = np.abs(direction)
+    chosen: dict[int, int] = {}  # world axis (x, y, z) -> grid axis (x, y, z)
+    for flat in np.argsort(-near, axis=None, kind="stable"):
+        world, axis = (int(i) for i in np.unravel_index(flat, (3, 3)))
+        if world not in chosen and axis not in chosen.values():
+            chosen[world] = axis
+    order = tuple(2 - chosen[world] for world in (2, 1, 0))
+    flips = tuple(bool(direction[world, chosen[world]] < 0) for world in (2, 1, 0))
+    spacing = tuple(geometry.spacing[axis] for axis in order)
+    parallel = all(near[world, chosen[world]] > 1 - 1e-6 for world in range(3))
+    corner = geometry.index_to_world([geometry.shape[axis] - 1 if flips[order.index(axis)] else 0 for axis in range(3)])
+    first = tuple(corner[::-1]) if parallel else (0.0, 0.0, 0.0)
+    names = ("z", "y", "x") if parallel else ("z'", "y'", "x'")
+    return _Upright(order, flips, spacing, first, names)  # type: ignore[arg-type]
+
+
+def _centroid(psi: NDArray[Any]) -> tuple[int, int, int]:
+    """Voxel in the middle of the object, or of the volume when there is none."""
+    inside = psi < 0
+    if not inside.any():
+        return psi.shape[0] // 2, psi.shape[1] // 2, psi.shape[2] // 2
+    counts = [inside.sum(axis=tuple(other for other in range(3) if other != axis)) for axis in range(3)]
+    z, y, x = (int(round(float(np.average(np.arange(len(c)), weights=c)))) for c in counts)
+    return z, y, x
+
+
+def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
+    """Draw one slice: plane 0 is axial, 1 coronal, 2 sagittal."""
+    up = _upright(scene.geometry)
+    image, psi = up.turn(scene.image), up.turn(scene.psi)
+    place = _centroid(psi)
+    vertical, horizontal = ((1, 2), (0, 2), (0, 1))[plane]
+    cut = tuple(place[axis] if axis == plane else slice(None) for axis in range(3))
+    values = np.asarray(image[cut], dtype=np.float64)
+    low, high = np.percentile(values, (1, 99))
+    edges = [
+        up.coordinate(axis, index)
+        for axis, n in ((horizontal, values.shape[1]), (vertical, values.shape[0]))
+        for index in (-0.5, n - 0.5)
+    ]
+    # Front at the top (y runs down) in the axial slice; head at the top (z runs up) in the other two.
+    extent = (edges[0], edges[1], edges[3], edges[2]) if plane == 0 else (edges[0], edges[1], edges[2], edges[3])
+    axes.imshow(
+        values,
+        cmap="gray",
+        vmin=low,
+        vmax=high if high > low else low + 1,
+        extent=extent,
+        origin="upper" if plane == 0 else "lower",
+        interpolation="nearest",
+        aspect="equal",
+    )
+    if scene.reference is not None:
+        mask = np.where(up.turn(scene.reference)[cut] > 0, -0.5, 0.5)
+        _contour(axes, mask, up, vertical, horizontal, SKY, (0, (2, 1.5)))
+        axes.plot([], [], color=ORANGE, label="result")
+        axes.plot([], [], color=SKY, linestyle=(0, (2, 1.5)), label="reference")
+        axes.legend(fontsize=8, loc="lower right", framealpha=0.75, borderpad=0.3, labelcolor=_INK)
+    _contour(axes, np.asarray(psi[cut]), up, vertical, horizontal, ORANGE, "solid")
+    where = f"{up.names[plane]} = {up.coordinate(plane, place[plane]):.4g} mm"
+    kind = ("Axial", "Coronal", "Sagittal")[plane] if scene.anatomical else "Slice"
+    axes.set_title(f"{kind}, {where}", fontsize=10, color=_INK)
+    _style(axes, f"{up.names[horizontal]} (mm)", f"{up.names[vertical]} (mm)", lines=False)
+    if scene.anatomical:
+        _write_letters(axes, horizontal, vertical, top_is_low=plane == 0)
+
+
+def _contour(
+    axes: Axes, psi: NDArray[Any], up: _Upright, vertical: int, horizontal: int, color: str, dashes: Any
+) -> None:
+    """Draw the zero level, dark below and coloured above, so that it shows on any grey."""
+    if min(psi.shape) < 2 or not (psi < 0).any() or not (psi > 0).any():
+        return
+    x = [up.coordinate(horizontal, i) for i in range(psi.shape[1])]
+    y = [up.coordinate(vertical, i) for i in range(psi.shape[0])]
+    axes.contour(x, y, psi, levels=[0.0], colors=["black"], linewidths=2.6, alpha=0.55)
+    axes.contour(x, y, psi, levels=[0.0], colors=[color], linewidths=1.5, linestyles=[dashes])
+
+
+def _write_letters(axes: Axes, horizontal: int, vertical: int, top_is_low: bool) -> None:
+    """Write the patient's directions at the edges of a slice."""
+    left, right = _LETTERS[2 - horizontal]
+    low, high = _LETTERS[2 - vertical]
+    top, bottom = (low, high) if top_is_low else (high, low)
+    for x, y, letter in ((0.045, 0.5, left), (0.955, 0.5, right), (0.5, 0.95, top), (0.5, 0.05, bottom)):
+        axes.text(
+            x,
+            y,
+            letter,
+            transform=axes.transAxes,
+            ha="center",
+            va="center",
+            fontsize=9,
+            color="white",
+            fontweight="bold",
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "black", "edgecolor": "none", "alpha": 0.45},
+        )
+
+
+# -------------------------------------------------------------------------------------------------- energies, surface
+
+
+def _draw_energies(axes: Axes, ledger: Sequence[Row]) -> None:
+    steps = [row.step for row in ledger]
+    axes.set_title("Energy and kinetic energy", fontsize=10, color=_INK)
+    axes.plot(steps, [row.potential for row in ledger], color=BLUE, linewidth=1.8)
+    _style(axes, "step", "energy")
+    axes.yaxis.label.set_color(BLUE)
+    kinetic = [row.kinetic for row in ledger]
+    if any(kinetic):
+        right = axes.twinx()
+        right.plot(steps, kinetic, color=VERMILION, linewidth=1.5, linestyle=_RUN_DASHES[1])
+        _style(right, "", "kinetic energy (dashed)", lines=False)
+        right.yaxis.label.set_color(VERMILION)
+        right.set_ylim(bottom=0)
+    else:
+        axes.text(0.98, 0.93, "no kinetic energy: the flow has no momentum", transform=axes.transAxes, ha="right")
+    restarts = [row.step for row in ledger if row.restarted]
+    if restarts:
+        bottom = np.zeros(len(restarts))
+        axes.plot(restarts, bottom, "^", color=_INK, markersize=6, transform=axes.get_xaxis_transform(), clip_on=False)
+        axes.plot([], [], "^", color=_INK, markersize=6, linestyle="none", label="restart (put at rest)")
+        axes.legend(frameon=False, fontsize=9, loc="upper right", bbox_to_anchor=(1.0, 0.9), labelcolor=_INK)
+
+
+def _draw_surface(axes: Axes, scene: Scene, box: NDArray[Any] | None = None, color: str = SKY) -> None:
+    axes.set_axis_off()
+    if scene.surface is None or not len(scene.surface.faces):
+        axes.text(0.5, 0.5, "no surface", ha="center", va="center", transform=axes.transAxes, color=_INK)
+        return
+    size = 460
+    red, green, blue = (0.2 + 0.8 * int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    picture = render(scene.surface.vertices, scene.surface.faces, size=size, color=(red, green, blue), box=box)
+    axes.imshow(picture.pixels, extent=(0, size, 0, size))
+    axes.set_title("Surface", fontsize=10, color=_INK)
+    _draw_scale_bar(axes, size, picture.mm_per_pixel)
+    letters = "LPS" if scene.anatomical else "xyz"
+    for (right, up), letter in zip(picture.axes, letters, strict=True):
+        arrow = {"arrowstyle": "-|>", "color": _INK, "lw": 1.1, "shrinkA": 0}
+        axes.annotate("", xy=(38 + 34 * right, 42 + 34 * up), xytext=(38, 42), arrowprops=arrow)
+        axes.text(38 + 47 * right, 42 + 47 * up, letter, ha="center", va="center", fontsize=8.5, color=_INK)
+    axes.set(xlim=(0, size), ylim=(-18, size))
+
+
+def _draw_scale_bar(axes: Axes, size: int, mm_per_pixel: float) -> None:
+    """Draw a bar of a round length, about a fifth of the picture."""
+    wanted = 0.22 * size * mm_per_pixel
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    length = max(step * decade for step in (1, 2, 5) if step * decade <= wanted)
+    right, pixels = size - 12, length / mm_per_pixel
+    axes.plot([right - pixels, right], [-4, -4], color=_INK, linewidth=2.5, solid_capstyle="butt")
+    axes.text(right - pixels / 2, 4, f"{length:g} mm", ha="center", va="bottom", fontsize=8.5, color=_INK)
+
+
+# ------------------------------------------------------------------------------------------------------------- shared
+
+
+def _figure(width: float, height: float, title: str) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=12, color=_INK, y=0.975)
+    return figure
+
+
+def _style(axes: Axes, xlabel: str, ylabel: str, lines: bool = True) -> None:
+    axes.set_xlabel(xlabel, fontsize=9, color=_INK)
+    axes.set_ylabel(ylabel, fontsize=9, color=_INK)
+    axes.tick_params(labelsize=8, colors=_INK, length=3)
+    for side in axes.spines.values():
+        side.set_color("#999999")
+    if lines:
+        axes.grid(color=_GRID, linewidth=0.6)
+        axes.set_axisbelow(True)
+
+
+def _png(figure: Figure) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": "accelsurf"})
+    return stream.getvalue()

@@ -1,0 +1,290 @@
+"""What a run leaves behind besides its label map: a JSON report, a CSV trace; pure functions from values to text.
+
+The report says what was run on what, how it ended, what came out and where, so that a run can be repeated and a batch
+can be sifted without looking at a picture. Lengths are mm, order x, y, z, LPS. The pictures are in `preview`.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import math
+import platform
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from accelsurf.errors import AccelsurfError
+
+if TYPE_CHECKING:
+    from accelsurf.config import RunConfig
+    from accelsurf.evolution import Row
+    from accelsurf.geometry import Geometry
+    from accelsurf.segmentation import Result
+
+SCHEMA_VERSION = 1
+Status = Literal["ok", "failed", "interrupted"]
+
+#: Columns of the trace, in this order: fields of evolution.Row.
+TRACE_COLUMNS = (
+    "step",
+    "t",
+    "dt",
+    "potential",
+    "kinetic",
+    "volume_mm3",
+    "area_mm2",
+    "speed",
+    "motion_voxels",
+    "limited_fraction",
+    "diffusion",
+    "band_cells",
+    "restarted",
+    "removed_components",
+    "seconds",
+)
+#: Parts of a run that are timed, in the order they happen.
+TIMED = ("load", "start", "evolve", "mesh", "write", "total")
+_DISTRIBUTIONS = ("accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "pydantic", "matplotlib")
+
+
+def build(
+    *,
+    status: Status,
+    exit_code: int,
+    argv: Sequence[str] = (),
+    config: RunConfig | None = None,
+    source: Mapping[str, Any] | None = None,
+    result: Result | None = None,
+    error: Mapping[str, str] | None = None,
+    seconds: Mapping[str, float] | None = None,
+    outputs: Sequence[Mapping[str, str]] = (),
+    warnings: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Put the report of a run together. Every key is always there; what is not known is null.
+
+    Parameters
+    ----------
+    status : {"ok", "failed", "interrupted"}
+        How the run ended.
+    exit_code : int
+        What the command returns.
+    argv : sequence of str, optional
+        The command line.
+    config : RunConfig, optional
+        Settings of the run; None when they were not valid.
+    source : mapping, optional
+        The input, from `describe_input`.
+    result : Result, optional
+        What came out; None when nothing did.
+    error : mapping, optional
+        From `describe_error`.
+    seconds : mapping of str to float, optional
+        Durations by part of the run (load, start, evolve, mesh, write, total); those in the result are used for
+        parts not named here.
+    outputs : sequence of mapping, optional
+        Files written, from `describe_output`.
+    warnings : sequence of str, optional
+        Warnings besides the result's own.
+
+    Returns
+    -------
+    dict
+        Ready for `to_json`.
+    """
+    spent = {**(dict(result.seconds) if result is not None else {}), **(seconds or {})}
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "status": status,
+        "exit_code": exit_code,
+        "error": dict(error) if error is not None else None,
+        "versions": versions(),
+        "argv": list(argv),
+        "config": config.model_dump(mode="json") if config is not None else None,
+        "input": dict(source) if source is not None else None,
+        "seed": config.seed if config is not None else None,
+        "threads": config.threads if config is not None else None,
+        **describe_result(result),
+        "seconds": {part: spent.get(part) for part in TIMED},
+        "peak_rss_mb": peak_rss_mb(),
+        "warnings": [*(result.warnings if result is not None else ()), *warnings],
+        "outputs": [dict(output) for output in outputs],
+    }
+
+
+def describe_result(result: Result | None) -> dict[str, Any]:
+    """Return the part of the report that comes from the evolution: stop, energy and measures of the surface.
+
+    Parameters
+    ----------
+    result : Result or None
+        With None every value is null.
+    """
+    if result is None:
+        return dict.fromkeys(("stop", "energy", "volume_mm3", "area_mm2", "components", "touches_border"))
+    first, last = (result.ledger[0], result.ledger[-1]) if result.ledger else (None, None)
+    return {
+        "stop": {
+            "reason": result.stop.reason,
+            "steps": result.stop.steps,
+            "time": result.stop.time,
+            "message": result.stop.message,
+        },
+        "energy": {
+            "first": first.potential if first else None,
+            "last": last.potential if last else None,
+            "kinetic_last": last.kinetic if last else None,
+        },
+        "volume_mm3": result.volume_mm3,
+        "area_mm2": result.area_mm2,
+        "components": result.components,
+        "touches_border": result.touches_border,
+    }
+
+
+def describe_input(path: str | Path, *, geometry: Geometry | None = None, sha256: str | None = None) -> dict[str, Any]:
+    """Return the report's entry about the input.
+
+    Parameters
+    ----------
+    path : str or Path
+        The input file.
+    geometry : Geometry, optional
+        Its grid; None when it could not be read, and then the entries are null.
+    sha256 : str, optional
+        Checksum of the file, from `file_sha256`.
+
+    Examples
+    --------
+    >>> from accelsurf.geometry import Geometry
+    >>> entry = describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)))
+    >>> entry["size"], entry["spacing"]
+    ([3, 4, 5], [0.5, 1.0, 2.0])
+    """
+    grid: dict[str, Any] = dict.fromkeys(("size", "spacing", "origin", "direction"))
+    if geometry is not None:
+        grid = {
+            "size": list(geometry.size),
+            "spacing": list(geometry.spacing_xyz),
+            "origin": list(geometry.origin),
+            "direction": geometry.direction.tolist(),
+        }
+    return {"path": str(Path(path).absolute()), "sha256": sha256, **grid}
+
+
+def describe_error(error: BaseException) -> dict[str, str]:
+    """Return the report's entry about an error: its type, one line, and what to do.
+
+    Examples
+    --------
+    >>> from accelsurf.errors import InputError
+    >>> describe_error(InputError("scan.nii: the file is empty", "copy it again"))
+    {'type': 'InputError', 'message': 'scan.nii: the file is empty', 'hint': 'copy it again'}
+    """
+    if isinstance(error, AccelsurfError):
+        return {"type": type(error).__name__, "message": error.message, "hint": error.hint}
+    message = " ".join(str(error).split()) or type(error).__name__
+    hint = "run again with --debug for the full traceback; it belongs in a bug report"
+    return {"type": type(error).__name__, "message": message, "hint": hint}
+
+
+def describe_output(path: str | Path, kind: str) -> dict[str, str]:
+    """Return the report's entry about a file that was written.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    kind : str
+        What it is: labels, surface, trace, preview, sdf, ...
+    """
+    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": file_sha256(path)}
+
+
+def file_sha256(path: str | Path) -> str:
+    """Return the SHA-256 checksum of a file, in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions that a result can depend on: Python, the platform and the packages at work.
+
+    Examples
+    --------
+    >>> sorted(versions())[:3]
+    ['SimpleITK', 'accelsurf', 'matplotlib']
+    """
+    found: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    if found["accelsurf"] is None:  # run from a source tree that is not installed
+        from accelsurf import __version__
+
+        found["accelsurf"] = __version__
+    return found
+
+
+def peak_rss_mb() -> float | None:
+    """Return the most memory this process has had so far, in MB (10^6 bytes); None where the system does not say."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak * (1 if sys.platform == "darwin" else 1024) / 1e6, 1)
+
+
+def to_json(report: Mapping[str, Any]) -> str:
+    """Return a report as JSON text, strictly: NaN and infinity, which JSON lacks, become null.
+
+    Examples
+    --------
+    >>> print(to_json({"dice": float("nan"), "steps": 3}))
+    {
+      "dice": null,
+      "steps": 3
+    }
+    """
+    return json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """Replace numpy scalars, tuples and non-finite numbers by what JSON knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # numpy scalar or array
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def trace_csv(ledger: Iterable[Row]) -> str:
+    """Return the trace of a run: one line per step, columns as in `TRACE_COLUMNS`, numbers without loss.
+
+    Parameters
+    ----------
+    ledger : iterable of Row
+        One row per step. Units: mm, mm^2, mm^3, voxels, seconds; t and dt in flow time. True is 1.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(TRACE_COLUMNS)
+    for row in ledger:
+        writer.writerow([_cell(getattr(row, name)) for name in TRACE_COLUMNS])
+    return stream.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    value = value.item() if hasattr(value, "item") else value
+    return int(value) if isinstance(value, bool) else repr(value) if isinstance(value, float) else value

@@ -1,0 +1,179 @@
+"""A picture of a triangle mesh, in numpy alone: no window, no graphics driver, the same pixels everywhere.
+
+Each triangle is covered with points at most about one pixel apart, which go into a depth buffer (orthographic view).
+Marching-cubes meshes have triangles of a few pixels, so this is as sharp as drawing them and much simpler.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+#: Direction from the object to the viewer in LPS: from the front, the patient's left and above.
+VIEW = (0.55, -0.90, 0.50)
+_SAMPLES_AT_ONCE = 2_000_000
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A rendered mesh.
+
+    Attributes
+    ----------
+    pixels : ndarray, shape (n, n, 4), float32
+        Red, green, blue, opacity in 0..1; the first row is the top.
+    mm_per_pixel : float
+        Size of a pixel.
+    axes : ndarray, shape (3, 2), float64
+        Where the world's x, y and z axes (unit vectors) point in the picture: (right, up).
+    """
+
+    pixels: NDArray[np.float32]
+    mm_per_pixel: float
+    axes: Floats
+
+
+def render(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    *,
+    size: int = 480,
+    color: tuple[float, float, float] = (0.34, 0.71, 0.91),
+    view: tuple[float, float, float] = VIEW,
+    box: ArrayLike | None = None,
+) -> Picture:
+    """Draw a mesh with shading, seen from outside, orthographic.
+
+    Parameters
+    ----------
+    vertices : array_like, shape (n, 3)
+        World positions (x, y, z) in mm.
+    faces : array_like, shape (m, 3)
+        Vertex numbers, counter-clockwise seen from outside.
+    size : int, optional
+        Edge of the square picture in pixels.
+    color : tuple of float, optional
+        Red, green, blue of the surface in 0..1.
+    view : tuple of float, optional
+        Direction from the object to the viewer; not vertical.
+    box : array_like, shape (k, 3), optional
+        Points that the picture has to show, in mm; the vertices unless given. The same box gives several meshes the
+        same scale.
+
+    Examples
+    --------
+    >>> picture = render([[0, 0, 0], [9, 0, 0], [0, 0, 9]], [[0, 1, 2]], size=32)
+    >>> picture.pixels.shape, bool(picture.pixels[..., 3].any())
+    ((32, 32, 4), True)
+    """
+    points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+    triangles = np.asarray(faces, dtype=np.intp).reshape(-1, 3)
+    frame = _frame(view)
+    shown = (points if box is None else np.asarray(box, dtype=np.float64)) @ frame.T
+    fine = 2 * size  # drawn twice as fine and averaged, which smooths the edges
+    if not len(shown):
+        return Picture(np.zeros((size, size, 4), np.float32), 1.0, frame[:2].T.copy())
+    low, high = shown[:, :2].min(0), shown[:, :2].max(0)
+    scale = 0.94 * fine / max(float((high - low).max()), 1e-9)
+    seen = points @ frame.T
+    seen[:, :2] = (seen[:, :2] - (low + high) / 2) * scale + fine / 2
+    depth, normals = _fill(seen, triangles, _vertex_normals(points, triangles) @ frame.T, fine)
+    pixels = _shade(depth, normals, np.asarray(color), scale)
+    pixels = _halve(pixels[::-1])
+    return Picture(pixels.astype(np.float32), 2.0 / scale, frame[:2].T.copy())
+
+
+def _frame(view: tuple[float, float, float]) -> Floats:
+    """Rows: right, up and towards the viewer, orthonormal; up is as vertical (z) as the view allows."""
+    toward = np.asarray(view, dtype=np.float64)
+    toward = toward / np.linalg.norm(toward)
+    right = np.cross((0.0, 0.0, 1.0), toward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(toward, right), toward])
+
+
+def _vertex_normals(points: Floats, triangles: NDArray[np.intp]) -> Floats:
+    """Outward unit normals: each vertex takes the area-weighted mean of its triangles'."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    area = np.cross(b - a, c - a)
+    flat = triangles.ravel()
+    normals = np.stack([np.bincount(flat, np.repeat(area[:, i], 3), len(points)) for i in range(3)], axis=1)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+def _fill(seen: Floats, triangles: NDArray[np.intp], normals: Floats, fine: int) -> tuple[Floats, Floats]:
+    """Depth buffer (-inf where empty) and the normal at each pixel, both flat."""
+    depth = np.full(fine * fine, -np.inf)
+    buffer = np.zeros((fine * fine, 3))
+    corners = seen[triangles]
+    edges = np.abs(corners[:, [1, 2, 0], :2] - corners[:, :, :2]).max(axis=(1, 2), initial=0.0)
+    levels = np.clip(np.ceil(edges * 1.1), 1, None).astype(np.intp)
+    for level in np.unique(levels):
+        weights = _barycentric(int(level))
+        members = np.flatnonzero(levels == level)
+        chunk = max(1, _SAMPLES_AT_ONCE // len(weights))
+        for first in range(0, len(members), chunk):
+            some = triangles[members[first : first + chunk]]
+            _splat(depth, buffer, (weights @ seen[some]).reshape(-1, 3), (weights @ normals[some]).reshape(-1, 3), fine)
+    return depth, buffer
+
+
+def _barycentric(level: int) -> Floats:
+    """Weights of a triangular grid with `level` intervals along each edge, moved slightly inside, (n, 3)."""
+    i, j = np.meshgrid(np.arange(level + 1), np.arange(level + 1), indexing="ij")
+    keep = i + j <= level
+    weights = np.stack([i[keep], j[keep], level - i[keep] - j[keep]], axis=1) / level
+    return np.asarray(0.999 * weights + 0.001 / 3)
+
+
+def _splat(depth: Floats, buffer: Floats, points: Floats, normals: Floats, fine: int) -> None:
+    column, row = np.floor(points[:, 0]).astype(np.intp), np.floor(points[:, 1]).astype(np.intp)
+    inside = (column >= 0) & (column < fine) & (row >= 0) & (row < fine)
+    pixel, height, normals = (row * fine + column)[inside], points[inside, 2], normals[inside]
+    # The last write to a pixel wins, so the nearest points are written last.
+    order = np.argsort(height, kind="stable")
+    pixel, height, normals = pixel[order], height[order], normals[order]
+    last = len(pixel) - 1 - np.unique(pixel[::-1], return_index=True)[1]
+    pixel, height, normals = pixel[last], height[last], normals[last]
+    nearer = height > depth[pixel]
+    depth[pixel[nearer]] = height[nearer]
+    buffer[pixel[nearer]] = normals[nearer]
+
+
+def _shade(depth: Floats, normals: Floats, color: Floats, scale: float) -> Floats:
+    """Soft light from above left, a small highlight, darker rims where the depth jumps; (fine, fine, 4)."""
+    fine = int(np.sqrt(len(depth)))
+    covered = np.isfinite(depth).reshape(fine, fine)
+    n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    n[n[:, 2] < 0] *= -1.0  # interpolated normals may point away at the rim
+    key, fill = np.array([-0.45, 0.65, 0.61]), np.array([0.7, -0.1, 0.7])
+    light = 0.36 + 0.60 * np.clip(n @ key, 0, None) + 0.16 * np.clip(n @ fill, 0, None)
+    half = (key + (0, 0, 1)) / np.linalg.norm(key + (0, 0, 1))
+    shine = 0.18 * np.clip(n @ half, 0, None) ** 30
+    light = light.reshape(fine, fine) * _rims(depth.reshape(fine, fine), covered, scale)
+    rgb = np.clip(light[..., None] * color + shine.reshape(fine, fine, 1), 0, 1)
+    return np.concatenate([np.where(covered[..., None], rgb, 0.0), covered[..., None]], axis=2)
+
+
+def _rims(depth: Floats, covered: NDArray[np.bool_], scale: float) -> Floats:
+    """Factor that darkens pixels lying well behind a neighbour, so that parts in front stand out."""
+    z = np.where(covered, depth, depth[covered].min() if covered.any() else 0.0) * scale  # in pixels
+    front = z.copy()
+    for axis in (0, 1):
+        for step in (-2, -1, 1, 2):
+            front = np.maximum(front, np.roll(z, step, axis))
+    return np.where(front - z > 14.0, 0.8, 1.0)
+
+
+def _halve(pixels: Floats) -> Floats:
+    """Average 2 x 2 pixels; colours are weighted by opacity, so that rims do not darken."""
+    premultiplied = pixels.copy()
+    premultiplied[..., :3] *= pixels[..., 3:]
+    n = len(pixels) // 2
+    mean = premultiplied.reshape(n, 2, n, 2, 4).mean(axis=(1, 3))
+    mean[..., :3] /= np.maximum(mean[..., 3:], 1e-9)
+    return np.asarray(mean)

@@ -1,0 +1,52 @@
+# Sourced by scripts/demo and scripts/test: makes .venv in the repository's root and installs accelsurf into it.
+# Needs Python 3.11 or newer, with its venv module; nothing else.
+
+ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)"
+VENV="$ROOT/.venv"
+
+say() { printf '\n== %s\n' "$*" >&2; }
+
+find_python() {
+    local candidate
+    for candidate in ${PYTHON:+"$PYTHON"} python3 python3.13 python3.12 python3.11 python; do
+        if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then
+            echo "$candidate"
+            return
+        fi
+    done
+    echo "error: no Python 3.11 or newer was found" >&2
+    echo "hint: install one, or name it: PYTHON=/path/to/python3 $0" >&2
+    exit 1
+}
+
+# prepare EXTRA: EXTRA is "" for what people need to run accelsurf, "dev" for the tools of its tests.
+prepare() {
+    local extra="$1" stamp want python
+    if ! "$VENV/bin/python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then
+        python="$(find_python)"
+        say "Making $VENV with $("$python" --version)"
+        if ! "$python" -m venv --clear "$VENV"; then
+            echo "error: $python could not make a virtual environment" >&2
+            echo "hint: on Debian and Ubuntu: apt install python3-venv" >&2
+            exit 1
+        fi
+    fi
+    # What was installed is recorded, so that a second run installs nothing: the folder, Python, and pyproject.toml.
+    want="$("$VENV/bin/python" - "$ROOT" <<'PY'
+import hashlib, pathlib, sys
+project = pathlib.Path(sys.argv[1], "pyproject.toml").read_bytes()
+print(sys.argv[1], sys.version.split()[0], hashlib.sha256(project).hexdigest())
+PY
+)"
+    # An environment with the development tools serves the demo too.
+    for stamp in "$VENV/.accelsurf-dev" "$VENV/.accelsurf-${extra:-run}"; do
+        if [[ -f "$stamp" && "$(cat "$stamp")" == "$want" ]]; then
+            say "Using $VENV (already installed)"
+            return
+        fi
+    done
+    say "Installing accelsurf${extra:+ and its $extra tools} into $VENV (the first time takes some minutes)"
+    rm -f "$VENV/.accelsurf-dev" "$VENV/.accelsurf-run"
+    "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --editable "$ROOT${extra:+[$extra]}"
+    printf '%s\n' "$want" >"$stamp"
+}
