@@ -1,0 +1,375 @@
+"""Read and write volumes: NIfTI, NRRD, MetaImage. The only place that imports SimpleITK.
+
+What is read is checked before it is believed: the header is parsed first (`accelsurf.headers`), then the memory that
+the volume needs is compared with what there is, then the voxels are counted, and only then are they read. What is
+written appears whole or not at all, on exactly the grid it was read with.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import SimpleITK as sitk
+from numpy.typing import NDArray
+
+from accelsurf import headers, nifti
+from accelsurf.errors import AccelsurfError, InputError, OutputError, UsageError
+from accelsurf.geometry import Geometry
+from accelsurf.volume import Volume
+
+_READERS = {
+    ".nii.gz": "NiftiImageIO",
+    ".nii": "NiftiImageIO",
+    ".nrrd": "NrrdImageIO",
+    ".mha": "MetaImageIO",
+    ".mhd": "MetaImageIO",
+}
+SUFFIXES: tuple[str, ...] = tuple(_READERS)
+"""File name endings that can be read and written."""
+
+WARNING_KEY = "warning"
+"""Where `Volume.metadata` keeps what a person should hear about the file that was read; absent when all is well."""
+
+_SOLVER_BYTES_PER_VOXEL = 12  # image and psi as float32, and an index of the band
+_HEADER_SAMPLE = 1 << 14  # bytes, more than any header written here has
+_GIB = 2.0**30
+
+
+def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Volume:
+    """Read a 3D image.
+
+    Parameters
+    ----------
+    path : path-like
+        A file that ends in one of `SUFFIXES`.
+    memory_bytes : int, optional
+        Memory to plan with; by default what the machine has available now.
+
+    Returns
+    -------
+    Volume
+        Voxels in their own type (as float when the header scales them), on a grid in mm, LPS; ``metadata`` holds what
+        `write` needs to give the same header back, and under "warning" what a person should know about the file.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, damaged, incomplete, not a 3D image of real numbers, or larger than the memory;
+        GeometryError when its header does not describe a grid of perpendicular axes.
+
+    Notes
+    -----
+    NIfTI places an image twice, by qform and sform. As in ITK-SNAP and 3D Slicer, the sform is used when it refers to
+    the scanner (code 1) or is the only one, else the qform, and with neither the image starts at the world's origin; a
+    sheared sform is refused rather than straightened. Metres and micrometres are converted to mm.
+    """
+    path = Path(path)
+    with _named(path):
+        suffix = _input_suffix(path)
+        header = headers.parse(path, suffix)
+        reader = _reader(path, suffix)
+        _check_sort(reader)
+        _check_memory(reader, available_memory() if memory_bytes is None else memory_bytes)
+        headers.check_complete(header)
+        with _quiet():
+            image = reader.Execute()
+        if image.GetDimension() == 4:
+            image = image[:, :, :, 0]
+        geometry = _geometry_of(image)
+        metadata = dict(header.metadata)
+        if header.nifti and (warning := nifti.check_agreement(header.nifti, geometry)):
+            metadata[WARNING_KEY] = warning
+        return Volume(sitk.GetArrayFromImage(image), geometry, metadata, path)
+
+
+def read_labels(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Volume:
+    """Read a label map: as `read`, with values of an integer type.
+
+    Raises
+    ------
+    InputError
+        As `read`, and when a value is not a whole number.
+    """
+    volume = read(path, memory_bytes=memory_bytes)
+    with _named(Path(path)):
+        return volume.with_array(_whole(volume.array))
+
+
+def write(volume: Volume, path: str | os.PathLike[str]) -> None:
+    """Write a volume; the suffix decides the format, and all but plain .nii are compressed.
+
+    The file is written under a temporary name in the same folder and then renamed, so that a file of this name is
+    never half written; an existing one is replaced. The grid is the volume's; from NIfTI to NIfTI and from NRRD to
+    NRRD also the numbers and codes of the header that place it. The same volume gives the same bytes.
+
+    Parameters
+    ----------
+    volume : Volume
+        Booleans are written as uint8, half precision as float32.
+    path : path-like
+        A file name that ends in one of `SUFFIXES`; for .mhd the voxels go to a .zraw file beside it.
+
+    Raises
+    ------
+    UsageError
+        When the suffix is none of them.
+    OutputError
+        When the file cannot be written there.
+    """
+    path = Path(path)
+    suffix = split_name(path)[1]
+    if not suffix:
+        raise UsageError(f"{path}: unknown file type, one of {', '.join(SUFFIXES)} expected")
+    image = _to_sitk(volume)
+    with _staging(path) as folder:
+        draft = folder / (path.name[:-3] if suffix == ".nii.gz" else path.name)
+        _save(image, draft, suffix)
+        _restore_grid(draft, suffix, volume)
+        if suffix == ".nii.gz":
+            headers.gzip_file(draft, folder / path.name)
+            draft.unlink()
+        # The data file of an .mhd goes first: a header never names a file that is not there.
+        for file in sorted(folder.iterdir(), key=lambda f: f.name == path.name):
+            os.replace(file, path.parent / file.name)
+
+
+def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
+    """Write a label map: as `write`, with values as uint8, or uint16 when they go past 255.
+
+    Raises
+    ------
+    InputError
+        When a value is not a whole number from 0 to 65535; else as `write`.
+    """
+    values = _whole(volume.array)
+    low, high = int(values.min()), int(values.max())
+    if low < 0 or high > 65535:
+        raise InputError(f"labels from {low} to {high} given, 0 to 65535 expected", hint="renumber the labels")
+    write(volume.with_array(values.astype(np.uint8 if high <= 255 else np.uint16)), path)
+
+
+def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:
+    """Name of a file without its folder and suffix, and the suffix in lower case (empty when it is none of `SUFFIXES`).
+
+    Examples
+    --------
+    >>> split_name("scans/head.v2.nii.gz"), split_name("photo.png")
+    (('head.v2', '.nii.gz'), ('photo', ''))
+    """
+    name = Path(path).name
+    for suffix in SUFFIXES:
+        if name.lower().endswith(suffix) and len(name) > len(suffix):
+            return name[: -len(suffix)], suffix
+    return Path(name).stem, ""
+
+
+def sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file's bytes, hexadecimal, read piece by piece.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read.
+    """
+    with _named(Path(path)), Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def available_memory() -> int:
+    """Bytes that can be allocated without swapping: MemAvailable on Linux, else all physical memory."""
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass  # not Linux
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def _input_suffix(path: Path) -> str:
+    if path.is_dir():
+        raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
+    if not path.exists():
+        raise InputError("there is no such file", hint="check the path")
+    suffix = split_name(path)[1]
+    if not suffix:
+        raise InputError(
+            f"unknown file type, one of {', '.join(SUFFIXES)} expected", hint="convert the image to one of them first"
+        )
+    return suffix
+
+
+def _reader(path: Path, suffix: str) -> sitk.ImageFileReader:
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO(_READERS[suffix])
+    reader.SetFileName(str(path))
+    with _quiet():
+        reader.ReadImageInformation()
+    return reader
+
+
+def _check_sort(reader: sitk.ImageFileReader) -> None:
+    """Refuse by name what is not a 3D image of real numbers (NIfTI was refused from its raw header already)."""
+    size, components = reader.GetSize(), reader.GetNumberOfComponents()
+    text = " x ".join(map(str, size))
+    kind = sitk.GetPixelIDValueAsString(reader.GetPixelIDValue())
+    if "complex" in kind:
+        raise InputError("a complex image given, one real number per voxel expected", hint="take the magnitude first")
+    if components > 1:
+        sort = "colour (RGB) or vector" if components in (3, 4) and "unsigned" in kind else "vector"
+        raise InputError(
+            f"a {sort} image ({text}, {components} components per voxel) given, one number per voxel expected",
+            hint="extract one channel, or the magnitude, first",
+        )
+    if len(size) < 3:
+        raise InputError(
+            f"a {len(size)}D image ({text}) given, 3D expected",
+            hint="add a slice axis of size 1, or use Volume.from_array in Python",
+        )
+    if len(size) > 4 or (len(size) == 4 and size[3] > 1):
+        raise InputError(
+            f"a {len(size)}D image ({text}) given, 3D expected", hint="extract one time point or channel first"
+        )
+
+
+def _check_memory(reader: sitk.ImageFileReader, available: int) -> None:
+    voxels = int(np.prod(reader.GetSize(), dtype=object))
+    item = sitk.GetArrayFromImage(sitk.Image(1, 1, reader.GetPixelIDValue())).itemsize
+    needed = voxels * (item + _SOLVER_BYTES_PER_VOXEL)
+    if needed > available:
+        size = " x ".join(map(str, reader.GetSize()))
+        raise InputError(
+            f"an image of {size} voxels needs about {needed / _GIB:.2f} GiB of memory, "
+            f"{available / _GIB:.2f} GiB are available",
+            hint="crop or downsample the image, or use a machine with more memory",
+        )
+
+
+def _geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:
+    direction = np.array(image.GetDirection()).reshape(3, 3)
+    return Geometry(image.GetSize()[::-1], image.GetSpacing()[::-1], image.GetOrigin(), direction)
+
+
+def _to_sitk(volume: Volume) -> sitk.Image:
+    array = volume.array
+    if array.dtype.kind == "b":
+        array = array.astype(np.uint8)
+    elif array.dtype.kind == "f" and array.dtype.itemsize not in (4, 8):
+        array = array.astype(np.float32 if array.dtype.itemsize < 4 else np.float64)
+    image = sitk.GetImageFromArray(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("=")))
+    image.SetSpacing(volume.geometry.spacing_xyz)
+    image.SetOrigin(volume.geometry.origin)
+    image.SetDirection(volume.geometry.direction.ravel().tolist())
+    return image
+
+
+def _save(image: sitk.Image, path: Path, suffix: str) -> None:
+    writer = sitk.ImageFileWriter()
+    writer.SetImageIO(_READERS[suffix])
+    writer.SetFileName(str(path))
+    writer.SetUseCompression(not suffix.startswith(".nii"))
+    with _quiet():
+        writer.Execute(image)
+
+
+def _restore_grid(path: Path, suffix: str, volume: Volume) -> None:
+    """Give a file the header fields that placed the volume when it was read, where they still place it there."""
+    put = {".nii": nifti.put_grid, ".nii.gz": nifti.put_grid, ".nrrd": headers.put_nrrd_space}.get(suffix)
+    kept = volume.metadata.get(headers.NRRD_KEY if suffix == ".nrrd" else nifti.METADATA_KEY)
+    if put is None or kept is None:
+        return
+    # The header alone is tried first: metadata may have come from another grid than the volume has now.
+    trial = path.with_name("trial" + path.name)
+    with path.open("rb") as file:
+        trial.write_bytes(file.read(_HEADER_SAMPLE))
+    put(trial, kept)
+    reader = _reader(trial, ".nii" if suffix == ".nii.gz" else suffix)
+    trial.unlink()
+    if _geometry_of(reader).matches(volume.geometry):
+        put(path, kept)
+
+
+def _whole(array: NDArray[Any]) -> NDArray[Any]:
+    """The same values in an integer type."""
+    if array.dtype.kind in "ui":
+        return array
+    if array.dtype.kind == "b":
+        return array.astype(np.uint8)
+    whole = np.isfinite(array) & (array == np.floor(array)) & (np.abs(array) < 2.0**31)
+    if not whole.all():
+        value = array[~whole].flat[0]
+        raise InputError(
+            f"labels must be whole numbers, {int((~whole).sum())} voxels are not (the first is {value:g})",
+            hint="is this an image, or a label map resampled with interpolation? resample with nearest neighbour",
+        )
+    return array.astype(np.int32)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong while reading a file into one line that starts with its name."""
+    try:
+        yield
+    except AccelsurfError as error:
+        raise type(error)(f"{path}: {error.message}", hint=error.hint) from error.__cause__
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or error})", hint="check the path and its permissions"
+        ) from error
+    except RuntimeError as error:
+        raise InputError(
+            f"{path}: cannot be read as an image ({_last_words(error)})",
+            hint="the file may be damaged: export it again",
+        ) from error
+    except MemoryError as error:
+        raise InputError(f"{path}: does not fit into memory", hint="crop or downsample the image") from error
+
+
+def _last_words(error: RuntimeError) -> str:
+    """The end of ITK's many lines, where it says what happened."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1].rpartition("ERROR: ")[2] if lines else "no reason given"
+
+
+@contextmanager
+def _staging(path: Path) -> Iterator[Path]:
+    """A temporary folder beside the target, gone afterwards whatever happens.
+
+    A folder rather than a temporary name: inside it files have their final names, which an .mhd header repeats.
+    """
+    try:
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:100]}.", dir=path.parent))
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror or error})",
+            hint=f"does the folder {path.parent} exist, is it writable, is there space on the disk?",
+        ) from error
+    except RuntimeError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({_last_words(error)})", hint="is there space on the disk?"
+        ) from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """ITK's warnings off for a moment: what matters is checked here and said in one line."""
+    before = sitk.ProcessObject.GetGlobalWarningDisplay()
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    try:
+        yield
+    finally:
+        sitk.ProcessObject.SetGlobalWarningDisplay(before)
