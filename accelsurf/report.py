@@ -7,7 +7,6 @@ can be sifted without looking at a picture. Lengths are mm, order x, y, z, LPS. 
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 import json
 import math
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from accelsurf.errors import AccelsurfError
+from accelsurf.io import sha256
 
 if TYPE_CHECKING:
     from accelsurf.config import RunConfig
@@ -146,7 +146,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
     }
 
 
-def describe_input(path: str | Path, *, geometry: Geometry | None = None, sha256: str | None = None) -> dict[str, Any]:
+def describe_input(path: str | Path, *, geometry: Geometry | None = None, checksum: str | None = None) -> dict[str, Any]:
     """Return the report's entry about the input.
 
     Parameters
@@ -155,8 +155,8 @@ def describe_input(path: str | Path, *, geometry: Geometry | None = None, sha256
         The input file.
     geometry : Geometry, optional
         Its grid; None when it could not be read, and then the entries are null.
-    sha256 : str, optional
-        Checksum of the file, from `file_sha256`.
+    checksum : str, optional
+        SHA-256 of the file, from `accelsurf.io.sha256`.
 
     Examples
     --------
@@ -173,7 +173,7 @@ def describe_input(path: str | Path, *, geometry: Geometry | None = None, sha256
             "origin": list(geometry.origin),
             "direction": geometry.direction.tolist(),
         }
-    return {"path": str(Path(path).absolute()), "sha256": sha256, **grid}
+    return {"path": str(Path(path).absolute()), "sha256": checksum, **grid}
 
 
 def describe_error(error: BaseException) -> dict[str, str]:
@@ -202,13 +202,7 @@ def describe_output(path: str | Path, kind: str) -> dict[str, str]:
     kind : str
         What it is: labels, surface, trace, preview, sdf, ...
     """
-    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": file_sha256(path)}
-
-
-def file_sha256(path: str | Path) -> str:
-    """Return the SHA-256 checksum of a file, in hexadecimal."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(path)}
 
 
 def versions() -> dict[str, str | None]:

@@ -1,0 +1,337 @@
+"""One segmentation from file to files: what `segment` does once and `demo` for each flow.
+
+The order keeps promises: existing outputs are refused before anything is computed; each file appears whole or not at
+all; and whatever happens after that, a report says how it ended.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+from accelsurf import preview, report
+from accelsurf.cli import INTERRUPTED
+from accelsurf.config import LabelFormat, RunConfig
+from accelsurf.errors import AccelsurfError, EmptyResultError, OutputError
+
+if TYPE_CHECKING:
+    from accelsurf.cli.progress import Watcher
+    from accelsurf.segmentation import Result
+    from accelsurf.volume import Volume
+
+
+class NotConvergedError(AccelsurfError):
+    """The run ended before it converged, and --strict asks for more."""
+
+    exit_code = 4
+    kind = "not-converged"
+
+
+class DivergedError(AccelsurfError):
+    """The energy became infinite or no number."""
+
+    kind = "diverged"
+
+
+@dataclass
+class Case:
+    """One input, its settings, and where its outputs go.
+
+    Attributes
+    ----------
+    source : Path
+        The image.
+    folder : Path
+        Where the outputs go.
+    config : RunConfig or None
+        Settings; None when they were no good, and only a report of that can be written.
+    name : str
+        First part of every output's name; the input's name without suffix unless given.
+    overwrite : bool
+        Whether existing outputs may be replaced.
+    strict : bool
+        Whether a run that did not converge counts as failed.
+    """
+
+    source: Path
+    folder: Path
+    config: RunConfig | None = None
+    name: str = ""
+    overwrite: bool = False
+    strict: bool = False
+    volume: Volume | None = None
+    result: Result | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+    outputs: list[dict[str, str]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    checksum: str | None = None
+
+    def __post_init__(self) -> None:
+        from accelsurf.io import split_name
+
+        self._began = time.perf_counter()
+        stem, suffix = split_name(self.source)
+        self.name = self.name or stem
+        self._follow = suffix.removeprefix(".")
+
+    @property
+    def report_path(self) -> Path:
+        """Where the report goes."""
+        return self.folder / f"{self.name}_report.json"
+
+    def paths(self, config: RunConfig) -> dict[str, Path]:
+        """Return every output of the run by kind, the report last."""
+        follow = self._follow if self._follow in get_args(LabelFormat) else "nii.gz"
+        suffix = config.format or follow
+        names = {"labels": f"seg.{suffix}"}
+        names |= {f"surface-{kind}": f"surface.{kind}" for kind in config.mesh}
+        if config.save_sdf:
+            names["sdf"] = f"sdf.{suffix}"
+        names |= {"trace": "trace.csv", "preview": "preview.png"}
+        return {kind: self.folder / f"{self.name}_{name}" for kind, name in names.items()} | {
+            "report": self.report_path
+        }
+
+
+def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
+    """Refuse to start when an output exists already, or the folder cannot take one; make the folder.
+
+    A report of a run that failed does not count as existing: it holds no result.
+
+    Raises
+    ------
+    OutputError
+        When an output exists and may not be replaced, or nothing can be written there.
+    """
+    there = [path for path in paths.values() if os.path.lexists(path)]
+    kept = [path for path in there if not (path == paths.get("report") and _tells_of_failure(path))]
+    if kept and not overwrite:
+        more = f" and {len(kept) - 1} more" if len(kept) > 1 else ""
+        raise OutputError(f"{kept[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
+    folders = [path for path in there if path.is_dir()]
+    if folders:
+        raise OutputError(f"{folders[0]}: is a folder, a file is to be written there", "choose another folder with -o")
+    for folder in {path.parent for path in paths.values()}:
+        _make_writable(folder)
+
+
+def _tells_of_failure(path: Path) -> bool:
+    try:
+        return bool(json.loads(path.read_text(encoding="utf-8"))["status"] == "failed")
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _make_writable(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file under a temporary name in the same folder, then rename it.
+
+    Raises
+    ------
+    OutputError
+        When the file cannot be written.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        draft.write_bytes(content)
+        os.replace(draft, path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})", "is the disk full?") from None
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def run_case(case: Case, watcher: Watcher) -> int:
+    """Run a case and write its outputs.
+
+    Parameters
+    ----------
+    case : Case
+        What to run; afterwards its ``result`` and ``outputs`` tell what came out.
+    watcher : Watcher
+        Shows progress, and passes Ctrl-C on.
+
+    Returns
+    -------
+    int
+        0 when there is a result, or the exit code that tells why it is not what was wanted; the reason is printed.
+
+    Raises
+    ------
+    AccelsurfError
+        When there is no result; the report of it is written already.
+    """
+    assert case.config is not None
+    refuse_existing(case.paths(case.config), case.overwrite)
+    try:
+        _compute(case, watcher)
+        _write(case, case.config)
+        error = _shortcoming(case)
+    except BaseException as failure:
+        report_failure(case, failure)
+        raise
+    interrupted = case.result is not None and case.result.stop.reason == "interrupted"
+    code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
+    status: report.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
+    _write_report(case, status, code, error)
+    for warning in case.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    if error is not None:
+        print(f"error: {error.message}\nhint: {error.hint}", file=sys.stderr)
+    return code
+
+
+def _compute(case: Case, watcher: Watcher) -> None:
+    from accelsurf import io
+    from accelsurf.segmentation import segment
+
+    assert case.config is not None
+    case.volume = _timed(case, "load", lambda: io.read(case.source))
+    case.checksum = _timed(case, "load", lambda: io.sha256(case.source))
+    if note := case.volume.metadata.get(io.WARNING_KEY):
+        case.warnings.append(note)
+    with watcher.watch(case.name, case.config.max_steps):
+        case.result = segment(case.volume, config=case.config, on_step=watcher.on_step)
+    case.warnings.extend(case.result.warnings)
+
+
+def _timed(case: Case, part: str, work: Callable[[], Any]) -> Any:
+    """Do some work and add its duration to a part of the run."""
+    began = time.perf_counter()
+    try:
+        return work()
+    finally:
+        case.seconds[part] = case.seconds.get(part, 0.0) + time.perf_counter() - began
+
+
+def _write(case: Case, config: RunConfig) -> None:
+    """Write everything but the report. A run that left no surface leaves a trace and a picture only."""
+    from accelsurf import io
+
+    assert case.result is not None
+    result, paths = case.result, case.paths(config)
+    empty = result.stop.reason in ("vanished", "filled")
+    surface = None if empty else _timed(case, "mesh", lambda: result.surface)
+    writers: dict[str, Callable[[Path], None]] = {}
+    if surface is not None:
+        mesh = surface
+        writers["labels"] = lambda path: io.write_labels(result.labels_volume(), path)
+        for mesh_format in config.mesh:
+            writers[f"surface-{mesh_format}"] = lambda path: mesh.write(path, config.mesh_space)
+        if config.save_sdf:
+            writers["sdf"] = lambda path: io.write(result.labels_volume().with_array(result.psi), path)
+    writers["trace"] = lambda path: write_bytes(path, report.trace_csv(result.ledger).encode())
+    writers["preview"] = lambda path: write_bytes(path, preview.preview_png(scene(case)))
+    for kind, writer in writers.items():
+        _timed(case, "write", functools.partial(writer, paths[kind]))
+        case.outputs.append(report.describe_output(paths[kind], kind.partition("-")[0]))
+
+
+def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
+    """Return what a picture of a finished case shows.
+
+    Parameters
+    ----------
+    case : Case
+        With a result.
+    title : str, optional
+        Its heading; says how the run ended unless given.
+    reference : ndarray, optional
+        Labels to draw as a second contour.
+    """
+    result, volume = case.result, case.volume
+    assert result is not None and volume is not None and case.config is not None
+    return preview.Scene(
+        image=result.image,
+        psi=result.psi,
+        geometry=result.geometry,
+        ledger=result.ledger,
+        surface=None if result.stop.reason in ("vanished", "filled") else result.surface,
+        title=title or f"{case.name}: {case.config.flow} flow, {result.stop.reason} after {result.stop.steps} steps",
+        anatomical=_is_patient(volume),
+        reference=reference,
+    )
+
+
+def _is_patient(volume: Volume) -> bool:
+    """Whether the header says that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name."""
+    from accelsurf.headers import NRRD_KEY
+    from accelsurf.nifti import METADATA_KEY
+
+    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
+    coded = any(bytes.fromhex(volume.metadata.get(METADATA_KEY, ""))[17:21])
+    return coded or "space: left-" in volume.metadata.get(NRRD_KEY, "")
+
+
+def _shortcoming(case: Case) -> AccelsurfError | None:
+    """Say what is wrong with a run that did end, or None. Short of an error it is a warning."""
+    assert case.result is not None
+    stop = case.result.stop
+    told = f"{case.name}: {stop.reason} after {stop.steps} steps: {stop.message}"
+    match stop.reason:
+        case "vanished" | "filled":
+            return EmptyResultError(told, "start closer to the object, or with less --smoothness")
+        case "diverged":
+            return DivergedError(told, "use a smaller --cfl; and please report this image and its settings")
+        case "max-steps" | "stalled" if case.strict:
+            return NotConvergedError(told, "raise --max-steps; the outputs show how far it got")
+        case "max-steps" | "stalled":
+            case.warnings.append(told)
+    return None
+
+
+def report_failure(case: Case, error: BaseException) -> None:
+    """Write the report of a run that left no result; say so on stderr when even that fails.
+
+    A report that stands for a result is not replaced, unless outputs may be.
+    """
+    if os.path.lexists(case.report_path) and not (case.overwrite or _tells_of_failure(case.report_path)):
+        return
+    stopped = isinstance(error, KeyboardInterrupt)
+    code = INTERRUPTED if stopped else error.exit_code if isinstance(error, AccelsurfError) else 1
+    code = 3 if isinstance(error, MemoryError) else code
+    try:
+        _make_writable(case.folder)
+        if case.checksum is None and case.source.is_file():
+            from accelsurf.io import sha256
+
+            case.checksum = sha256(case.source)
+        _write_report(case, "interrupted" if stopped else "failed", code, error)
+    except AccelsurfError as second:
+        print(f"warning: the report could not be written: {second.message}", file=sys.stderr)
+
+
+def _write_report(case: Case, status: report.Status, code: int, error: BaseException | None) -> None:
+    geometry = case.volume.geometry if case.volume is not None else None
+    case.seconds["total"] = time.perf_counter() - case._began
+    own = set(case.result.warnings) if case.result is not None else set()
+    document = report.build(
+        status=status,
+        exit_code=code,
+        argv=sys.argv,
+        config=case.config,
+        source=report.describe_input(case.source, geometry=geometry, checksum=case.checksum),
+        result=case.result,
+        error=report.describe_error(error) if error is not None else None,
+        seconds=case.seconds,
+        outputs=case.outputs,
+        warnings=[warning for warning in case.warnings if warning not in own],
+    )
+    write_bytes(case.report_path, (report.to_json(document) + "\n").encode())

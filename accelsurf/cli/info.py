@@ -1,0 +1,51 @@
+"""``accelsurf info``: what this installation is and knows."""
+
+from __future__ import annotations
+
+from typing import Annotated, get_args
+
+from cyclopts import Parameter
+
+
+def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False) -> int:
+    """Show versions, names, exit codes and settings.
+
+    Parameters
+    ----------
+    as_json
+        Print JSON, with the schema of the configuration.
+    """
+    from accelsurf import io, phantoms, starts
+    from accelsurf.cli import EXIT_CODES
+    from accelsurf.config import ENERGIES, FLOWS, MeshFormat, RunConfig
+    from accelsurf.evolution import StopReason
+    from accelsurf.report import to_json, versions
+
+    facts = {
+        "versions": versions(),
+        "energies": list(ENERGIES),
+        "flows": list(FLOWS),
+        "starts": list(starts.KINDS),
+        "stop_reasons": list(get_args(StopReason)),
+        "volume_formats": list(io.SUFFIXES),
+        "mesh_formats": list(get_args(MeshFormat)),
+        "recipes": phantoms.recipe_names(),
+        "exit_codes": {str(code): meaning for code, meaning in EXIT_CODES.items()},
+        "config_schema": RunConfig.json_schema(),
+    }
+    if as_json:
+        print(to_json(facts))
+        return 0
+    for title, value in facts.items():
+        if title == "config_schema":
+            continue
+        if isinstance(value, dict):
+            print(title.replace("_", " ") + ":")
+            for key, entry in value.items():
+                print(f"  {key:12}  {entry}")
+        else:
+            print(f"{title.replace('_', ' ')}: {', '.join(value)}")
+    print("\nSettings (accelsurf segment --help has their defaults):")
+    for key, field in RunConfig.model_fields.items():
+        print(f"  {key:12}  {field.description}")
+    return 0

@@ -1,0 +1,118 @@
+"""Options that several commands share. Those of a run are made from RunConfig, so that the two cannot differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, make_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Group, Parameter
+
+from accelsurf.config import RunConfig, read_toml
+from accelsurf.errors import UsageError
+
+RUN = Group("What to run", sort_key=1)
+FLOW = Group("Fine control of the flow", sort_key=2)
+FILES = Group("Files", sort_key=3)
+SHOW = Group("Display", sort_key=4)
+
+ProgressKind = Literal["bar", "json", "none"]
+Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
+Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
+
+_GROUPS = {
+    **dict.fromkeys(("energy", "flow", "start", "smoothness", "presmooth", "max_steps", "seed", "threads"), RUN),
+    **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
+}
+_METAVARS = {
+    **dict.fromkeys(("energy", "flow", "format", "mesh_space"), "NAME"),
+    **dict.fromkeys(("max_steps", "seed", "threads", "half_width"), "N"),
+    **{"start": "WHERE", "smoothness": "MM", "presmooth": "MM", "cfl": "VOXELS", "percentile": "PERCENT"},
+    **{"diffusion": "D|auto", "friction": "t|A", "restart": "auto|off", "mesh": "NAMES"},
+}
+
+
+def _settings(name: str, leave_out: tuple[str, ...] = ()) -> type:
+    """Return a dataclass with an option for each field of RunConfig; ``None`` where the option was not given.
+
+    The values stay text as typed. RunConfig checks them, so that a bad one is told in the same words wherever it
+    comes from.
+    """
+    members: list[tuple[str, Any, Any]] = []
+    for key, field in RunConfig.model_fields.items():
+        if key in leave_out:
+            continue
+        kind: Any = {"save_sdf": bool, "start": tuple[str, ...]}.get(key, str)
+        parameter = Parameter(
+            name="--" + key.replace("_", "-"),
+            help=field.description,
+            group=_GROUPS.get(key, FLOW),
+            show_default=_shown(field.default),
+            metavar=_METAVARS.get(key, key.upper()),
+            negative_iterable=(),
+        )
+        members.append((key, Annotated[kind | None, parameter], None))
+    # Cyclopts looks into a class only when its module is not the standard library's, where it would be put here.
+    made = make_dataclass(name, members, frozen=True, namespace={"__module__": __name__})
+    return Parameter(name="*")(made)
+
+
+def _shown(value: Any) -> str | bool:
+    """Return a default as it would be typed; nothing for a field that has none."""
+    if value is None:
+        return False
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ",".join(value) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+Settings = _settings("Settings")
+#: For commands that choose the flow and the files themselves.
+SharedSettings = _settings("SharedSettings", leave_out=("flow", "mesh", "mesh_space", "save_sdf", "format"))
+
+
+def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunConfig:
+    """Return the configuration of a run: options given beat the file, which beats the defaults.
+
+    Parameters
+    ----------
+    settings : Settings or SharedSettings or None
+        Options of the command line.
+    file : Path, optional
+        TOML file of ``--config``.
+    **forced
+        Fields that the command itself sets.
+
+    Raises
+    ------
+    UsageError
+        When the file or a value is no good.
+    """
+    given = {f.name: getattr(settings, f.name) for f in fields(settings)} if settings is not None else {}
+    typed = {key: value for key, value in given.items() if value is not None}
+    return RunConfig(**{**(read_toml(file) if file is not None else {}), **typed, **forced})
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Display:
+    """What a command shows while it runs."""
+
+    quiet: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False
+    """Print nothing but errors."""
+
+    progress: Annotated[ProgressKind | None, Parameter(group=SHOW, show_default="bar on a terminal, else none")] = None
+    """Progress on stderr: bar, json (one object per line and step), or none."""
+
+
+def required(value: Path | None, name: str) -> Path:
+    """Return an argument that may only be left out in special cases.
+
+    Raises
+    ------
+    UsageError
+        When it was left out.
+    """
+    if value is None:
+        raise UsageError(f"{name} is missing", "accelsurf COMMAND --help lists what a command needs")
+    return value
