@@ -209,9 +209,8 @@ class Vessel(Solid):
         """See `Solid.distance`."""
         nearest = np.full(np.broadcast_shapes(x.shape, y.shape, z.shape), np.inf)
         for start, end, first, last in self._tubes:
-            np.minimum(
-                nearest, _round_cone(x - start[0], y - start[1], z - start[2], end - start, first, last), nearest
-            )
+            tube = _round_cone(x - start[0], y - start[1], z - start[2], end - start, first, last)
+            np.minimum(nearest, tube, out=nearest)
         return nearest
 
     @property
