@@ -7,6 +7,7 @@ Marching-cubes meshes have triangles of a few pixels, so this is as sharp as dra
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,7 +47,7 @@ def render(
     view: tuple[float, float, float] = VIEW,
     box: ArrayLike | None = None,
 ) -> Picture:
-    """Draw a mesh with shading, seen from outside, orthographic.
+    """Draw a mesh with shading, orthographic. Triangles that face away are left out: the mesh should be closed.
 
     Parameters
     ----------
@@ -107,9 +108,11 @@ def _vertex_normals(points: Floats, triangles: NDArray[np.intp]) -> Floats:
 
 def _fill(seen: Floats, triangles: NDArray[np.intp], normals: Floats, fine: int) -> tuple[Floats, Floats]:
     """Depth buffer (-inf where empty) and the normal at each pixel, both flat."""
-    depth = np.full(fine * fine, -np.inf)
-    buffer = np.zeros((fine * fine, 3))
+    target = _Target(np.full(fine * fine, -np.inf), np.zeros((fine * fine, 3)), np.empty(fine * fine, np.intp))
     corners = seen[triangles]
+    side, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    front = side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0] > 0  # the rest face away, behind these
+    triangles, corners = triangles[front], corners[front]
     edges = np.abs(corners[:, [1, 2, 0], :2] - corners[:, :, :2]).max(axis=(1, 2), initial=0.0)
     levels = np.clip(np.ceil(edges * 1.1), 1, None).astype(np.intp)
     for level in np.unique(levels):
@@ -118,8 +121,16 @@ def _fill(seen: Floats, triangles: NDArray[np.intp], normals: Floats, fine: int)
         chunk = max(1, _SAMPLES_AT_ONCE // len(weights))
         for first in range(0, len(members), chunk):
             some = triangles[members[first : first + chunk]]
-            _splat(depth, buffer, (weights @ seen[some]).reshape(-1, 3), (weights @ normals[some]).reshape(-1, 3), fine)
-    return depth, buffer
+            _splat(target, (weights @ seen[some]).reshape(-1, 3), (weights @ normals[some]).reshape(-1, 3), fine)
+    return target.depth, target.normals
+
+
+class _Target(NamedTuple):
+    """What points are drawn into; all arrays have one entry per pixel."""
+
+    depth: Floats
+    normals: Floats
+    winner: NDArray[np.intp]  # scratch: the nearest of the points being drawn
 
 
 def _barycentric(level: int) -> Floats:
@@ -130,18 +141,17 @@ def _barycentric(level: int) -> Floats:
     return np.asarray(0.999 * weights + 0.001 / 3)
 
 
-def _splat(depth: Floats, buffer: Floats, points: Floats, normals: Floats, fine: int) -> None:
-    column, row = np.floor(points[:, 0]).astype(np.intp), np.floor(points[:, 1]).astype(np.intp)
+def _splat(target: _Target, points: Floats, normals: Floats, fine: int) -> None:
+    column, row = points[:, 0].astype(np.intp), points[:, 1].astype(np.intp)
     inside = (column >= 0) & (column < fine) & (row >= 0) & (row < fine)
-    pixel, height, normals = (row * fine + column)[inside], points[inside, 2], normals[inside]
+    pixel, height = np.where(inside, row * fine + column, 0), points[:, 2]
+    nearer = np.flatnonzero(inside & (height > target.depth[pixel]))
     # The last write to a pixel wins, so the nearest points are written last.
-    order = np.argsort(height, kind="stable")
-    pixel, height, normals = pixel[order], height[order], normals[order]
-    last = len(pixel) - 1 - np.unique(pixel[::-1], return_index=True)[1]
-    pixel, height, normals = pixel[last], height[last], normals[last]
-    nearer = height > depth[pixel]
-    depth[pixel[nearer]] = height[nearer]
-    buffer[pixel[nearer]] = normals[nearer]
+    order = nearer[np.argsort(height[nearer], kind="stable")]
+    target.winner[pixel[order]] = order
+    best = order[target.winner[pixel[order]] == order]
+    target.depth[pixel[best]] = height[best]
+    target.normals[pixel[best]] = normals[best]
 
 
 def _shade(depth: Floats, normals: Floats, color: Floats, scale: float) -> Floats:
