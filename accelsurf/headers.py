@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import re
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -43,6 +44,13 @@ _META_BYTES = {
 }
 
 
+# Lines whose length depends on NDims, which must come before them.
+_META_SIZED = frozenset(
+    "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
+    "CenterOfRotation AnatomicalOrientation".split()
+)
+
+
 @dataclass(frozen=True)
 class RawHeader:
     """What a header claims.
@@ -57,6 +65,8 @@ class RawHeader:
         "raw", "deflate" (gzip or zlib) or "other" (text, bzip2: left to the reader to check).
     claimed_bytes : int
         Bytes expected from there on, after decompression.
+    stored_bytes : int or None
+        Bytes of compressed voxels, where the header says so: the reader will take these and no more.
     metadata : dict of str to str
         Header fields to give back on writing.
     nifti : NiftiHeader or None
@@ -67,6 +77,7 @@ class RawHeader:
     offset: int
     encoding: str
     claimed_bytes: int
+    stored_bytes: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)
     nifti: nifti.NiftiHeader | None = None
 
@@ -103,7 +114,13 @@ def check_complete(header: RawHeader) -> None:
             present = header.data.stat().st_size - header.offset
         else:
             file.seek(header.offset)
-            present = sum(map(len, _inflate(file)))
+            stored = header.data.stat().st_size - header.offset
+            if stored < (header.stored_bytes or 0):
+                raise InputError(
+                    f"the header announces {header.stored_bytes} bytes of compressed voxels, the file holds {stored}",
+                    hint=_TRUNCATED_HINT,
+                )
+            present = sum(map(len, _inflate(file, header.stored_bytes)))
     if present < header.claimed_bytes:
         raise InputError(
             f"the header announces {header.claimed_bytes} bytes of voxels, the file holds {max(present, 0)}",
@@ -111,27 +128,32 @@ def check_complete(header: RawHeader) -> None:
         )
 
 
-def _inflate(file: BinaryIO) -> Iterator[bytes]:
+def _chunks(file: BinaryIO, limit: int | None) -> Iterator[bytes]:
+    left = math.inf if limit is None else limit
+    while left > 0 and (chunk := file.read(int(min(_CHUNK, left)))):
+        left -= len(chunk)
+        yield chunk
+
+
+def _inflate(file: BinaryIO, limit: int | None = None) -> Iterator[bytes]:
     """Decompressed chunks of a gzip (several members allowed) or zlib stream, to its end."""
-    stream = zlib.decompressobj(47)  # 47: either kind, told by its first bytes
-    started = False
+    stream, started = zlib.decompressobj(47), False  # 47: either kind, told by its first bytes
     try:
-        while chunk := file.read(_CHUNK):
+        for chunk in _chunks(file, limit):
             while chunk:
+                if started and stream.eof:
+                    # Another member may follow the first; padding or anything else is not ours.
+                    if chunk[:2] != b"\x1f\x8b":
+                        return
+                    stream = zlib.decompressobj(47)
                 started = True
                 yield stream.decompress(chunk)
-                if not stream.eof:
-                    break
-                # Another member may follow; padding or anything else after the end is not ours.
-                chunk = stream.unused_data or file.read(_CHUNK)
-                if chunk[:2] != b"\x1f\x8b":
-                    return
-                stream = zlib.decompressobj(47)
+                chunk = stream.unused_data
     except zlib.error as error:
         raise InputError(
             f"the compressed voxels are damaged ({error})", hint="copy or export the file again"
         ) from error
-    if not started or not stream.eof:
+    if not stream.eof:
         raise InputError("the compressed voxels end before their end mark", hint=_TRUNCATED_HINT)
 
 
@@ -152,7 +174,7 @@ def _parse_nifti(path: Path, compressed: bool) -> RawHeader:
     nifti.check_affines(header)
     metadata = {nifti.METADATA_KEY: header.grid_fields}
     encoding = "deflate" if compressed else "raw"
-    return RawHeader(path, 0, encoding, header.claimed_bytes, metadata, header)
+    return RawHeader(path, 0, encoding, header.claimed_bytes, metadata=metadata, nifti=header)
 
 
 def _first_bytes(file: BinaryIO, count: int) -> bytes:
@@ -204,7 +226,7 @@ def _parse_nrrd(path: Path) -> RawHeader:
     if len(sizes) == 3 and "space directions" in fields:
         keys = ("space", "space dimension", "space directions", "space origin")
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
-    return RawHeader(data, offset, "other" if skipped else coding, claimed, metadata)
+    return RawHeader(data, offset, "other" if skipped else coding, claimed, metadata=metadata)
 
 
 def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
@@ -221,18 +243,21 @@ def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
 
 def _parse_meta(path: Path) -> RawHeader:
     with path.open("rb") as file:
-        lines = _header_lines(file, lambda line: line.partition("=")[0].strip() == "ElementDataFile")
+        lines = _header_lines(file, lambda line: re.match(r"\s*ElementDataFile\s*[=:]", line) is not None)
         offset = file.tell()
-    fields = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in lines)}
+    pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
+    fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
     name = fields.get("ElementDataFile", "")
-    if not name or "NDims" not in fields:
+    if not name or next((k for k in fields if k in _META_SIZED), "") != "NDims" or min(map(len, pairs)) < 2:
         raise InputError(
-            "this is not a MetaImage: NDims or ElementDataFile is missing", hint="is it the right file, and whole?"
+            "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
+            hint="is it the right file, and whole?",
         )
     try:
         sizes = [int(n) for n in fields["DimSize"].split()]
         item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")] * int(fields.get("ElementNumberOfChannels", 1))
         skip = int(fields.get("HeaderSize", 0))
+        stored = int(fields["CompressedDataSize"]) if "CompressedDataSize" in fields else None
         if int(fields["NDims"]) != len(sizes) or min(sizes) < 1:
             raise ValueError
     except (KeyError, ValueError):
@@ -246,11 +271,17 @@ def _parse_meta(path: Path) -> RawHeader:
     data = path
     if name.upper() != "LOCAL":
         data, offset = _detached(path, name), 0
-    encoding = "deflate" if _is_true(fields, "CompressedData") else "raw"
-    if not _is_true(fields, "BinaryData") and "BinaryData" in fields:
-        encoding = "other"
+    encoding = "raw" if _is_true(fields, "BinaryData") else "other"  # other: numbers as text
+    if _is_true(fields, "CompressedData"):
+        encoding = "deflate"
+        if skip != 0 or (stored is None and data == path):
+            # ITK then inflates nothing and returns whatever was in memory.
+            raise InputError(
+                "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
+                hint="save the image again, e.g. uncompressed",
+            )
     # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
-    return RawHeader(data, offset + max(skip, 0), encoding, math.prod(sizes) * item)
+    return RawHeader(data, offset + max(skip, 0), encoding, math.prod(sizes) * item, stored)
 
 
 def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
@@ -265,7 +296,7 @@ def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
 
 
 def _is_true(fields: dict[str, str], key: str) -> bool:
-    return fields.get(key, "").lower() in ("true", "1")
+    return fields.get(key, "")[:1] in ("T", "t", "1")  # as MetaIO reads it
 
 
 def _header_lines(file: BinaryIO, last: Callable[[str], bool]) -> list[str]:

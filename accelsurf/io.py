@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -100,7 +101,7 @@ def read_labels(path: str | os.PathLike[str], *, memory_bytes: int | None = None
     """
     volume = read(path, memory_bytes=memory_bytes)
     with _named(Path(path)):
-        return volume.with_array(_whole(volume.array))
+        return Volume(_whole(volume.array), volume.geometry, volume.metadata, volume.source)
 
 
 def write(volume: Volume, path: str | os.PathLike[str]) -> None:
@@ -125,20 +126,22 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
         When the file cannot be written there.
     """
     path = Path(path)
-    suffix = split_name(path)[1]
+    stem, suffix = split_name(path)
     if not suffix:
         raise UsageError(f"{path}: unknown file type, one of {', '.join(SUFFIXES)} expected")
     image = _to_sitk(volume)
     with _staging(path) as folder:
-        draft = folder / (path.name[:-3] if suffix == ".nii.gz" else path.name)
+        whole = folder / (stem + suffix)  # in lower case, as ITK insists on
+        draft = whole.with_name(stem + ".nii") if suffix == ".nii.gz" else whole
         _save(image, draft, suffix)
         _restore_grid(draft, suffix, volume)
         if suffix == ".nii.gz":
-            headers.gzip_file(draft, folder / path.name)
+            headers.gzip_file(draft, whole)
             draft.unlink()
-        # The data file of an .mhd goes first: a header never names a file that is not there.
-        for file in sorted(folder.iterdir(), key=lambda f: f.name == path.name):
-            os.replace(file, path.parent / file.name)
+        for file in folder.iterdir():  # the data file of an .mhd first: a header never names what is not there
+            if file != whole:
+                os.replace(file, path.parent / file.name)
+        os.replace(whole, path)
 
 
 def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
@@ -334,9 +337,11 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _last_words(error: RuntimeError) -> str:
-    """The end of ITK's many lines, where it says what happened."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[-1].rpartition("ERROR: ")[2] if lines else "no reason given"
+    """What happened, out of ITK's many lines of where."""
+    text = " ".join(str(error).split())
+    for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls says it best
+        text = text.rpartition(mark)[2] or text
+    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
 
 
 @contextmanager

@@ -238,17 +238,19 @@ def check_agreement(header: NiftiHeader, geometry: Geometry) -> str:
     sform = header.sform_geometry() if _has_sform_grid(header) else None
     qform = header.qform_geometry() if header.qform_code > 0 else None
     said = [g for g in (sform, qform) if g is not None]
-    # A tenth of a voxel: float32 quaternions are that bad near half a turn, and contradictions are far larger.
-    if said and not any(_near(g, geometry, 0.1) for g in said):
-        other = said[0]
+    denied = said and not any(_near(g, geometry) for g in said)
+    # Voxel sizes alone as well: ITK measures by pixdim, and by the qform beside it, where others measure by the sform.
+    if sform and _sform_counts(header):
+        denied = denied or not np.allclose(sform.spacing, geometry.spacing, rtol=1e-3, atol=0)
+    if denied:
         raise GeometryError(
-            f"the NIfTI header contradicts itself: {other.difference(geometry)} "
-            f"({'sform' if other is sform else 'qform'} against pixdim)",
+            f"the NIfTI header contradicts itself: {said[0].difference(geometry)} "
+            f"({'sform' if sform else 'qform'} against pixdim)",
             hint="correct the header so that pixdim, qform and sform agree",
         )
-    if sform is None or qform is None or _near(sform, qform, 0.5):
+    if sform is None or qform is None or _near(sform, qform):
         return ""
-    used = "sform" if _near(sform, geometry, 0.1) else "qform"
+    used = "sform" if _near(sform, geometry) else "qform"
     return (
         f"NIfTI qform and sform place the image differently ({sform.difference(qform)}); "
         f"the {used} is used, as ITK does, and both are written back"
@@ -275,5 +277,7 @@ def _has_sform_grid(header: NiftiHeader) -> bool:
     return header.sform_code > 0 and header.sform_deviation() <= ORTHONORMAL_TOLERANCE
 
 
-def _near(a: Geometry, b: Geometry, voxels: float) -> bool:
-    return a.matches(b, voxels * min(*a.spacing, *b.spacing))
+def _near(a: Geometry, b: Geometry) -> bool:
+    # Half a voxel at the far corner: float32 quaternions near half a turn, and rounded pixdims, are that bad;
+    # contradictions that matter are far larger.
+    return a.matches(b, 0.5 * min(*a.spacing, *b.spacing))

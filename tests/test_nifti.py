@@ -1,0 +1,235 @@
+"""Where a NIfTI header places an image, what of it is refused, and that all of it comes back."""
+
+import gzip
+import struct
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+from accelsurf import io
+from accelsurf.errors import GeometryError, InputError
+
+SPACING = np.array([1.0, 2.0, 3.0])
+OFFSET = (-10.0, -20.0, 30.0)
+
+
+def turn(degrees, axis=2):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    i, j = [(1, 2), (0, 2), (0, 1)][axis]
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
+
+
+def nifti(
+    codes=(1, 1),
+    sform=None,
+    offset=OFFSET,
+    half=10.0,
+    pixdim=(1, *SPACING),
+    units=10,
+    order="<",
+    dtype=(4, 16),
+    size=None,
+):
+    """Bytes of a NIfTI-1 file, packed here field by field; the qform turns about z by 2 * half degrees."""
+    raw = bytearray(352)
+    struct.pack_into(order + "i", raw, 0, 348)
+    size = (3, 5, 4, 3, 1, 1, 1, 1) if size is None else size
+    struct.pack_into(order + "8h", raw, 40, *size)
+    struct.pack_into(order + "2h", raw, 70, *dtype)
+    struct.pack_into(order + "4f", raw, 76, *pixdim)
+    struct.pack_into(order + "3f", raw, 108, 352, 1, 0)
+    raw[123] = units
+    struct.pack_into(order + "2h", raw, 252, *codes)
+    struct.pack_into(order + "6f", raw, 256, 0, 0, np.sin(np.radians(half)), *OFFSET)
+    matrix = turn(2 * half) * SPACING if sform is None else sform
+    struct.pack_into(order + "12f", raw, 280, *np.c_[matrix, offset].ravel())
+    raw[344:348] = b"n+1\0"
+    return bytes(raw) + np.arange(60).astype(order + "i2").tobytes()
+
+
+def grid_fields(raw):
+    """pixdim[0..3], units, codes, quaternion, offset, affine: all that places the image."""
+    return raw[76:92], raw[123], raw[252:328]
+
+
+def save(path, raw):
+    path.write_bytes(gzip.compress(raw) if path.suffix == ".gz" else raw)
+    return path
+
+
+def load(path):
+    return gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+@pytest.mark.parametrize("codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 2), (0, 4), (1, 4), (3, 2), (2, 1)])
+@pytest.mark.parametrize("half", [0.0, 10.0, 89.9, 90.0])
+def test_codes_and_matrices_come_back_number_by_number(tmp_path, suffix, codes, half):
+    raw = nifti(codes, half=half)
+    path = save(tmp_path / f"a{suffix}", raw)
+    volume = io.read(path)
+    assert io.WARNING_KEY not in volume.metadata
+    io.write_labels(volume.with_array(volume.array > 30), tmp_path / f"b{suffix}")
+    assert grid_fields(load(tmp_path / f"b{suffix}")) == grid_fields(raw)
+    theirs, ours = (sitk.ReadImage(str(p)) for p in (path, tmp_path / f"b{suffix}"))
+    assert ours.GetSpacing() == theirs.GetSpacing() and ours.GetOrigin() == theirs.GetOrigin()
+    assert ours.GetDirection() == theirs.GetDirection()
+    # geometry is ITK's
+    assert volume.geometry.spacing_xyz == theirs.GetSpacing() and volume.geometry.origin == theirs.GetOrigin()
+    np.testing.assert_array_equal(volume.geometry.direction.ravel(), theirs.GetDirection())
+
+
+def test_codes_survive_also_from_a_big_endian_file(tmp_path):
+    volume = io.read(save(tmp_path / "a.nii", nifti((2, 3), order=">")))
+    np.testing.assert_array_equal(volume.array.ravel(), np.arange(60))
+    io.write(volume, tmp_path / "b.nii")
+    assert grid_fields(load(tmp_path / "b.nii")) == grid_fields(nifti((2, 3)))
+
+
+def test_a_file_of_ours_has_both_forms(tmp_path):
+    """Nothing to give back: ITK's default, the scanner code for both."""
+    io.write(io.Volume.from_array(np.zeros((3, 4, 5), np.uint8), (3, 2, 1)), tmp_path / "a.nii")
+    assert struct.unpack_from("<2h", load(tmp_path / "a.nii"), 252) == (1, 1)
+
+
+def test_qfac_mirrors_the_third_axis(tmp_path):
+    volume = io.read(save(tmp_path / "a.nii", nifti((1, 0), pixdim=(-1, *SPACING))))
+    assert np.linalg.det(volume.geometry.direction) < 0
+    io.write(volume, tmp_path / "b.nii")
+    assert grid_fields(load(tmp_path / "b.nii")) == grid_fields(nifti((1, 0), pixdim=(-1, *SPACING)))
+
+
+TURNED = turn(60) * SPACING
+
+
+@pytest.mark.parametrize(
+    ("codes", "used"),
+    [((1, 1), "sform"), ((2, 1), "sform"), ((1, 2), "qform"), ((2, 2), "qform"), ((1, 4), "qform"), ((3, 2), "qform")],
+)
+def test_forms_that_disagree(tmp_path, codes, used):
+    raw = nifti(codes, TURNED)
+    volume = io.read(save(tmp_path / "a.nii", raw))
+    angle = np.degrees(np.arctan2(volume.geometry.direction[1, 0], volume.geometry.direction[0, 0]))
+    assert abs((angle % 180) - (60 if used == "sform" else 20)) < 1e-3
+    warning = volume.metadata[io.WARNING_KEY]
+    assert "qform and sform place the image differently" in warning and f"the {used} is used" in warning
+    io.write(volume, tmp_path / "b.nii")
+    assert grid_fields(load(tmp_path / "b.nii")) == grid_fields(raw)
+
+
+def test_without_a_code_the_image_starts_at_the_worlds_origin(tmp_path):
+    geometry = io.read(save(tmp_path / "a.nii", nifti((0, 0), TURNED))).geometry
+    assert geometry.origin == (0, 0, 0) and geometry.spacing == (3, 2, 1)
+    np.testing.assert_array_equal(geometry.direction, np.eye(3))
+
+
+def sheared(amount):
+    return SPACING * (np.eye(3) + amount * np.eye(3, k=1))
+
+
+@pytest.mark.parametrize("codes", [(0, 1), (1, 1), (0, 2), (2, 2), (4, 4), (3, 1)])
+@pytest.mark.parametrize("amount", [0.001, 0.01, 0.5])
+def test_shear_is_refused_with_its_size(tmp_path, codes, amount, capfd):
+    with pytest.raises(GeometryError, match="axes of the NIfTI sform are not perpendicular") as caught:
+        io.read(save(tmp_path / "a.nii", nifti(codes, sheared(amount), half=0)))
+    column = (amount, 1.0)
+    cosine = column[0] / np.hypot(*column)
+    assert f"off by {cosine:.3g} ({np.degrees(np.arcsin(cosine)):.3g} degrees)" in str(caught.value)
+    assert "resample" in caught.value.hint
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("codes", [(1, 2), (1, 4), (2, 3)])
+def test_shear_beside_a_qform_of_another_kind_is_carried_along(tmp_path, codes):
+    """An affine registration to an atlas does not make the scan unreadable: its own qform places it."""
+    raw = nifti(codes, sheared(0.2), half=0)
+    volume = io.read(save(tmp_path / "a.nii", raw))
+    np.testing.assert_allclose(volume.geometry.direction, np.diag([-1, -1, 1]), atol=1e-6)
+    io.write(volume, tmp_path / "b.nii")
+    assert grid_fields(load(tmp_path / "b.nii")) == grid_fields(raw)
+
+
+def test_shear_of_float32_rounding_is_accepted(tmp_path):
+    io.read(save(tmp_path / "a.nii", nifti((0, 1), sheared(1e-5), half=0)))
+
+
+@pytest.mark.parametrize("codes", [(0, 1), (1, 1)])
+def test_a_voxel_size_stated_twice_must_agree(tmp_path, codes, capfd):
+    """ITK would take pixdim here, others the lengths of the affine's axes: half as much volume."""
+    with pytest.raises(
+        GeometryError, match="contradicts itself: spacing .*6, 4, 2.* against .*3, 2, 1.*pixdim"
+    ) as caught:
+        io.read(save(tmp_path / "a.nii", nifti(codes, 2 * turn(20) * SPACING)))
+    assert "pixdim, qform and sform agree" in caught.value.hint
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((3, 3)), np.full((3, 3), np.nan)])
+def test_an_sform_that_is_no_transform(tmp_path, matrix):
+    with pytest.raises(GeometryError, match="sform of the header is no transform"):
+        io.read(save(tmp_path / "a.nii", nifti((0, 1), matrix)))
+
+
+@pytest.mark.parametrize("codes", [(0, 0), (1, 0), (1, 1)])
+@pytest.mark.parametrize("axis", [1, 2, 3])
+@pytest.mark.parametrize("value", [0.0, -2.0, np.nan, np.inf])
+def test_spacing_must_be_positive(tmp_path, codes, axis, value):
+    pixdim = [1, *SPACING]
+    pixdim[axis] = value
+    with pytest.raises(GeometryError, match=r"spacing \(x,y,z\) = .*three positive numbers expected") as caught:
+        io.read(save(tmp_path / "a.nii", nifti(codes, pixdim=pixdim)))
+    assert "pixdim" in caught.value.hint
+
+
+@pytest.mark.parametrize(("units", "mm"), [(0, 1), (2, 1), (10, 1), (1, 1000), (9, 1000), (3, 1e-3), (11, 1e-3)])
+def test_units_of_length_become_mm_and_come_back(tmp_path, units, mm):
+    raw = nifti((1, 1), units=units)
+    volume = io.read(save(tmp_path / "a.nii", raw))
+    np.testing.assert_allclose(volume.geometry.spacing_xyz, SPACING * mm, rtol=1e-6)
+    np.testing.assert_allclose(volume.geometry.origin, np.array([10, 20, 30]) * mm, rtol=1e-6)
+    io.write(volume, tmp_path / "b.nii")
+    assert grid_fields(load(tmp_path / "b.nii")) == grid_fields(raw)
+
+
+def test_scaled_values_are_read_as_floats(tmp_path):
+    raw = bytearray(nifti())
+    struct.pack_into("<2f", raw, 112, 0.5, 10)
+    volume = io.read(save(tmp_path / "a.nii", raw))
+    np.testing.assert_allclose(volume.array.ravel(), np.arange(60) * 0.5 + 10)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"size": (4, 5, 4, 3, 7, 1, 1, 1)}, r"4D image \(5 x 4 x 3 x 7: 7 volumes\)"),
+        ({"size": (5, 5, 4, 3, 1, 3, 1, 1)}, "vector image .* 3 components"),
+        ({"size": (2, 5, 4, 1, 1, 1, 1, 1)}, r"2D image \(5 x 4\)"),
+        ({"size": (3, 5, -4, 3, 1, 1, 1, 1)}, "header is damaged: dim"),
+        ({"size": (0, 5, 4, 3, 1, 1, 1, 1)}, "header is damaged: dim"),
+        ({"dtype": (32, 64)}, "complex image"),
+        ({"dtype": (1792, 128)}, "complex image"),
+        ({"dtype": (128, 24)}, r"colour \(RGB\) image"),
+        ({"dtype": (2304, 32)}, r"colour \(RGBA\) image"),
+        ({"dtype": (1536, 128)}, "type code 1536"),
+        ({"dtype": (0, 0)}, "type code 0"),
+    ],
+)
+def test_other_sorts_of_images_are_named(tmp_path, change, words, capfd):
+    with pytest.raises(InputError, match=words) as caught:
+        io.read(save(tmp_path / "a.nii", nifti(**change) + bytes(1000)))
+    assert caught.value.hint
+    assert capfd.readouterr() == ("", "")
+
+
+def test_trailing_axes_of_one_are_no_axes(tmp_path):
+    volume = io.read(save(tmp_path / "a.nii", nifti(size=(5, 5, 4, 3, 1, 1, 1, 1))))
+    assert volume.array.shape == (3, 4, 5)
+
+
+def test_nifti_2_is_named(tmp_path):
+    with pytest.raises(InputError, match="NIfTI-2"):
+        io.read(save(tmp_path / "a.nii", struct.pack("<i", 540) + bytes(1000)))
