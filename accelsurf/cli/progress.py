@@ -90,7 +90,6 @@ class _Bar:
             TextColumn("{task.fields[state]}"),
             TimeElapsedColumn(),
             console=Console(stderr=True),
-            transient=True,
         )
         self._task = self._progress.add_task(label, total=max_steps, state="")
         self._progress.start()
