@@ -31,7 +31,7 @@ _HOMES = {
     "Surface": "accelsurf.surface",
     "Result": "accelsurf.segmentation",
     "segment": "accelsurf.segmentation",
-    "evolve": "accelsurf.evolution",
+    "evolve": "accelsurf.segmentation",
     "evaluate": "accelsurf.metrics",
 }
 
@@ -45,13 +45,13 @@ if TYPE_CHECKING:
     from accelsurf.errors import InputError as InputError
     from accelsurf.errors import OutputError as OutputError
     from accelsurf.errors import UsageError as UsageError
-    from accelsurf.evolution import evolve as evolve
     from accelsurf.geometry import Geometry as Geometry
     from accelsurf.io import read as read
     from accelsurf.io import read_labels as read_labels
     from accelsurf.io import write as write
     from accelsurf.metrics import evaluate as evaluate
     from accelsurf.segmentation import Result as Result
+    from accelsurf.segmentation import evolve as evolve
     from accelsurf.segmentation import segment as segment
     from accelsurf.surface import Surface as Surface
     from accelsurf.volume import Volume as Volume
