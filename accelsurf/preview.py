@@ -212,13 +212,13 @@ def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
         interpolation="nearest",
         aspect="equal",
     )
+    _contour(axes, np.asarray(psi[cut]), up, vertical, horizontal, ORANGE, "solid")
     if scene.reference is not None:
         mask = np.where(up.turn(scene.reference)[cut] > 0, -0.5, 0.5)
         _contour(axes, mask, up, vertical, horizontal, SKY, (0, (2, 1.5)))
         axes.plot([], [], color=ORANGE, label="result")
         axes.plot([], [], color=SKY, linestyle=(0, (2, 1.5)), label="reference")
         axes.legend(fontsize=8, loc="lower right", framealpha=0.75, borderpad=0.3, labelcolor=_INK)
-    _contour(axes, np.asarray(psi[cut]), up, vertical, horizontal, ORANGE, "solid")
     where = f"{up.names[plane]} = {up.coordinate(plane, place[plane]):.4g} mm"
     kind = ("Axial", "Coronal", "Sagittal")[plane] if scene.anatomical else "Slice"
     axes.set_title(f"{kind}, {where}", fontsize=10, color=_INK)

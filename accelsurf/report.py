@@ -146,7 +146,9 @@ def describe_result(result: Result | None) -> dict[str, Any]:
     }
 
 
-def describe_input(path: str | Path, *, geometry: Geometry | None = None, checksum: str | None = None) -> dict[str, Any]:
+def describe_input(
+    path: str | Path, *, geometry: Geometry | None = None, checksum: str | None = None
+) -> dict[str, Any]:
     """Return the report's entry about the input.
 
     Parameters

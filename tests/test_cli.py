@@ -182,8 +182,8 @@ def test_options_beat_the_file_which_beats_the_defaults(tmp_path, capsys):
 def test_every_setting_is_an_option(capsys):
     values = RunConfig(
         **dict(flow="gradient", start=("center", "ball:-1,2,-3,4"), smoothness=1.5, presmooth=0.5, k=3, lam=2, rho=0.5),
-        **dict(diffusion=0.25, friction=2, restart="off", cfl=0.25, max_steps=9, percentile=90, half_width=5, epsilon=2),
-        **dict(mesh="obj,vtp", mesh_space="ras", save_sdf=True, format="nrrd", seed=5, threads=2),
+        **dict(diffusion=0.25, friction=2, restart="off", cfl=0.25, max_steps=9, percentile=90, epsilon=2),
+        **dict(mesh="obj,vtp", mesh_space="ras", save_sdf=True, half_width=5, format="nrrd", seed=5, threads=2),
     )
     words = []
     for key, value in values.model_dump().items():

@@ -77,10 +77,14 @@ class Case:
     def __post_init__(self) -> None:
         from accelsurf.io import split_name
 
-        self._began = time.perf_counter()
+        self.begin()
         stem, suffix = split_name(self.source)
         self.name = self.name or stem
         self._follow = suffix.removeprefix(".")
+
+    def begin(self) -> None:
+        """Start the clock of the total time."""
+        self._began = time.perf_counter()
 
     @property
     def report_path(self) -> Path:
@@ -179,6 +183,7 @@ def run_case(case: Case, watcher: Watcher) -> int:
         When there is no result; the report of it is written already.
     """
     assert case.config is not None
+    case.begin()
     refuse_existing(case.paths(case.config), case.overwrite)
     try:
         _compute(case, watcher)
