@@ -273,6 +273,7 @@ def _draw_energies(axes: Axes, ledger: Sequence[Row]) -> None:
         right = axes.twinx()
         right.plot(steps, kinetic, color=VERMILION, linewidth=1.5, linestyle=_RUN_DASHES[1])
         _style(right, "", "kinetic energy (dashed)", lines=False)
+        right.ticklabel_format(style="sci", scilimits=(-3, 5), axis="y", useMathText=True)
         right.yaxis.label.set_color(VERMILION)
         right.set_ylim(bottom=0)
     else:
@@ -299,9 +300,9 @@ def _draw_surface(axes: Axes, scene: Scene, box: NDArray[Any] | None = None, col
     letters = "LPS" if scene.anatomical else "xyz"
     for (right, up), letter in zip(picture.axes, letters, strict=True):
         arrow = {"arrowstyle": "-|>", "color": _INK, "lw": 1.1, "shrinkA": 0}
-        axes.annotate("", xy=(38 + 34 * right, 42 + 34 * up), xytext=(38, 42), arrowprops=arrow)
-        axes.text(38 + 47 * right, 42 + 47 * up, letter, ha="center", va="center", fontsize=8.5, color=_INK)
-    axes.set(xlim=(0, size), ylim=(-18, size))
+        axes.annotate("", xy=(32 + 34 * right, -42 + 34 * up), xytext=(32, -42), arrowprops=arrow)
+        axes.text(32 + 47 * right, -42 + 47 * up, letter, ha="center", va="center", fontsize=8.5, color=_INK)
+    axes.set(xlim=(0, size), ylim=(-66, size))
 
 
 def _draw_scale_bar(axes: Axes, size: int, mm_per_pixel: float) -> None:
@@ -310,8 +311,8 @@ def _draw_scale_bar(axes: Axes, size: int, mm_per_pixel: float) -> None:
     decade = 10.0 ** np.floor(np.log10(wanted))
     length = max(step * decade for step in (1, 2, 5) if step * decade <= wanted)
     right, pixels = size - 12, length / mm_per_pixel
-    axes.plot([right - pixels, right], [-4, -4], color=_INK, linewidth=2.5, solid_capstyle="butt")
-    axes.text(right - pixels / 2, 4, f"{length:g} mm", ha="center", va="bottom", fontsize=8.5, color=_INK)
+    axes.plot([right - pixels, right], [-48, -48], color=_INK, linewidth=2.5, solid_capstyle="butt")
+    axes.text(right - pixels / 2, -42, f"{length:g} mm", ha="center", va="bottom", fontsize=8.5, color=_INK)
 
 
 # ------------------------------------------------------------------------------------------------------------- shared
@@ -334,6 +335,8 @@ def _style(axes: Axes, xlabel: str, ylabel: str, lines: bool = True) -> None:
     for side in axes.spines.values():
         side.set_color("#999999")
     if lines:
+        axes.ticklabel_format(style="sci", scilimits=(-3, 5), axis="y", useMathText=True)
+        axes.locator_params(axis="x", integer=True)  # steps
         axes.grid(color=_GRID, linewidth=0.6)
         axes.set_axisbelow(True)
 

@@ -269,7 +269,7 @@ def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
         geometry=result.geometry,
         ledger=result.ledger,
         surface=None if result.stop.reason in ("vanished", "filled") else result.surface,
-        title=title or f"{case.name}: {case.config.flow} flow, {result.stop.reason} after {result.stop.steps} steps",
+        title=title or f"{case.name}: {case.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}",
         anatomical=_is_patient(volume),
         reference=reference,
     )

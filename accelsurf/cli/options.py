@@ -99,7 +99,7 @@ class Display:
     """What a command shows while it runs."""
 
     quiet: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False
-    """Print nothing but errors."""
+    """Print nothing but warnings and errors."""
 
     progress: Annotated[ProgressKind | None, Parameter(group=SHOW, show_default="bar on a terminal, else none")] = None
     """Progress on stderr: bar, json (one object per line and step), or none."""
