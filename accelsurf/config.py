@@ -107,6 +107,12 @@ class RunConfig(BaseModel):
         description="Speed limiter: the time step follows this percentile of the speeds on the surface (percent); "
         "faster places are held to cfl voxels per step. 100 limits nothing.",
     )
+    epsilon: float = Field(
+        1.5,
+        ge=0,
+        le=2.5,
+        description="Half width of the smeared interface in the energy, in voxels along the normal; 0 is sharp.",
+    )
     half_width: int = Field(4, ge=3, le=32, description="Half width of the narrow band, in voxels.")
     mesh: Annotated[tuple[MeshFormat, ...], BeforeValidator(_split_commas)] = Field(
         ("ply",), min_length=1, description="Mesh formats to write, separated by commas: ply, stl, obj, vtp."

@@ -96,6 +96,36 @@ class RegionSums:
         return np.array([values.size, values.sum(), np.dot(values, values)])
 
 
+class Interface(NamedTuple):
+    """How the energy sees the surface: sharp (``epsilon`` 0), or smeared over +-``epsilon`` voxels.
+
+    Sharp: voxels are cut by the surface and the image is read at it. Smeared: the regions overlap by the
+    smeared Heaviside function, and the force is, as its derivative, the mean across the surface with the
+    matching delta function; it follows single noisy voxels less.
+    """
+
+    epsilon: float = 0.0
+
+    def part(self, surface: LevelSet, cut: np.ndarray) -> np.ndarray:
+        """Share (n,) of each band voxel that counts as inside; ``cut`` are the sharp ones."""
+        if self.epsilon == 0:
+            return cut
+        part = np.empty(surface.size)
+        surface.workers.run(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, part)
+        return part
+
+    def sample(self, image: np.ndarray, surface: LevelSet, front: np.ndarray) -> np.ndarray:
+        """Values (n,) of a raveled float32 image at the surface, for every front cell."""
+        if self.epsilon == 0:
+            return sample_at_front(image, surface, front)
+        out = np.empty(surface.size, np.float32)
+        surface.workers.run(
+            motion.sample_across, surface.size, surface.dense.psi, image, surface.band, front,
+            (surface.grid, self.epsilon), out,
+        )
+        return out
+
+
 def sample_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> np.ndarray:
     """Values (n,) of a raveled float32 image at the foot of every front cell, by cubic interpolation."""
     out = np.empty(surface.size, np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.base import RegionSums, Sums, sample_at_front
+from accelsurf.energies.base import Interface, RegionSums, Sums
 from accelsurf.levelset import Change, LevelSet
 
 
@@ -23,9 +23,14 @@ class ChanVese:
         Weight of the area, in the image's unit squared times mm.
     means : (float, float), optional
         Fixed (c1, c2) instead of the surface's own.
+    epsilon : float
+        Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
     """
 
-    def __init__(self, image: np.ndarray, alpha: float = 0.0, means: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self, image: np.ndarray, alpha: float = 0.0, means: tuple[float, float] | None = None, epsilon: float = 0.0
+    ) -> None:
+        self._interface = Interface(float(epsilon))
         self._area = AreaTerm(alpha)
         self.alpha = self._area.alpha
         self._fixed = means
@@ -43,7 +48,7 @@ class ChanVese:
 
     def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also sets `means` for the next `force`."""
-        inside = self._sums.inside(surface, part)
+        inside = self._sums.inside(surface, self._interface.part(surface, part))
         energy = 0.0
         means = []
         for i, sums in enumerate((inside, self._outside(inside))):
@@ -57,9 +62,9 @@ class ChanVese:
         return Sums(*(a - b for a, b in zip(self._all, inside, strict=True)))
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Force f (n,) at the front with the image at each cell's closest surface point."""
+        """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
         c1, c2 = self.means
-        values = sample_at_front(self._sums.image, surface, front)
+        values = self._interface.sample(self._sums.image, surface, front)
         # (I - c1)^2 - (I - c2)^2 = (c1 - c2)(c1 + c2 - 2 I)
         force = np.float32(c1 - c2) * (np.float32(c1 + c2) - 2.0 * values)
         force[~front] = 0.0

@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.interpolate import value_and_gradient
 
-MAX_ITERATIONS = 8
+MAX_ITERATIONS = 5
 #: A foot is accepted once its last correction is below this many voxels. The iteration contracts by about
 #: distance x curvature, so what is left is an order of magnitude smaller still.
 TOLERANCE = 0.02
@@ -47,7 +47,7 @@ def closest_point(psi, grid, iz, iy, ix, foot, w):
             foot[1] = fy
             foot[2] = fx
             return True
-        if move > 0.95 * last:
+        if move > 0.7 * last:
             return False
         last = move
     return False

@@ -99,6 +99,31 @@ def surface_curvature(start, stop, psi, grid, band, front, out):
 
 
 @kernel
+def minmod(a, b):
+    """The smaller of two numbers of one sign, 0 when the signs differ."""
+    if a * b <= 0.0:
+        return 0.0
+    return a if abs(a) < abs(b) else b
+
+
+@kernel
+def upwind_differences(psi, cell, i, n, stride, h):
+    """Second-order one-sided differences (D-, D+) along an axis: ENO with the minmod of the second differences.
+
+    Second order where psi is smooth; first order, and so smoothing, at corners and in noise.
+    """
+    down, up, second = axis_differences(psi, cell, i, n, stride, h)
+    if i > 0 and i < n - 1:
+        if i > 1:
+            before = (psi[cell] - 2.0 * psi[cell - stride] + psi[cell - 2 * stride]) / (h * h)
+            down += 0.5 * h * minmod(second, before)
+        if i < n - 2:
+            after = (psi[cell + 2 * stride] - 2.0 * psi[cell + stride] + psi[cell]) / (h * h)
+            up -= 0.5 * h * minmod(second, after)
+    return down, up
+
+
+@kernel
 def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
     """|grad psi| of psi_t = beta |grad psi| by Godunov's upwind choice; ``shrinking`` says beta > 0.
 
@@ -107,11 +132,11 @@ def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
     total = 0.0
     for axis in range(3):
         if axis == 0:
-            down, up, _ = axis_differences(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
+            down, up = upwind_differences(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
         elif axis == 1:
-            down, up, _ = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+            down, up = upwind_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
         else:
-            down, up, _ = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
+            down, up = upwind_differences(psi, cell, ix, grid.nx, 1, grid.hx)
         if shrinking:
             a, b = min(down, 0.0), max(up, 0.0)
         else:
@@ -121,9 +146,11 @@ def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
 
 
 @kernel
-def upwind_norms(start, stop, psi, grid, band, beta, out):
-    """Godunov's |grad psi| at every cell of the range, upwind for the speed ``beta`` (n,)."""
+def upwind_norms(start, stop, psi, grid, band, beta, front, out):
+    """Godunov's |grad psi| at every front cell of the range, upwind for the speed ``beta`` (n,); 1 elsewhere."""
     for s in range(start, stop):
-        cell = band.cells[s]
-        iz, iy, ix = unravel(cell, grid)
-        out[s] = godunov_norm(psi, cell, iz, iy, ix, grid, beta[s] > 0.0)
+        out[s] = 1.0
+        if front[s]:
+            cell = band.cells[s]
+            iz, iy, ix = unravel(cell, grid)
+            out[s] = godunov_norm(psi, cell, iz, iy, ix, grid, beta[s] > 0.0)

@@ -62,6 +62,9 @@ def value_and_gradient(array, grid, pz, py, px, w):
     bz, mz, ez = axis_weights(pz, grid.nz, w, 0)
     by, my, ey = axis_weights(py, grid.ny, w, 8)
     bx, mx, ex = axis_weights(px, grid.nx, w, 16)
+    # Weights along x in registers: the compiler cannot know that writing nothing leaves w as it was.
+    a0, a1, a2, a3 = w[16], w[17], w[18], w[19]
+    b0, b1, b2, b3 = w[20], w[21], w[22], w[23]
     value = 0.0
     gz = 0.0
     gy = 0.0
@@ -74,8 +77,8 @@ def value_and_gradient(array, grid, pz, py, px, w):
             at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
             if mx == 4:
                 v0, v1, v2, v3 = array[at], array[at + 1], array[at + 2], array[at + 3]
-                row = w[16] * v0 + w[17] * v1 + w[18] * v2 + w[19] * v3
-                slope = w[20] * v0 + w[21] * v1 + w[22] * v2 + w[23] * v3
+                row = a0 * v0 + a1 * v1 + a2 * v2 + a3 * v3
+                slope = b0 * v0 + b1 * v1 + b2 * v2 + b3 * v3
             else:
                 row = 0.0
                 slope = 0.0
@@ -108,6 +111,26 @@ def value_at(array, grid, pz, py, px, w):
                 row += w[16 + k] * array[at + k]
             value += w[i] * w[8 + j] * row
     return value
+
+
+@kernel
+def linear_at(array, grid, pz, py, px):
+    """Linear interpolation of the raveled dense ``array`` at an index position, held at the border."""
+    pz = min(max(pz, 0.0), grid.nz - 1.0)
+    py = min(max(py, 0.0), grid.ny - 1.0)
+    px = min(max(px, 0.0), grid.nx - 1.0)
+    iz, iy, ix = int(pz), int(py), int(px)
+    tz, ty, tx = pz - iz, py - iy, px - ix
+    dz = grid.ny * grid.nx if iz < grid.nz - 1 else 0
+    dy = grid.nx if iy < grid.ny - 1 else 0
+    dx = 1 if ix < grid.nx - 1 else 0
+    at = (iz * grid.ny + iy) * grid.nx + ix
+    near = (1.0 - ty) * ((1.0 - tx) * array[at] + tx * array[at + dx])
+    near += ty * ((1.0 - tx) * array[at + dy] + tx * array[at + dy + dx])
+    at += dz
+    far = (1.0 - ty) * ((1.0 - tx) * array[at] + tx * array[at + dx])
+    far += ty * ((1.0 - tx) * array[at + dy] + tx * array[at + dy + dx])
+    return (1.0 - tz) * near + tz * far
 
 
 @kernel

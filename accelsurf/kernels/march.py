@@ -19,6 +19,8 @@ OPEN, FROZEN, EDGE = 0, 1, 2
 CLOSER = 0.02
 #: Key of the march overestimates the polished distance by less than this, voxels.
 SLACK = 0.3
+#: Width of the march's buckets, voxels.
+BUCKET = 0.25
 
 
 @kernel
@@ -141,45 +143,6 @@ def step_of(side, grid):
 
 
 @kernel
-def push(heap_key, heap_slot, size, key, s):
-    """Add (key, s) to a binary min-heap held in two arrays; returns the new size."""
-    at = size
-    while at > 0:
-        parent = (at - 1) >> 1
-        if heap_key[parent] <= key:
-            break
-        heap_key[at] = heap_key[parent]
-        heap_slot[at] = heap_slot[parent]
-        at = parent
-    heap_key[at] = key
-    heap_slot[at] = s
-    return size + 1
-
-
-@kernel
-def pop(heap_key, heap_slot, size):
-    """Take the smallest entry off; returns (key, slot, new size)."""
-    key, s = heap_key[0], heap_slot[0]
-    size -= 1
-    last_key, last_slot = heap_key[size], heap_slot[size]
-    at = 0
-    while True:
-        child = 2 * at + 1
-        if child >= size:
-            break
-        if child + 1 < size and heap_key[child + 1] < heap_key[child]:
-            child += 1
-        if heap_key[child] >= last_key:
-            break
-        heap_key[at] = heap_key[child]
-        heap_slot[at] = heap_slot[child]
-        at = child
-    heap_key[at] = last_key
-    heap_slot[at] = last_slot
-    return key, s, size
-
-
-@kernel
 def grown(array, size):
     """``array`` with room for at least one entry more than ``size``, doubled when full."""
     if size < array.shape[0]:
@@ -210,9 +173,16 @@ def march(dense, grid, cells, foot, state, half_width):
     n = n_old
     psi, slot = dense.psi, dense.slot
     best = np.full(n, 1e30)
-    heap_key = np.empty(1024)
-    heap_slot = np.empty(1024, np.int64)
-    size = 0
+    lowest = np.full(n, 1 << 30)
+    # Untidy queue: linked lists of slots, one per bucket of distance. A slot whose distance falls is entered
+    # again in the lower bucket; what is left of it in the higher one is passed over, being frozen by then.
+    width = BUCKET * min(grid.hz, min(grid.hy, grid.hx))
+    buckets = int((half_width + SLACK) * max(grid.hz, max(grid.hy, grid.hx)) / width) + 2
+    head = np.full(buckets, -1, np.int64)
+    entry_slot = np.empty(1024, np.int64)
+    entry_next = np.empty(1024, np.int64)
+    entries = 0
+    bucket = 0
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     w = np.empty(24)
@@ -231,19 +201,24 @@ def march(dense, grid, cells, foot, state, half_width):
             else:
                 pull = False
         else:
-            if size == 0:
+            while bucket < buckets and head[bucket] < 0:
+                bucket += 1
+            if bucket == buckets:
                 break
-            key, source, size = pop(heap_key, heap_slot, size)
-            if state[source] != OPEN or key > best[source]:
+            source = entry_slot[head[bucket]]
+            head[bucket] = entry_next[head[bucket]]
+            if state[source] != OPEN:
                 continue
             cell = cells[source]
             iz, iy, ix = unravel(cell, grid)
             for axis in range(3):
                 guess[axis] = foot[source, axis]
             state[source] = FROZEN
+            # Polished where that converges; a cell further off than the radius of curvature keeps the
+            # neighbour's foot.
             if closest_point(psi, grid, iz, iy, ix, guess, w):
                 d = np.sqrt(guess[0] ** 2 + guess[1] ** 2 + guess[2] ** 2)
-                if d <= key:
+                if d <= best[source] * (1.0 + 1e-3):
                     for axis in range(3):
                         foot[source, axis] = guess[axis]
             pull = False
@@ -280,9 +255,11 @@ def march(dense, grid, cells, foot, state, half_width):
                 foot = grown_rows(foot, n)
                 state = grown(state, n)
                 best = grown(best, n)
+                lowest = grown(lowest, n)
                 cells[n] = other_cell
                 state[n] = OPEN
                 best[n] = 1e30
+                lowest[n] = 1 << 30
                 slot[other_cell] = n
                 n += 1
             d = np.sqrt(cz * cz + cy * cy + cx * cx)
@@ -291,9 +268,15 @@ def march(dense, grid, cells, foot, state, half_width):
                 foot[target, 0] = cz
                 foot[target, 1] = cy
                 foot[target, 2] = cx
-                heap_key = grown(heap_key, size)
-                heap_slot = grown(heap_slot, size)
-                size = push(heap_key, heap_slot, size, d, target)
+                into = max(int(d / width), bucket)
+                if into < lowest[target]:
+                    lowest[target] = into
+                    entry_slot = grown(entry_slot, entries)
+                    entry_next = grown(entry_next, entries)
+                    entry_slot[entries] = target
+                    entry_next[entries] = head[into]
+                    head[into] = entries
+                    entries += 1
     return cells, foot, state, n
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
-from accelsurf.kernels.interpolate import value_at
+from accelsurf.kernels.interpolate import linear_at, value_at
 
 
 @kernel
@@ -21,6 +22,35 @@ def sample_image(start, stop, image, grid, band, front, out):
             py = iy + band.foot[s, 1] / grid.hy
             px = ix + band.foot[s, 2] / grid.hx
             out[s] = value_at(image, grid, pz, py, px, w)
+
+
+@kernel
+def sample_across(start, stop, dense, image, band, front, width, out):
+    """Mean of a raveled dense image across the surface at the foot of every front cell (0 elsewhere).
+
+    Weighted by the smeared delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the region sums, at five
+    points along the normal, linear interpolation; ``width`` = (grid, epsilon in voxels along the normal).
+    """
+    grid, epsilon = width
+    for s in range(start, stop):
+        out[s] = 0.0
+        if not front[s]:
+            continue
+        cell = band.cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        fz, fy, fx = band.foot[s, 0] / grid.hz, band.foot[s, 1] / grid.hy, band.foot[s, 2] / grid.hx
+        nz, ny, nx = fz, fy, fx
+        norm = np.sqrt(nz * nz + ny * ny + nx * nx)
+        if norm < 0.01:
+            gz, gy, gx = gradient(dense, cell, iz, iy, ix, grid)
+            nz, ny, nx = gz / grid.hz, gy / grid.hy, gx / grid.hx
+            norm = max(np.sqrt(nz * nz + ny * ny + nx * nx), 1e-12)
+        total = 0.0
+        for m in range(-2, 3):
+            u = m * epsilon / (3.0 * norm)
+            share = 1.0 / 3.0 if m == 0 else (0.25 if abs(m) == 1 else 1.0 / 12.0)
+            total += share * linear_at(image, grid, iz + fz + u * nz, iy + fy + u * ny, ix + fx + u * nx)
+        out[s] = total
 
 
 @kernel
@@ -76,7 +106,7 @@ def voxel_rates(start, stop, grid, band, front, beta, out):
 
 
 @kernel
-def drift(start, stop, psi, band, beta, dt):
-    """psi_t = beta |grad psi| with |grad psi| = 1, since psi is a distance and beta constant along normals."""
+def drift(start, stop, psi, band, beta, norm, dt):
+    """psi += dt beta |grad psi|, with |grad psi| in ``norm``."""
     for s in range(start, stop):
-        psi[band.cells[s]] = band.psi[s] + dt * beta[s]
+        psi[band.cells[s]] = band.psi[s] + dt * beta[s] * norm[s]

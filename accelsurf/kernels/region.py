@@ -6,7 +6,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
-from accelsurf.kernels.grid import BLOCK, unravel
+from accelsurf.kernels.grid import BLOCK, unravel, voxels_along
 
 
 @kernel
@@ -68,6 +68,25 @@ def cut_band(start, stop, psi, grid, band, part, area):
         iz, iy, ix = unravel(cell, grid)
         gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
         part[s], area[s] = cut_voxel(d, gz, gy, gx, grid)
+
+
+@kernel
+def smear_band(start, stop, grid, band, epsilon, part):
+    """Share of each voxel inside by the smeared Heaviside function of the distance in voxels, s.
+
+    (1 - s/epsilon - sin(pi s/epsilon)/pi)/2 within epsilon of the surface; its derivative is the delta
+    function that `motion.sample_across` averages the image with.
+    """
+    for s in range(start, stop):
+        x = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid) / epsilon
+        if band.psi[s] < 0.0:
+            x = -x
+        if x <= -1.0:
+            part[s] = 1.0
+        elif x >= 1.0:
+            part[s] = 0.0
+        else:
+            part[s] = 0.5 * (1.0 - x - np.sin(np.pi * x) / np.pi)
 
 
 @kernel

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels import differences, march, region
+from accelsurf.kernels import differences, march, motion, region
 from accelsurf.kernels.grid import Band, Grid, Lattice
 from accelsurf.levelset.parallel import Workers
 
@@ -30,6 +30,13 @@ class Change(NamedTuple):
     entered_inside: np.ndarray
     left_inside: np.ndarray
     fields: list[np.ndarray]
+
+
+class Snapshot(NamedTuple):
+    """Band cells in raster order and their psi (mm) at one moment."""
+
+    cells: np.ndarray
+    psi: np.ndarray
 
 
 class LevelSet:
@@ -71,6 +78,7 @@ class LevelSet:
         march.front_cells(self.dense, self.grid, cells)
         self.dense.slot[cells] = np.arange(count, dtype=np.int32)
         self.band = Band(cells, self.dense.psi[cells], np.zeros((count, 3), np.float32))
+        self._inside_beyond_band = int(np.count_nonzero(self.dense.psi < 0)) - int(np.count_nonzero(self.band.psi < 0))
         self.redistance()
         outside = self.dense.slot < 0
         self.dense.psi[outside] = np.where(self.dense.psi[outside] < 0, -self.gamma, self.gamma)
@@ -119,7 +127,49 @@ class LevelSet:
         self.workers.run(region.cut_band, self.size, self.dense.psi, self.grid, self.band, part, area)
         return part, area
 
+    def volume(self, part: np.ndarray) -> float:
+        """Volume inside (mm3), ``part`` being the shares of `cut`."""
+        return (self._inside_beyond_band + float(part.sum())) * self.voxel_volume
+
+    @property
+    def is_filled(self) -> bool:
+        """Whether there is no surface because everything is inside."""
+        return self.size == 0 and bool(self.dense.psi[0] < 0)
+
+    def snapshot(self) -> Snapshot:
+        """The band as it is now, for `distance_from`."""
+        return Snapshot(self.band.cells, self.band.psi)
+
+    def distance_from(self, before: Snapshot) -> float:
+        """Mean distance, in voxels along the normal and weighted by area, of the surface from an earlier one.
+
+        Measured at the voxels that the surface cuts now; where the earlier band did not reach, its half
+        width counts.
+        """
+        _, area = self.cut()
+        on = np.flatnonzero(area)
+        if on.size == 0 or before.cells.size == 0:
+            return self.half_width
+        at = np.minimum(np.searchsorted(before.cells, self.band.cells[on]), before.cells.size - 1)
+        known = before.cells[at] == self.band.cells[on]
+        moved = np.abs(self.band.psi[on].astype(np.float64) - before.psi[at])
+        foot, h = self.band.foot[on].astype(np.float64), np.array([self.grid.hz, self.grid.hy, self.grid.hx])
+        per_mm = np.sqrt(((foot / h) ** 2).sum(axis=1) / np.maximum((foot**2).sum(axis=1), 1e-300))
+        voxels = np.where(known, moved * per_mm, self.half_width)
+        return float(np.dot(area[on], voxels) / area[on].sum())
+
     # -- how it moves --------------------------------------------------------------------------------------
+
+    def advance(self, speed: np.ndarray, dt: float) -> None:
+        """psi_t = beta |grad psi| for one step with the speeds ``speed`` (n,), beta > 0 shrinking.
+
+        |grad psi| by Godunov's upwind choice at the front; 1 further off, where psi was a distance.
+        """
+        norm = np.empty(self.size, np.float32)
+        front = self.front()
+        run = self.workers.run
+        run(differences.upwind_norms, self.size, self.dense.psi, self.grid, self.band, speed, front, norm)
+        run(motion.drift, self.size, self.dense.psi, self.band, speed, norm, np.float32(dt))
 
     def remove_small(self) -> int:
         """Remove components, inside or outside, of at most `SMALLEST` voxels; returns how many.
@@ -173,6 +223,7 @@ class LevelSet:
         change = Change(
             entered_cells[self.dense.psi[entered_cells] < 0], left_cells[self.dense.psi[left_cells] < 0], extended
         )
+        self._inside_beyond_band += change.left_inside.size - change.entered_inside.size
         run(band_kernels.drop_cells, total, self.dense, cells, keep, self.gamma)
         run(band_kernels.store_band, size, self.dense, new)
         self.band = new

@@ -1,0 +1,274 @@
+"""The loop: one step after another, each yielded with what it did, until a named reason to stop."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from accelsurf.energies import Energy
+from accelsurf.flows import Flow, Limits
+from accelsurf.flows.base import voxel_rates
+from accelsurf.levelset import LevelSet, Snapshot
+
+StopReason = Literal["converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged"]
+
+
+class Row(NamedTuple):
+    """One line of the trace: the state at the beginning of a step and the move that followed.
+
+    Attributes
+    ----------
+    step : int
+    t, dt : float
+        Flow time and the step's length; dt is 0 in the last row, which only records the final state.
+    potential, kinetic : float
+        U and T at time t.
+    volume_mm3, area_mm2 : float
+    speed : float
+        The limiter's percentile of \\|beta\\| on the front, mm per unit time.
+    motion_voxels : float
+        Mean motion of the surface in the step, voxels along the normal.
+    limited_fraction : float
+        Share of front cells held to the CFL limit.
+    diffusion : float
+        Velocity diffusion used, mm2 per unit time.
+    band_cells : int
+    restarted : bool
+        True when momentum was set to zero before this step.
+    removed_components : int
+        Components removed as smaller than the grid resolves.
+    seconds : float
+        Wall time of the step.
+    """
+
+    step: int
+    t: float
+    dt: float
+    potential: float
+    kinetic: float
+    volume_mm3: float
+    area_mm2: float
+    speed: float
+    motion_voxels: float
+    limited_fraction: float
+    diffusion: float
+    band_cells: int
+    restarted: bool
+    removed_components: int
+    seconds: float
+
+
+class Stop(NamedTuple):
+    """Why a run ended: ``reason``, after how many ``steps``, at flow time ``time``, in words (``message``)."""
+
+    reason: StopReason
+    steps: int
+    time: float
+    message: str
+
+
+class Step(NamedTuple):
+    """What the loop yields: the ledger's row, and the surface as it is now (look, do not touch)."""
+
+    row: Row
+    surface: LevelSet
+
+
+class StopRule(NamedTuple):
+    """When a run has converged, in physical terms.
+
+    Looked at every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a
+    window before (what it moved there and back does not count), and the kinetic energy is below ``kinetic``
+    of w times the potential won so far.
+    """
+
+    window: int = 20
+    motion: float = 0.1
+    kinetic: float = 0.01
+
+
+class Restart(NamedTuple):
+    """When momentum is set to zero: the potential rises, ``travel`` voxels after the start or the last restart,
+    and not within ``rest`` steps of it."""
+
+    travel: float = 3.0
+    rest: int = 5
+
+
+class Evolution:
+    """Evolves a surface; iterate over it to run, one `Step` at a time.
+
+    Parameters
+    ----------
+    surface : LevelSet
+        The first surface; moved in place.
+    energy : Energy
+    flow : Flow
+    limits : Limits
+        Step control, the same for every flow.
+    max_steps : int
+    restart : Restart or None
+        None never restarts.
+    rule : StopRule or None
+        None runs to ``max_steps``.
+
+    Attributes
+    ----------
+    ledger : list of Row
+        Every step so far.
+    stop : Stop or None
+        Set when the iteration has ended.
+
+    Notes
+    -----
+    The iteration can be abandoned at any time; the surface is always a valid one between two Steps.
+    """
+
+    def __init__(
+        self,
+        surface: LevelSet,
+        energy: Energy,
+        flow: Flow,
+        limits: Limits | None = None,
+        max_steps: int = 1000,
+        restart: Restart | None = None,
+        rule: StopRule | None = None,
+    ) -> None:
+        self.surface, self.energy, self.flow = surface, energy, flow
+        self.limits = limits or Limits()
+        self.max_steps = max_steps
+        self.restart = restart
+        self.rule = rule
+        self.ledger: list[Row] = []
+        self.stop: Stop | None = None
+        self._asked = False
+        self._time = 0.0
+        self._snapshot: Snapshot | None = None
+
+    def ask_to_stop(self) -> None:
+        """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
+        self._asked = True
+
+    def __iter__(self) -> Iterator[Step]:
+        """Run, yielding a Step after each step of the surface."""
+        self.energy.start(self.surface)
+        self.flow.start(self.surface)
+        while self.stop is None:
+            row = self._step(len(self.ledger))
+            self.ledger.append(row)
+            yield Step(row, self.surface)
+
+    # -- one step ------------------------------------------------------------------------------------------
+
+    def _step(self, n: int) -> Row:
+        began = time.perf_counter()
+        surface, flow = self.surface, self.flow
+        part, area = surface.cut()
+        potential = self.energy.value(surface, part, area)
+        state = {
+            "step": n,
+            "t": self._time,
+            "potential": potential,
+            "volume_mm3": surface.volume(part),
+            "area_mm2": float(area.sum()),
+            "band_cells": surface.size,
+        }
+        reason = self._reason_to_stop(n, potential)
+        if reason is not None:
+            self._end(*reason, n)
+            return self._still(state, began)
+        restarted = self._restart_due(potential)
+        if restarted:
+            flow.rest()
+        front = surface.front()
+        curvature = surface.curvature(front)
+        force = self.energy.force(surface, front, curvature)
+        move = flow.move(surface, front, force, curvature, area, self.energy.alpha, self.limits)
+        if not move.dt > 0:
+            self._end("converged", "no force acts on the surface", n)
+            return self._still(state, began)
+        rates = voxel_rates(surface, area > 0, move.speed)
+        motion = move.dt * float(np.dot(area, rates)) / max(float(area.sum()), 1e-300)
+        surface.advance(move.speed, move.dt)
+        removed = surface.remove_small()
+        change = surface.redistance(flow.fields)
+        flow.take(change.fields)
+        self.energy.follow(surface, change)
+        self._time += move.dt
+        return Row(
+            **state,
+            dt=move.dt,
+            kinetic=move.kinetic,
+            speed=move.rate,
+            motion_voxels=motion,
+            limited_fraction=move.limited,
+            diffusion=move.diffusion,
+            restarted=restarted,
+            removed_components=removed,
+            seconds=time.perf_counter() - began,
+        )
+
+    def _still(self, state: dict, began: float) -> Row:
+        """The last row: the final state, no move."""
+        kinetic = self.ledger[-1].kinetic if self.ledger else 0.0
+        return Row(
+            **state, dt=0.0, kinetic=kinetic, speed=0.0, motion_voxels=0.0, limited_fraction=0.0, diffusion=0.0,
+            restarted=False, removed_components=0, seconds=time.perf_counter() - began,
+        )
+
+    # -- decisions -----------------------------------------------------------------------------------------
+
+    def _end(self, reason: StopReason, message: str, steps: int) -> None:
+        self.stop = Stop(reason, steps, self._time, message)
+
+    def _restart_due(self, potential: float) -> bool:
+        """Whether the potential has risen, far and long enough after the last rest."""
+        if self.restart is None or len(self.ledger) < 2:
+            return False
+        travelled, steps = 0.0, 0
+        for row in reversed(self.ledger):
+            travelled += row.motion_voxels
+            steps += 1
+            if row.restarted or travelled >= self.restart.travel:
+                break
+        rising = potential > self.ledger[-1].potential
+        return rising and steps >= self.restart.rest and travelled >= self.restart.travel
+
+    def _reason_to_stop(self, n: int, potential: float) -> tuple[StopReason, str] | None:
+        if self.surface.size == 0:
+            if self.surface.is_filled:
+                return "filled", "the surface took in the whole volume"
+            return "vanished", "the surface shrank to nothing"
+        if not math.isfinite(potential):
+            return "diverged", f"the potential became {potential}"
+        if self._asked:
+            return "interrupted", f"stopped on request after {n} steps"
+        if self._has_stalled():
+            return "stalled", "the time step has collapsed: the surface can no longer move"
+        if n >= self.max_steps:
+            return "max-steps", f"not converged within {self.max_steps} steps"
+        return self._converged(potential)
+
+    def _has_stalled(self) -> bool:
+        """Whether the last ten time steps were below a millionth of the longest."""
+        if len(self.ledger) < 20:
+            return False
+        longest = max(row.dt for row in self.ledger)
+        return all(row.dt < 1e-6 * longest for row in self.ledger[-10:])
+
+    def _converged(self, potential: float) -> tuple[StopReason, str] | None:
+        rule = self.rule
+        if rule is None or len(self.ledger) % rule.window:
+            return None
+        before, self._snapshot = self._snapshot, self.surface.snapshot()
+        if before is None:
+            return None
+        moved = self.surface.distance_from(before)
+        won = max(self.ledger[0].potential - potential, 0.0)
+        if moved > rule.motion or self.ledger[-1].kinetic > rule.kinetic * self.flow.weight * won:
+            return None
+        return "converged", f"the surface moved {moved:.3f} voxels in {rule.window} steps"

@@ -1,0 +1,288 @@
+"""segment(): from an image and a rough start to labels, a mesh and the story of the run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf import report, starts
+from accelsurf.config import RunConfig
+from accelsurf.energies import ChanVese
+from accelsurf.errors import InputError
+from accelsurf.evolution import Evolution, Restart, Row, Step, Stop, StopRule
+from accelsurf.flows import ConstantDensity, Flow, Gradient, Limits
+from accelsurf.geometry import Geometry
+from accelsurf.levelset import LevelSet, Workers
+from accelsurf.surface import Surface, extract
+from accelsurf.volume import Volume, check_image
+
+#: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
+SCALE_PERCENTILES = (0.5, 99.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a run left.
+
+    Attributes
+    ----------
+    labels : ndarray (nz, ny, nx), uint8
+        1 where a voxel's centre is inside.
+    psi : ndarray (nz, ny, nx), float32
+        Signed distance in the band, mm, negative inside; +-gamma outside it.
+    image : ndarray (nz, ny, nx), float32
+        The image as the energy saw it: presmoothed, 0 and 1 at its `SCALE_PERCENTILES`.
+    geometry : Geometry
+    config : RunConfig
+    ledger : list of Row
+        One row per step; the last records the final state.
+    stop : Stop
+        Why the run ended.
+    seconds : dict of str to float
+        Wall time of the parts ``start`` and ``evolve``.
+    warnings : list of str
+    volume : Volume
+        The input.
+    """
+
+    labels: NDArray[np.uint8]
+    psi: NDArray[np.float32]
+    image: NDArray[np.float32]
+    geometry: Geometry
+    config: RunConfig
+    ledger: list[Row]
+    stop: Stop
+    seconds: dict[str, float]
+    volume: Volume
+    warnings: list[str] = field(default_factory=list)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The surface as a closed mesh in world mm (LPS), normals outward; extracted once."""
+        return extract(self.psi, self.geometry)
+
+    def labels_volume(self) -> Volume:
+        """The labels on the input's grid with its header."""
+        return self.volume.with_array(self.labels)
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the object, mm3, sub-voxel."""
+        return self.ledger[-1].volume_mm3
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of its surface inside the volume, mm2."""
+        return self.ledger[-1].area_mm2
+
+    @cached_property
+    def components(self) -> int:
+        """Number of 6-connected parts of the label map."""
+        return int(ndimage.label(self.labels)[1])
+
+    @cached_property
+    def touches_border(self) -> bool:
+        """Whether a voxel of the object lies on the volume's border (axes with one slice do not count)."""
+        axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
+        return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The run as the JSON report has it, without files."""
+        interrupted = self.stop.reason == "interrupted"
+        return report.build(
+            status="interrupted" if interrupted else "ok",
+            exit_code=130 if interrupted else 0,
+            config=self.config,
+            result=self,
+        )
+
+
+def segment(
+    volume: Volume | NDArray[Any],
+    *,
+    spacing: float | tuple[float, float, float] | None = None,
+    config: RunConfig | None = None,
+    on_step: Callable[[Row], bool | None] | None = None,
+    **options: Any,
+) -> Result:
+    """Segment one object.
+
+    Parameters
+    ----------
+    volume : Volume or ndarray (nz, ny, nx)
+        The image; never modified. From `accelsurf.read`, or an array with ``spacing``.
+    spacing : float or (hz, hy, hx), optional
+        mm, for an array only; 1 by default.
+    config : RunConfig, optional
+        Settings; the defaults otherwise.
+    on_step : callable, optional
+        Called with each `Row`; a true return value ends the run with the reason ``interrupted``.
+    **options
+        Settings by name, over those of ``config``: ``start="ball:x,y,z,r"``, ``flow="gradient"``, ...
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    UsageError
+        When an option is unknown or out of bounds, or a start cannot be parsed.
+    InputError
+        When the image has NaN or infinite voxels or is constant, or the start is outside, empty or full.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z, y, x = np.indices((24, 24, 24)) - 11.5
+    >>> image = (x**2 + y**2 + z**2 < 8**2) * 100.0
+    >>> result = segment(image, start="ball:9,9,9,4vox", max_steps=200)
+    >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
+    ('converged', 1, True)
+    """
+    run = Run(_as_volume(volume, spacing), _resolved(config, options))
+    with run.workers:
+        for step in run.evolution:
+            if on_step is not None and on_step(step.row):
+                run.evolution.ask_to_stop()
+    return run.result()
+
+
+def evolve(
+    volume: Volume | NDArray[Any],
+    *,
+    spacing: float | tuple[float, float, float] | None = None,
+    config: RunConfig | None = None,
+    **options: Any,
+) -> Iterator[Step]:
+    """Run as `segment` does, yielding each step; leave the loop to end the run.
+
+    Parameters
+    ----------
+    volume, spacing, config, **options
+        As for `segment`.
+
+    Yields
+    ------
+    Step
+        ``step.row`` is the line of the trace; ``step.surface`` the surface now (``.psi``, ``.labels``): copy what is
+        to be kept, the next step moves it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z, y, x = np.indices((24, 24, 24)) - 11.5
+    >>> image = (x**2 + y**2 + z**2 < 8**2) * 100.0
+    >>> for step in evolve(image, start="ball:9,9,9,4vox"):
+    ...     if step.row.volume_mm3 > 1000:
+    ...         break
+    >>> step.surface.labels.shape
+    (24, 24, 24)
+    """
+    run = Run(_as_volume(volume, spacing), _resolved(config, options))
+    with run.workers:
+        yield from run.evolution
+
+
+def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
+    if isinstance(volume, Volume):
+        if spacing is not None:
+            raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
+        return volume
+    return Volume.from_array(volume, 1.0 if spacing is None else spacing)
+
+
+def _resolved(config: RunConfig | None, options: dict[str, Any]) -> RunConfig:
+    return (config or RunConfig()).replace(**options) if options else config or RunConfig()
+
+
+class Run:
+    """A run made ready: image prepared, start built, flow chosen.
+
+    Parameters
+    ----------
+    volume : Volume
+    config : RunConfig
+    """
+
+    def __init__(self, volume: Volume, config: RunConfig) -> None:
+        began = time.perf_counter()
+        check_image(volume)
+        self.volume, self.config = volume, config
+        smoothed = presmoothed(volume, config.presmooth)
+        psi = starts.build(config.start, volume, smoothed)
+        self.image = scaled(smoothed)
+        self.workers = Workers(config.threads)
+        spacing = volume.geometry.spacing
+        surface = LevelSet(psi, spacing, config.half_width, self.workers)
+        self.evolution = Evolution(
+            surface,
+            ChanVese(self.image, alpha=config.smoothness, epsilon=config.epsilon),
+            make_flow(config),
+            Limits(config.cfl, config.percentile),
+            config.max_steps,
+            Restart() if config.restart == "auto" else None,
+            StopRule(),
+        )
+        self._start_seconds = time.perf_counter() - began
+        self._began = time.perf_counter()
+
+    def result(self) -> Result:
+        """What the run left, once its evolution has stopped."""
+        surface, stop = self.evolution.surface, self.evolution.stop
+        assert stop is not None
+        return Result(
+            labels=surface.labels,
+            psi=surface.psi,
+            image=self.image,
+            geometry=self.volume.geometry,
+            config=self.config,
+            ledger=self.evolution.ledger,
+            stop=stop,
+            seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
+            volume=self.volume,
+        )
+
+
+def make_flow(config: RunConfig) -> Flow:
+    """The flow that a configuration asks for.
+
+    With diffusion ``auto`` momentum gets its mixing-length diffusion and descent none: it is the plain baseline.
+    """
+    diffusion = None if config.diffusion == "auto" else config.diffusion
+    if config.flow == "gradient":
+        return Gradient(diffusion or 0.0)
+    friction = None if config.friction == "t" else config.friction
+    return ConstantDensity(config.k, config.lam, config.rho, friction, diffusion)
+
+
+def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
+    """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
+    image = volume.as_float32()
+    if sigma > 0:
+        widths = [sigma / h if n > 1 else 0.0 for n, h in zip(volume.geometry.shape, volume.geometry.spacing, strict=True)]
+        image = ndimage.gaussian_filter(image, widths, output=np.float32)
+    return image
+
+
+def scaled(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The image with its `SCALE_PERCENTILES` at 0 and 1; by its extremes where those two are equal.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> [float(v) for v in scaled(np.array([[[-5.0, 5.0]]], np.float32)).ravel().round(2)]
+    [-0.01, 1.01]
+    """
+    low, high = np.percentile(image, SCALE_PERCENTILES)
+    if not high > low:
+        low, high = image.min(), image.max()
+    return (image - np.float32(low)) * np.float32(1.0 / (float(high) - float(low)))
