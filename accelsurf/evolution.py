@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Row(NamedTuple):
         U and T at time t.
     volume_mm3, area_mm2 : float
     speed : float
-        The limiter's percentile of \\|beta\\| on the front, mm per unit time.
+        The limiter's percentile of the speed (sign dropped) on the front, mm per unit time.
     motion_voxels : float
         Mean motion of the surface in the step, voxels along the normal.
     limited_fraction : float
@@ -93,7 +93,8 @@ class StopRule(NamedTuple):
 
 class Restart(NamedTuple):
     """When momentum is set to zero: the potential rises, ``travel`` voxels after the start or the last restart,
-    and not within ``rest`` steps of it."""
+    and not within ``rest`` steps of it.
+    """
 
     travel: float = 3.0
     rest: int = 5
@@ -169,7 +170,7 @@ class Evolution:
         surface, flow = self.surface, self.flow
         part, area = surface.cut()
         potential = self.energy.value(surface, part, area)
-        state = {
+        state: dict[str, Any] = {
             "step": n,
             "t": self._time,
             "potential": potential,
@@ -212,7 +213,7 @@ class Evolution:
             seconds=time.perf_counter() - began,
         )
 
-    def _still(self, state: dict, began: float) -> Row:
+    def _still(self, state: dict[str, Any], began: float) -> Row:
         """The last row: the final state, no move."""
         kinetic = self.ledger[-1].kinetic if self.ledger else 0.0
         return Row(

@@ -268,7 +268,8 @@ def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
     """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
     image = volume.as_float32()
     if sigma > 0:
-        widths = [sigma / h if n > 1 else 0.0 for n, h in zip(volume.geometry.shape, volume.geometry.spacing, strict=True)]
+        axes = zip(volume.geometry.shape, volume.geometry.spacing, strict=True)
+        widths = [sigma / h if n > 1 else 0.0 for n, h in axes]
         image = ndimage.gaussian_filter(image, widths, output=np.float32)
     return image
 

@@ -74,7 +74,7 @@ def parse(text: str) -> Start:
     vox = rest.endswith("vox") and kind != "threshold"
     numbers = _numbers(text, rest[:-3] if vox else rest, KINDS[kind])
     if kind == "ball" and numbers[3] <= 0:
-        raise UsageError(f"start {text!r}: radius {numbers[3]:g} given, a positive one expected", f"as in {KINDS[kind]}")
+        raise UsageError(f"start {text!r}: radius {numbers[3]:g} given, expected above 0", f"as in {KINDS[kind]}")
     if kind == "box" and any(a >= b for a, b in zip(numbers[:3], numbers[3:], strict=True)):
         raise UsageError(f"start {text!r}: the first corner must lie below the second in x, y and z", KINDS[kind])
     if kind == "threshold" and numbers[0] > numbers[1]:

@@ -42,7 +42,7 @@ class Energy(Protocol):
 class Sums(NamedTuple):
     """Sums over voxels, each by the share of it that counts: of 1, of the image, of its square."""
 
-    count: float
+    voxels: float
     total: float
     squares: float
 

@@ -52,9 +52,9 @@ class ChanVese:
         energy = 0.0
         means = []
         for i, sums in enumerate((inside, self._outside(inside))):
-            mean = self._fixed[i] if self._fixed else sums.total / sums.count if sums.count > 0 else 0.0
+            mean = self._fixed[i] if self._fixed else sums.total / sums.voxels if sums.voxels > 0 else 0.0
             means.append(mean)
-            energy += sums.squares - 2.0 * mean * sums.total + mean * mean * sums.count
+            energy += sums.squares - 2.0 * mean * sums.total + mean * mean * sums.voxels
         self.means = (means[0], means[1])
         return energy * surface.voxel_volume + self._area.value(area)
 

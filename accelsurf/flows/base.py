@@ -10,6 +10,9 @@ import numpy as np
 from accelsurf.kernels import motion
 from accelsurf.levelset import LevelSet
 
+#: Most stages of a diffusion step. The free bound is what these reach explicitly: (s^2 + s)/2 times one stage.
+STAGES = 8
+
 
 class Limits(NamedTuple):
     """Step control, the same for every flow.
@@ -123,15 +126,20 @@ def diffusion_bound(surface: LevelSet) -> float:
     return 0.5 / sum(1.0 / h**2 for n, h in axes if n > 1)
 
 
-def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float, stages: int) -> None:
+def free_diffusion(surface: LevelSet, dt: float) -> float:
+    """The free bound: the largest D (mm2 per unit time) that `diffuse` reaches in a step of ``dt``."""
+    return 0.5 * STAGES * (STAGES + 1) * diffusion_bound(surface) / dt
+
+
+def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float) -> None:
     """Diffuse an extended field (n,) along the surface in place, by ``amount`` = D dt (mm2).
 
     Runge-Kutta-Legendre of first order (Meyer, Balsara, Aslam 2012): s explicit stages reach (s^2 + s)/2
-    times the amount of one, each a Laplacian and an extension; as few as ``amount`` asks for, at most ``stages``.
+    times the amount of one, each a Laplacian and an extension; as few as ``amount`` asks for, at most `STAGES`.
     """
     bound = diffusion_bound(surface)
     s = 1
-    while s < stages and 0.5 * (s * s + s) * bound < amount:
+    while s < STAGES and 0.5 * (s * s + s) * bound < amount:
         s += 1
     share = 2.0 / (s * s + s)
     older, old = field.copy(), field.copy()

@@ -9,9 +9,9 @@ import numpy as np
 from accelsurf.flows.base import (
     Limits,
     Move,
-    diffusion_bound,
-    hold_back,
     diffuse,
+    free_diffusion,
+    hold_back,
     percentile,
     smallest_spacing,
     voxel_rates,
@@ -19,11 +19,9 @@ from accelsurf.flows.base import (
 from accelsurf.kernels import motion
 from accelsurf.levelset import LevelSet
 
-#: Automatic velocity diffusion: D = MIXING x h x front speed, a mixing length of a part of a voxel. The
-#: surface then averages its speed over a fixed number of voxels per voxel travelled, whatever the step.
+#: Automatic velocity diffusion: D = MIXING x h x front speed, a mixing length in voxels. The surface then
+#: averages its speed over the same patch for each voxel travelled, whatever the step.
 MIXING = 16.0
-#: Most stages of a diffusion step. The free bound is what these reach explicitly: (s^2 + s)/2 times one stage.
-STAGES = 8
 
 
 class ConstantDensity:
@@ -115,7 +113,7 @@ class ConstantDensity:
             pull = np.float32(self._weight_at(self.clock) / self.rho) * np.asarray(force, np.float32)
             diffusion = self._diffusion_now(surface, front, pull, dt, dm, limits)
             if diffusion > 0:
-                diffuse(surface, front, self.beta, diffusion * dm, STAGES)
+                diffuse(surface, front, self.beta, diffusion * dm)
             surface.workers.run(
                 motion.kick, surface.size, self.beta, pull, curvature, front, (gamma * dm, dm)
             )
@@ -180,4 +178,4 @@ class ConstantDensity:
             speed = percentile(np.abs(self.beta[front]), limits.percentile)
             speed += dt * percentile(np.abs(pull[front]), limits.percentile)
             wanted = MIXING * smallest_spacing(surface) * speed
-        return min(wanted, 0.5 * STAGES * (STAGES + 1) * diffusion_bound(surface) / dm)
+        return min(wanted, free_diffusion(surface, dm))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.flows.base import Limits, Move, diffusion_bound, hold_back, laplacian, percentile, voxel_rates
+from accelsurf.flows.base import Limits, Move, diffuse, free_diffusion, hold_back, percentile, voxel_rates
 from accelsurf.levelset import LevelSet
 
 
@@ -14,8 +14,8 @@ class Gradient:
     Parameters
     ----------
     diffusion : float
-        D (mm2 per unit time): the force is smoothed along the surface, f + D dt Lap f, by the operator and
-        with the bound that the accelerated flows use for their speeds. 0 is the plain gradient.
+        D (mm2 per unit time): each step's force is smoothed along the surface by D dt, with the operator and
+        the bound that the accelerated flows use for their speeds. 0 is the plain gradient.
     """
 
     name = "gradient"
@@ -60,10 +60,10 @@ class Gradient:
             dt = min(dt, curvature_bound(surface) / alpha)
         if not np.isfinite(dt):
             return Move(0.0, np.zeros_like(speed), 0.0, 0.0, 0.0, 0.0)
-        diffusion = min(self._diffusion, diffusion_bound(surface) / dt)
+        diffusion = min(self._diffusion, free_diffusion(surface, dt))
         if diffusion > 0:
             surface.extend_outwards(speed, front)
-            speed += np.float32(diffusion * dt) * laplacian(surface, front, speed)
+            diffuse(surface, front, speed, diffusion * dt)
             rates = voxel_rates(surface, front, speed)
         held = hold_back(speed, rates, dt, limits.cfl)
         rate = percentile(np.abs(speed[front]), limits.percentile)

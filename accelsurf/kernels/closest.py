@@ -7,10 +7,11 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.interpolate import value_and_gradient
 
-MAX_ITERATIONS = 5
-#: A foot is accepted once its last correction is below this many voxels. The iteration contracts by about
-#: distance x curvature, so what is left is an order of magnitude smaller still.
-TOLERANCE = 0.02
+MAX_ITERATIONS = 6
+#: The iteration ends once a correction is below this many voxels: the first, which knows nothing of the
+#: curvature and leaves distance x curvature of it, and the later ones, which leave its square.
+FIRST_TOLERANCE = 0.01
+TOLERANCE = 0.05
 #: Longest correction in one iteration, voxels: the interpolant is trusted only near the front.
 MAX_MOVE = 1.5
 
@@ -20,36 +21,42 @@ def closest_point(psi, grid, iz, iy, ix, foot, w):
     """Move ``foot`` (mm from cell iz, iy, ix; a first guess) to the closest point of psi = 0.
 
     Chopp's two corrections at once: down the gradient to the zero level, -psi g/|g|^2, and along the level
-    until the cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the foot to the cell.
-    Returns True when converged; ``foot`` is then the vector from the cell to the surface.
+    until the cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the foot to the cell. The latter
+    is too long by 1 + distance x curvature, which two successive residues tell (secant): so it converges also
+    further off than the radius of curvature. Returns True when converged; ``foot`` is then the vector from the
+    cell to the surface.
     """
     fz, fy, fx = foot[0], foot[1], foot[2]
-    last = 1e30
-    for _ in range(MAX_ITERATIONS):
+    relax = 1.0
+    last_z = last_y = last_x = last2 = 0.0
+    for iteration in range(MAX_ITERATIONS):
         value, gz, gy, gx = value_and_gradient(psi, grid, iz + fz / grid.hz, iy + fy / grid.hy, ix + fx / grid.hx, w)
         g2 = gz * gz + gy * gy + gx * gx
         if not g2 > 0.04:
             return False
-        # r = -foot, so the correction is r - ((r.g + psi)/|g|^2) g
-        factor = (value - (fz * gz + fy * gy + fx * gx)) / g2
-        dz, dy, dx = -fz - factor * gz, -fy - factor * gy, -fx - factor * gx
+        along = (fz * gz + fy * gy + fx * gx) / g2
+        tz, ty, tx = along * gz - fz, along * gy - fy, along * gx - fx
+        if iteration > 0 and last2 > 0.0:
+            left = (tz * last_z + ty * last_y + tx * last_x) / last2
+            relax = min(max(relax / max(1.0 - left, 0.25), 0.1), 4.0)
+        last_z, last_y, last_x, last2 = tz, ty, tx, tz * tz + ty * ty + tx * tx
+        down = value / g2
+        dz, dy, dx = relax * tz - down * gz, relax * ty - down * gy, relax * tx - down * gx
         move = np.sqrt((dz / grid.hz) ** 2 + (dy / grid.hy) ** 2 + (dx / grid.hx) ** 2)
         if move > MAX_MOVE:
             scale = MAX_MOVE / move
             dz *= scale
             dy *= scale
             dx *= scale
+            last2 = 0.0
         fz += dz
         fy += dy
         fx += dx
-        if move < TOLERANCE:
+        if move < (FIRST_TOLERANCE if iteration == 0 else TOLERANCE):
             foot[0] = fz
             foot[1] = fy
             foot[2] = fx
             return True
-        if move > 0.7 * last:
-            return False
-        last = move
     return False
 
 

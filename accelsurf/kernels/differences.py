@@ -73,7 +73,8 @@ def curvatures(psi, cell, iz, iy, ix, grid):
     mean = pxx * (py * py + pz * pz) + pyy * (px * px + pz * pz) + pzz * (px * px + py * py)
     mean -= 2.0 * (px * py * pyx + px * pz * pzx + py * pz * pzy)
     gauss = px * px * (pyy * pzz - pzy * pzy) + py * py * (pxx * pzz - pzx * pzx) + pz * pz * (pxx * pyy - pyx * pyx)
-    gauss += 2.0 * (px * py * (pzx * pzy - pyx * pzz) + py * pz * (pyx * pzx - pzy * pxx) + px * pz * (pyx * pzy - pzx * pyy))
+    mixed = px * py * (pzx * pzy - pyx * pzz) + py * pz * (pyx * pzx - pzy * pxx) + px * pz * (pyx * pzy - pzx * pyy)
+    gauss += 2.0 * mixed
     return mean / (g2 * np.sqrt(g2)), gauss / (g2 * g2)
 
 

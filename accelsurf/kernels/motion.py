@@ -107,6 +107,6 @@ def voxel_rates(start, stop, grid, band, front, beta, out):
 
 @kernel
 def drift(start, stop, psi, band, beta, norm, dt):
-    """psi += dt beta |grad psi|, with |grad psi| in ``norm``."""
+    """Psi += dt beta |grad psi|, with |grad psi| in ``norm``."""
     for s in range(start, stop):
         psi[band.cells[s]] = band.psi[s] + dt * beta[s] * norm[s]

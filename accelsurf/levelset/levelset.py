@@ -127,6 +127,20 @@ class LevelSet:
         self.workers.run(region.cut_band, self.size, self.dense.psi, self.grid, self.band, part, area)
         return part, area
 
+    def slopes(self) -> np.ndarray:
+        """Godunov's |grad psi|, upwind from the front, at the cells within a voxel of the surface."""
+        front, norm = self.front(1.0), np.empty(self.size, np.float32)
+        # Upwind from the front: as if every cell moved away from it.
+        run = self.workers.run
+        run(differences.upwind_norms, self.size, self.dense.psi, self.grid, self.band, -self.band.psi, front, norm)
+        return norm[front]
+
+    def foot_residues(self) -> np.ndarray:
+        """How far psi is from 0, in voxels of the smallest spacing, at the feet of the cells within a voxel."""
+        front, value = self.front(1.0), np.empty(self.size, np.float32)
+        self.workers.run(motion.sample_image, self.size, self.dense.psi, self.grid, self.band, front, value)
+        return np.asarray(np.abs(value[front]) / min(self.grid.hz, self.grid.hy, self.grid.hx))
+
     def volume(self, part: np.ndarray) -> float:
         """Volume inside (mm3), ``part`` being the shares of `cut`."""
         return (self._inside_beyond_band + float(part.sum())) * self.voxel_volume

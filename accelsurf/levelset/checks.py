@@ -1,0 +1,116 @@
+"""Whether a level set is valid: numbered checks from cheap to dear, nothing said when all is well."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.kernels.grid import voxels_along
+from accelsurf.levelset.levelset import LevelSet
+
+#: How far the slope of psi beside the front may be from 1 on average: a distance has slope 1, but the centred
+#: differences of a rough surface fall short of it.
+SLOPE_TOLERANCE = 0.25
+#: The least share of cells beside the front whose foot lies on the zero level of psi to a tenth of a voxel.
+FEET_SHARE = 0.9
+
+
+def check_level_set(surface: LevelSet, last: int = 8) -> list[str]:
+    """Check a surface after redistancing.
+
+    Parameters
+    ----------
+    surface : LevelSet
+        Not modified.
+    last : int, optional
+        Stop after this check; 1 to 3 cost O(band), the others O(volume).
+
+    Returns
+    -------
+    list of str
+        One line per finding, the number of the check first; empty when valid. The first check that finds something
+        ends the list, since later ones build on it.
+
+    Examples
+    --------
+    >>> z, y, x = np.indices((16, 16, 16)) - 7.5
+    >>> surface = LevelSet(np.sqrt(x**2 + y**2 + z**2) - 5, (1, 1, 1))
+    >>> check_level_set(surface)
+    []
+    >>> surface.dense.psi[surface.band.cells[0]] = np.nan
+    >>> check_level_set(surface)
+    ['1 finite: psi is not finite at 1 band cell']
+    """
+    checks = (_finite, _ordered, _distances, _slots, _outside, _closed, _slope, _feet)
+    for number, check in enumerate(checks[:last], start=1):
+        finding = check(surface)
+        if finding:
+            return [f"{number} {check.__name__.strip('_')}: {finding}"]
+    return []
+
+
+def _cells(count: int) -> str:
+    return f"{count} band cell{'' if count == 1 else 's'}"
+
+
+def _finite(surface: LevelSet) -> str:
+    bad = ~np.isfinite(surface.dense.psi[surface.band.cells]) | ~np.isfinite(surface.band.foot).all(axis=1)
+    return f"psi is not finite at {_cells(int(bad.sum()))}" if bad.any() else ""
+
+
+def _ordered(surface: LevelSet) -> str:
+    bad = np.diff(surface.band.cells) <= 0
+    return f"the cells are not in raster order at {_cells(int(bad.sum()))}" if bad.any() else ""
+
+
+def _distances(surface: LevelSet) -> str:
+    """Psi is the length of the foot, with the sign kept, and within the half width."""
+    band, g = surface.band, surface.grid
+    least = 2e-6 * min(g.hz, g.hy, g.hx)
+    length = np.sqrt((band.foot.astype(np.float64) ** 2).sum(axis=1))
+    bad = np.abs(np.abs(band.psi) - length) > 1e-5 * surface.gamma + least
+    if bad.any():
+        return f"psi is not the distance to the foot at {_cells(int(bad.sum()))}"
+    far = voxels_along(*band.foot.astype(np.float64).T, g) > surface.half_width * (1 + 1e-6)
+    if far.any():
+        return f"{_cells(int(far.sum()))} further than {surface.half_width:g} voxels from the surface"
+    bad = surface.dense.psi[band.cells] != band.psi
+    return f"the volume's psi is not the band's at {_cells(int(bad.sum()))}" if bad.any() else ""
+
+
+def _slots(surface: LevelSet) -> str:
+    mapped = int((surface.dense.slot >= 0).sum())
+    if mapped != surface.size:
+        return f"{mapped} voxels point into a band of {_cells(surface.size)}"
+    bad = surface.dense.slot[surface.band.cells] != np.arange(surface.size)
+    return f"the slot map is wrong at {_cells(int(bad.sum()))}" if bad.any() else ""
+
+
+def _outside(surface: LevelSet) -> str:
+    beyond = surface.dense.psi[surface.dense.slot < 0]
+    bad = int((np.abs(beyond) != surface.gamma).sum())
+    return f"psi is not +-{surface.gamma:g} at {bad} voxels outside the band" if bad else ""
+
+
+def _closed(surface: LevelSet) -> str:
+    """No two neighbours on different sides of the surface are outside the band."""
+    inside = surface.psi < 0
+    beyond = surface.dense.slot.reshape(surface.shape) < 0
+    bad = 0
+    for axis in range(3):
+        a, b = [slice(None)] * 3, [slice(None)] * 3
+        a[axis], b[axis] = slice(1, None), slice(None, -1)
+        crossing = inside[tuple(a)] != inside[tuple(b)]
+        bad += int((crossing & (beyond[tuple(a)] | beyond[tuple(b)])).sum())
+    return f"the surface leaves the band between {bad} pairs of voxels" if bad else ""
+
+
+def _slope(surface: LevelSet) -> str:
+    slopes = surface.slopes()
+    error = abs(float(np.mean(slopes)) - 1.0) if slopes.size else 0.0
+    return f"|grad psi| is off 1 by {error:.2f} on average beside the front" if error > SLOPE_TOLERANCE else ""
+
+
+def _feet(surface: LevelSet) -> str:
+    residues = surface.foot_residues()
+    share = float(np.mean(residues < 0.1)) if residues.size else 1.0
+    return f"only {share:.0%} of the feet beside the front lie on the surface" if share < FEET_SHARE else ""
