@@ -81,6 +81,12 @@ class RunConfig(BaseModel):
         description="Weight of the surface's area, in mm: larger is smoother; 0 keeps corners. "
         "Independent of the image's intensity scale.",
     )
+    balance: float = Field(
+        1.0,
+        gt=0,
+        description="Weight of the fit inside against the fit outside (lambda1/lambda2 of Chan and Vese, no unit): "
+        "above 1 the object must be closer to its mean, so a bright object loses its dim rim.",
+    )
     presmooth: float = Field(
         0.0, ge=0, description="Sigma of a Gaussian applied to the image before the run, in mm; 0 for none."
     )
@@ -113,7 +119,7 @@ class RunConfig(BaseModel):
         le=2.5,
         description="Half width of the smeared interface in the energy, in voxels along the normal; 0 is sharp.",
     )
-    half_width: int = Field(4, ge=3, le=32, description="Half width of the narrow band, in voxels.")
+    half_width: int = Field(3, ge=3, le=32, description="Half width of the narrow band, in voxels.")
     mesh: Annotated[tuple[MeshFormat, ...], BeforeValidator(_split_commas)] = Field(
         ("ply",), min_length=1, description="Mesh formats to write, separated by commas: ply, stl, obj, vtp."
     )

@@ -225,7 +225,7 @@ class Run:
         surface = LevelSet(psi, spacing, config.half_width, self.workers)
         self.evolution = Evolution(
             surface,
-            ChanVese(self.image, alpha=config.smoothness, epsilon=config.epsilon),
+            ChanVese(self.image, config.smoothness, epsilon=config.epsilon, balance=config.balance),
             make_flow(config),
             Limits(config.cfl, config.percentile),
             config.max_steps,

@@ -114,14 +114,24 @@ class Interface(NamedTuple):
         surface.workers.run(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, part)
         return part
 
-    def sample(self, image: np.ndarray, surface: LevelSet, front: np.ndarray) -> np.ndarray:
-        """Values (n,) of a raveled float32 image at the surface, for every front cell."""
+    def force(
+        self, image: np.ndarray, surface: LevelSet, front: np.ndarray, polynomial: tuple[float, float, float]
+    ) -> np.ndarray:
+        """A I^2 + b I + c (n,) of a raveled float32 image I at the surface, for every front cell, 0 elsewhere."""
         if self.epsilon == 0:
-            return sample_at_front(image, surface, front)
+            value = sample_at_front(image, surface, front)
+            a, b, c = (np.float32(v) for v in polynomial)
+            return np.where(front, (a * value + b) * value + c, np.float32(0.0))
         out = np.empty(surface.size, np.float32)
         surface.workers.run(
-            motion.sample_across, surface.size, surface.dense.psi, image, surface.band, front,
-            (surface.grid, self.epsilon), out,
+            motion.mean_across,
+            surface.size,
+            surface.dense.psi,
+            image,
+            surface.band,
+            front,
+            (surface.grid, self.epsilon, polynomial),
+            out,
         )
         return out
 

@@ -10,7 +10,7 @@ from accelsurf.levelset import Change, LevelSet
 
 
 class ChanVese:
-    """U = int_in (I - c1)^2 + int_out (I - c2)^2 + alpha A, with f = (I - c1)^2 - (I - c2)^2 + alpha H.
+    """U = l1 int_in (I - c1)^2 + l2 int_out (I - c2)^2 + alpha A, f = l1 (I - c1)^2 - l2 (I - c2)^2 + alpha H.
 
     The first variation of the paper's region energy for an inward normal. c1 and c2 are the means inside and
     outside, at each step those of the present surface (by the envelope theorem they add nothing to f).
@@ -25,12 +25,20 @@ class ChanVese:
         Fixed (c1, c2) instead of the surface's own.
     epsilon : float
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
+    balance : float
+        l1/l2, with l1 + l2 = 2: above 1 the inside must fit its mean more closely than the outside its own.
     """
 
     def __init__(
-        self, image: np.ndarray, alpha: float = 0.0, means: tuple[float, float] | None = None, epsilon: float = 0.0
+        self,
+        image: np.ndarray,
+        alpha: float = 0.0,
+        means: tuple[float, float] | None = None,
+        epsilon: float = 0.0,
+        balance: float = 1.0,
     ) -> None:
         self._interface = Interface(float(epsilon))
+        self._weights = (2.0 * balance / (1.0 + balance), 2.0 / (1.0 + balance))
         self._area = AreaTerm(alpha)
         self.alpha = self._area.alpha
         self._fixed = means
@@ -54,7 +62,7 @@ class ChanVese:
         for i, sums in enumerate((inside, self._outside(inside))):
             mean = self._fixed[i] if self._fixed else sums.total / sums.voxels if sums.voxels > 0 else 0.0
             means.append(mean)
-            energy += sums.squares - 2.0 * mean * sums.total + mean * mean * sums.voxels
+            energy += self._weights[i] * (sums.squares - 2.0 * mean * sums.total + mean * mean * sums.voxels)
         self.means = (means[0], means[1])
         return energy * surface.voxel_volume + self._area.value(area)
 
@@ -63,10 +71,8 @@ class ChanVese:
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
-        c1, c2 = self.means
-        values = self._interface.sample(self._sums.image, surface, front)
-        # (I - c1)^2 - (I - c2)^2 = (c1 - c2)(c1 + c2 - 2 I)
-        force = np.float32(c1 - c2) * (np.float32(c1 + c2) - 2.0 * values)
-        force[~front] = 0.0
+        (c1, c2), (l1, l2) = self.means, self._weights
+        polynomial = (l1 - l2, 2.0 * (l2 * c2 - l1 * c1), l1 * c1 * c1 - l2 * c2 * c2)
+        force = self._interface.force(self._sums.image, surface, front, polynomial)
         self._area.add_force(force, curvature)
         return force

@@ -29,6 +29,7 @@ def closest_point(psi, grid, iz, iy, ix, foot, w):
     fz, fy, fx = foot[0], foot[1], foot[2]
     relax = 1.0
     last_z = last_y = last_x = last2 = 0.0
+    first2 = 0.0
     for iteration in range(MAX_ITERATIONS):
         value, gz, gy, gx = value_and_gradient(psi, grid, iz + fz / grid.hz, iy + fy / grid.hy, ix + fx / grid.hx, w)
         g2 = gz * gz + gy * gy + gx * gx
@@ -40,6 +41,10 @@ def closest_point(psi, grid, iz, iy, ix, foot, w):
             left = (tz * last_z + ty * last_y + tx * last_x) / last2
             relax = min(max(relax / max(1.0 - left, 0.25), 0.1), 4.0)
         last_z, last_y, last_x, last2 = tz, ty, tx, tz * tz + ty * ty + tx * tx
+        if iteration == 0:
+            first2 = last2
+        elif iteration >= 2 and last2 > 0.25 * first2:
+            return False
         down = value / g2
         dz, dy, dx = relax * tz - down * gz, relax * ty - down * gy, relax * tx - down * gx
         move = np.sqrt((dz / grid.hz) ** 2 + (dy / grid.hy) ** 2 + (dx / grid.hx) ** 2)

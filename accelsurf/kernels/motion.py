@@ -25,13 +25,15 @@ def sample_image(start, stop, image, grid, band, front, out):
 
 
 @kernel
-def sample_across(start, stop, dense, image, band, front, width, out):
-    """Mean of a raveled dense image across the surface at the foot of every front cell (0 elsewhere).
+def mean_across(start, stop, psi, image, band, front, settings, out):
+    """Mean of a I^2 + b I + c across the surface at the foot of every front cell (0 elsewhere).
 
     Weighted by the smeared delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the region sums, at five
-    points along the normal, linear interpolation; ``width`` = (grid, epsilon in voxels along the normal).
+    points along the normal, the raveled dense image I interpolated linearly; ``settings`` = (grid, epsilon in
+    voxels along the normal, (a, b, c)).
     """
-    grid, epsilon = width
+    grid, epsilon, polynomial = settings
+    a, b, c = polynomial
     for s in range(start, stop):
         out[s] = 0.0
         if not front[s]:
@@ -42,14 +44,15 @@ def sample_across(start, stop, dense, image, band, front, width, out):
         nz, ny, nx = fz, fy, fx
         norm = np.sqrt(nz * nz + ny * ny + nx * nx)
         if norm < 0.01:
-            gz, gy, gx = gradient(dense, cell, iz, iy, ix, grid)
+            gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
             nz, ny, nx = gz / grid.hz, gy / grid.hy, gx / grid.hx
             norm = max(np.sqrt(nz * nz + ny * ny + nx * nx), 1e-12)
         total = 0.0
         for m in range(-2, 3):
             u = m * epsilon / (3.0 * norm)
             share = 1.0 / 3.0 if m == 0 else (0.25 if abs(m) == 1 else 1.0 / 12.0)
-            total += share * linear_at(image, grid, iz + fz + u * nz, iy + fy + u * ny, ix + fx + u * nx)
+            value = linear_at(image, grid, iz + fz + u * nz, iy + fy + u * ny, ix + fx + u * nx)
+            total += share * ((a * value + b) * value + c)
         out[s] = total
 
 

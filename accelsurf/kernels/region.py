@@ -75,7 +75,7 @@ def smear_band(start, stop, grid, band, epsilon, part):
     """Share of each voxel inside by the smeared Heaviside function of the distance in voxels, s.
 
     (1 - s/epsilon - sin(pi s/epsilon)/pi)/2 within epsilon of the surface; its derivative is the delta
-    function that `motion.sample_across` averages the image with.
+    function that `motion.mean_across` averages the image with.
     """
     for s in range(start, stop):
         x = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid) / epsilon

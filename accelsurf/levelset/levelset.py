@@ -60,7 +60,7 @@ class LevelSet:
     """
 
     def __init__(
-        self, psi: np.ndarray, spacing: Sequence[float], half_width: float = 4.0, workers: Workers | None = None
+        self, psi: np.ndarray, spacing: Sequence[float], half_width: float = 3.0, workers: Workers | None = None
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
