@@ -21,7 +21,8 @@ Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
 _GROUPS = {
-    **dict.fromkeys(("energy", "flow", "start", "smoothness", "balance", "presmooth", "max_steps", "seed", "threads"), RUN),
+    **dict.fromkeys(("energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
+    **dict.fromkeys(("max_steps", "seed", "threads"), RUN),
     **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
 }
 _METAVARS = {

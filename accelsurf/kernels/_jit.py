@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -11,7 +14,38 @@ import numba
 FASTMATH = {"contract", "arcp", "nsz"}
 
 
+def _cache_folder() -> str | None:
+    """Folder of the compiled kernels, named by the source of all of them; None where nothing can be written.
+
+    Numba looks only at the file of a kernel to tell whether its compiled form is current, not at the kernels
+    that it calls and that were compiled into it: after a change in one of those it would run the old code.
+    """
+    here = Path(__file__).parent
+    source = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(here.glob("*.py")))).hexdigest()[:12]
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    for base in (Path(given),) if given else (here / "__pycache__", Path.home() / ".cache" / "accelsurf"):
+        folder = base / f"kernels-{source}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return str(folder)
+    return None
+
+
+_CACHE_FOLDER = _cache_folder()
+
+
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile ``function`` without the Python lock, cached on disk; arithmetic errors follow IEEE."""
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)(function)
+    usual = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _CACHE_FOLDER or usual
+    try:
+        compile_ = numba.njit(
+            cache=_CACHE_FOLDER is not None, nogil=True, error_model="numpy", fastmath=FASTMATH
+        )
+        compiled: Callable[..., Any] = compile_(function)
+    finally:
+        numba.config.CACHE_DIR = usual
     return compiled
