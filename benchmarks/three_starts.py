@@ -1,7 +1,9 @@
 """Three starts on a noisy cube: do they end on the same surface? Momentum against descent, same step control.
 
 The paper's claim (its figures 2 and 3) in 3D: contrast 1, noise sigma 1 per voxel, no smoothing of the result. Shown
-beside it is what helps descent as well: the same diffusion of its speeds, an area weight, presmoothing.
+beside it is what helps descent as well: the same diffusion of its speeds, the limiter of the default settings (it
+lets the fastest twentieth of the surface set no limit, and so carries descent over small traps), an area weight,
+presmoothing.
 """
 
 from __future__ import annotations
@@ -31,21 +33,25 @@ STARTS = {
     "off centre": "ball:9,-6,3,8",
     "half outside": "ball:-24,0,0,7",
 }
+#: The claim is tested where the limiter holds nothing back and steps are short, so that only momentum differs.
+FINE = {"cfl": 0.25, "percentile": 100.0}
 #: What differs from the common settings. A diffusion above the free bound is held to it, at every step.
 VARIANTS: dict[str, dict[str, Any]] = {
-    "constant density": {"flow": "constant-density"},
-    "gradient": {"flow": "gradient"},
-    "gradient, same diffusion": {"flow": "gradient", "diffusion": 1e6},
-    "gradient, smoothness 0.1 mm": {"flow": "gradient", "smoothness": 0.1},
-    "constant density, presmooth 1 mm": {"flow": "constant-density", "presmooth": 1.0},
-    "gradient, presmooth 1 mm": {"flow": "gradient", "presmooth": 1.0},
+    "constant density": {"flow": "constant-density", **FINE},
+    "gradient": {"flow": "gradient", **FINE},
+    "gradient, same diffusion": {"flow": "gradient", "diffusion": 1e6, **FINE},
+    "constant density, defaults": {"flow": "constant-density"},
+    "gradient, defaults": {"flow": "gradient"},
+    "gradient, defaults, smoothness 0.1 mm": {"flow": "gradient", "smoothness": 0.1},
+    "constant density, defaults, presmooth 1 mm": {"flow": "constant-density", "presmooth": 1.0},
+    "gradient, defaults, presmooth 1 mm": {"flow": "gradient", "presmooth": 1.0},
 }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
-    parser.add_argument("--max-steps", type=int, default=300)
+    parser.add_argument("--max-steps", type=int, default=400)
     parser.add_argument("--seed", type=int, default=None, help="of the noise; the recipe's unless given")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--only", default="", help="variants whose name contains this")
@@ -108,7 +114,7 @@ def print_row(row: dict) -> None:
     steps = "/".join(f"{run['steps']}" for run in runs)
     stops = "/".join(run["stop"] for run in runs)
     seconds = "/".join(f"{run['seconds']:.0f}" for run in runs)
-    print(f"{row['name']:34s} Dice {dices}  agreement {row['agreement']:.3f}  steps {steps}  {stops}  s {seconds}")
+    print(f"{row['name']:43s} Dice {dices}  agreement {row['agreement']:.3f}  steps {steps}  {stops}  s {seconds}")
 
 
 def draw(labels: dict[str, list[np.ndarray]], rows: list[dict], truth: np.ndarray, path: Path) -> None:
