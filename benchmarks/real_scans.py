@@ -39,7 +39,7 @@ def main() -> None:
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")
     if not folder:
-        sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans (docs/real-scans.md says where they are)")
+        sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans; docs/real-scans.md says where to get them")
     options.output.mkdir(parents=True, exist_ok=True)
     rows = [
         run(name, Path(folder), *case, options.output, options.threads)
@@ -74,7 +74,7 @@ def run(
     row |= {key: report[key] for key in ("stop", "volume_mm3", "area_mm2", "peak_rss_mb", "components", "warnings")}
     labels = io.read_labels(target / f"{stem}_seg.nii.gz")
     row["same_grid"] = labels.geometry.matches(image.geometry)
-    row["mesh_in_label_box"] = mesh_in_label_box(target / f"{stem}_surface.ply", labels)
+    row["mesh_beyond_labels_voxels"] = mesh_beyond_labels(target / f"{stem}_surface.ply", labels)
     if reference is not None:
         truth = io.read_labels(folder / reference)
         truth = truth.with_array((truth.array > 0).astype(np.uint8))
@@ -90,14 +90,17 @@ def best_threshold(image: np.ndarray, truth: np.ndarray) -> float:
     return max(metrics.dice(image > level, truth) for level in levels)
 
 
-def mesh_in_label_box(path: Path, labels: Volume) -> bool:
-    """Whether all vertices lie inside the physical box of the labelled voxels, to a millionth of a voxel."""
+def mesh_beyond_labels(path: Path, labels: Volume) -> float:
+    """Largest distance, in voxels, of a vertex outside the box of the labelled voxels (their outer faces).
+
+    Below 0.5: a surface between an inside and an outside voxel centre lies less than one voxel from the former.
+    """
     import pyvista
 
     index = labels.geometry.world_to_index(np.asarray(pyvista.read(path).points, dtype=np.float64))
     where = np.argwhere(labels.array > 0)
-    slack = 0.5 + 1e-3
-    return bool((index >= where.min(axis=0) - slack).all() and (index <= where.max(axis=0) + slack).all())
+    low, high = where.min(axis=0) - 0.5, where.max(axis=0) + 0.5
+    return float(max((low - index).max(), (index - high).max(), 0.0))
 
 
 if __name__ == "__main__":
