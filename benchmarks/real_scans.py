@@ -39,7 +39,7 @@ def main() -> None:
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")
     if not folder:
-        sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans; docs/real-scans.md says where to get them")
+        sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans (sources: docs/real-scans.md)")
     options.output.mkdir(parents=True, exist_ok=True)
     rows = [
         run(name, Path(folder), *case, options.output, options.threads)
