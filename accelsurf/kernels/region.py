@@ -99,7 +99,7 @@ def weighted_sums(first_block, last_block, cells, weight, image, sums):
         for s in range(block * BLOCK, min((block + 1) * BLOCK, cells.shape[0])):
             if weight[s] == 0.0:
                 continue
-            value = float(image[cells[s]])
+            value = np.float64(image[cells[s]])
             count += weight[s]
             total += weight[s] * value
             squares += weight[s] * value * value
@@ -117,7 +117,7 @@ def inside_sums(first_block, last_block, dense, image, sums):
         squares = 0.0
         for cell in range(block * BLOCK, min((block + 1) * BLOCK, image.shape[0])):
             if dense.slot[cell] < 0 and dense.psi[cell] < 0.0:
-                value = float(image[cell])
+                value = np.float64(image[cell])  # float() would stay float32
                 count += 1.0
                 total += value
                 squares += value * value
