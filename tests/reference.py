@@ -1,0 +1,311 @@
+"""Slow, plain twins of the kernels, by another formula wherever there is one.
+
+Arrays are (z, y, x), spacings (hz, hy, hx) in mm, positions in voxels unless mm is said.
+"""
+
+import itertools
+
+import numpy as np
+from scipy import integrate, ndimage, spatial
+
+from accelsurf.kernels.grid import Band, Grid, Lattice
+
+# ------------------------------------------------------------------------------------------------- data for kernels
+
+
+def grid_of(shape, spacing) -> Grid:
+    return Grid(*(int(n) for n in shape), *(float(h) for h in spacing))
+
+
+def coordinates(shape, spacing, centre):
+    """(z, y, x) in mm from ``centre`` (mm), three arrays."""
+    return np.meshgrid(*(np.arange(n) * h - c for n, h, c in zip(shape, spacing, centre, strict=True)), indexing="ij")
+
+
+def whole_band(psi, foot=None) -> tuple[Lattice, Band]:
+    """Every voxel in the band, the slot of a voxel being its raveled index."""
+    flat = np.ascontiguousarray(psi, np.float32).ravel()
+    cells = np.arange(flat.size)
+    feet = np.zeros((flat.size, 3), np.float32)
+    if foot is not None:
+        feet[:] = np.reshape(foot, (-1, 3))
+    return Lattice(flat.copy(), cells.astype(np.int32)), Band(cells, flat.copy(), feet)
+
+
+def smooth_noise(shape, seed, sigma=1.5) -> np.ndarray:
+    """Smooth random function of standard deviation 1, float32."""
+    field = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="nearest")
+    return np.asarray(field / field.std(), np.float32)
+
+
+# --------------------------------------------------------------------------------------------------- interpolation
+
+
+def axis_weights(p, n):
+    """(first node, weights, weights of the derivative, part beyond the axis) for positions ``p`` (m,).
+
+    From the monomials: the inverse of the Vandermonde matrix of the nodes.
+    """
+    count = min(n, 4)
+    held = np.clip(p, 0, n - 1)
+    base = np.clip(np.floor(held).astype(int) - 1, 0, n - count)
+    k = np.arange(count)
+    coefficients = np.linalg.inv(np.vander(k, increasing=True).astype(float))
+    u = (held - base)[:, None]
+    slopes = k * u ** np.maximum(k - 1, 0)
+    return base, u**k @ coefficients, slopes @ coefficients, p - held
+
+
+def interpolate(array, positions):
+    """Value (m,) and gradient (m, 3) per voxel at index ``positions`` (m, 3), continued linearly beyond the border."""
+    array, positions = np.asarray(array, float), np.atleast_2d(np.asarray(positions, float))
+    axes = [axis_weights(positions[:, a], array.shape[a]) for a in range(3)]
+    nodes = [base[:, None] + np.arange(w.shape[1]) for base, w, _, _ in axes]
+    block = array[nodes[0][:, :, None, None], nodes[1][:, None, :, None], nodes[2][:, None, None, :]]
+    gradient = np.empty_like(positions)
+    for a in range(3):
+        z, y, x = (axes[b][2] if b == a else axes[b][1] for b in range(3))
+        gradient[:, a] = np.einsum("mijk,mi,mj,mk->m", block, z, y, x)
+    value = np.einsum("mijk,mi,mj,mk->m", block, axes[0][1], axes[1][1], axes[2][1])
+    beyond = np.stack([axis[3] for axis in axes], axis=1)
+    return value + (gradient * beyond).sum(axis=1), gradient
+
+
+def linear(array, positions):
+    """Linear interpolation held at the border."""
+    return ndimage.map_coordinates(np.asarray(array, float), np.atleast_2d(positions).T, order=1, mode="nearest")
+
+
+def known_linear(values, known, position):
+    """(value, found): linear interpolation of (z, y, x) ``values`` over those surrounding voxels that are ``known``."""
+    p = np.clip(position, 0, np.array(values.shape) - 1)
+    first = np.minimum(np.floor(p).astype(int), np.maximum(np.array(values.shape) - 2, 0))
+    total = weight = 0.0
+    for corner in itertools.product((0, 1), repeat=3):
+        cell = tuple(np.minimum(first + corner, np.array(values.shape) - 1))
+        share = np.prod(np.where(corner, p - first, 1 - (p - first)))
+        if known[cell] and share > 1e-6:
+            total += share * float(values[cell])
+            weight += share
+    return (total / weight, True) if weight > 0 else (0.0, False)
+
+
+# ------------------------------------------------------------------------------------------- closest points, distance
+
+
+def pull_to_zero(psi, spacing, points, steps=4):
+    """Points (mm) moved down the gradient of the interpolant of psi onto its zero level."""
+    h = np.asarray(spacing, float)
+    for _ in range(steps):
+        value, gradient = interpolate(psi, points / h)
+        gradient = gradient / h
+        points = points - (value / np.maximum((gradient**2).sum(axis=1), 1e-12))[:, None] * gradient
+    return points
+
+
+def zero_level(psi, spacing, parts=4):
+    """Points (mm) on the zero level of the cubic interpolant, about h/parts apart: sign changes on a finer lattice."""
+    h = np.asarray(spacing, float)
+    axes = [np.linspace(0, n - 1, (n - 1) * parts + 1) for n in psi.shape]
+    fine = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    values = interpolate(psi, fine.reshape(-1, 3))[0].reshape(fine.shape[:3])
+    points = []
+    for a in range(3):
+        low, high = np.moveaxis(fine, a, 0)[:-1], np.moveaxis(fine, a, 0)[1:]
+        v0, v1 = np.moveaxis(values, a, 0)[:-1], np.moveaxis(values, a, 0)[1:]
+        cut = (v0 < 0) != (v1 < 0)
+        t = (v0[cut] / (v0[cut] - v1[cut]))[:, None]
+        points.append(low[cut] + t * (high[cut] - low[cut]))
+    return pull_to_zero(psi, spacing, np.concatenate(points) * h)
+
+
+def closest_points(psi, spacing, cells, parts=4):
+    """Closest points (mm) of the zero level of the interpolant for index ``cells`` (m, 3), by brute force.
+
+    The nearest of many points on the level, then a pattern search around it that shrinks by half each round.
+    """
+    h = np.asarray(spacing, float)
+    at = np.asarray(cells, float) * h
+    foot = (points := zero_level(psi, spacing, parts))[spatial.cKDTree(points).query(at)[1]]
+    ways = np.array([w for w in itertools.product((-1, 0, 1), repeat=3) if any(w)], float)
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    radius = h.max() / parts
+    for _ in range(14):
+        tried = (foot[:, None] + radius * ways).reshape(-1, 3)
+        tried = pull_to_zero(psi, spacing, tried, 2).reshape(len(foot), len(ways), 3)
+        tried = np.concatenate([foot[:, None], tried], axis=1)
+        nearest = np.argmin(((tried - at[:, None]) ** 2).sum(axis=2), axis=1)
+        foot = tried[np.arange(len(foot)), nearest]
+        radius /= 2
+    return foot
+
+
+def distance(psi, spacing, cells, parts=4):
+    """Signed distance (mm) of ``cells`` (m, 3) from the zero level of the interpolant of psi, by brute force."""
+    gap = np.linalg.norm(closest_points(psi, spacing, cells, parts) - np.asarray(cells) * np.asarray(spacing), axis=1)
+    return np.where(np.asarray(psi)[tuple(np.asarray(cells).T)] < 0, -gap, gap)
+
+
+def front_cells(psi):
+    """Mask of the voxels with a 6-neighbour on the other side."""
+    inside = np.asarray(psi) < 0
+    front = np.zeros(inside.shape, bool)
+    for a in range(3):
+        crossing = np.diff(inside, axis=a)
+        front |= np.insert(crossing, 0, False, axis=a) | np.insert(crossing, crossing.shape[a], False, axis=a)
+    return front
+
+
+# ------------------------------------------------------------------------------------------------------ differences
+
+
+def padded(psi):
+    """One voxel more on each side, continued straight (a single slice is repeated)."""
+    out = np.asarray(psi, float)
+    for a in range(3):
+        first, last = np.take(out, [0], axis=a), np.take(out, [-1], axis=a)
+        if out.shape[a] > 1:
+            first, last = 2 * first - np.take(out, [1], axis=a), 2 * last - np.take(out, [-2], axis=a)
+        out = np.concatenate([first, out, last], axis=a)
+    return out
+
+
+def derivatives(psi, spacing):
+    """Gradient (..., 3) and matrix of second derivatives (..., 3, 3), centred."""
+    wide = padded(psi)
+
+    def shifted(*steps):
+        return wide[tuple(slice(1 + s, n - 1 + s) for s, n in zip(steps, wide.shape, strict=True))]
+
+    unit = np.eye(3, dtype=int)
+    first = [(shifted(*e) - shifted(*-e)) / (2 * h) for e, h in zip(unit, spacing, strict=True)]
+    second = np.empty((*np.shape(psi), 3, 3))
+    for a, b in itertools.product(range(3), repeat=2):
+        ea, eb = unit[a], unit[b]
+        if a == b:
+            second[..., a, a] = (shifted(*ea) - 2 * shifted(0, 0, 0) + shifted(*-ea)) / spacing[a] ** 2
+        else:
+            sum_ = shifted(*ea + eb) - shifted(*ea - eb) - shifted(*eb - ea) + shifted(*-ea - eb)
+            second[..., a, b] = sum_ / (4 * spacing[a] * spacing[b])
+    return np.stack(first, axis=-1), second
+
+
+def principal_curvatures(psi, spacing):
+    """Principal curvatures (..., 2) of the levels: eigenvalues of the second derivatives in the tangent plane."""
+    gradient, second = derivatives(psi, spacing)
+    norm = np.linalg.norm(gradient, axis=-1)
+    # A Householder matrix whose columns are the normal and two tangents.
+    normal = gradient / np.maximum(norm, 1e-12)[..., None]
+    v = normal + np.where(normal[..., :1] >= 0, 1.0, -1.0) * np.array([1.0, 0, 0])
+    house = np.eye(3) - 2 * v[..., :, None] * v[..., None, :] / (v**2).sum(axis=-1)[..., None, None]
+    tangents = house[..., :, 1:]
+    shape_operator = np.einsum("...ai,...ab,...bj->...ij", tangents, second, tangents)
+    return np.linalg.eigvalsh(shape_operator) / np.maximum(norm, 1e-12)[..., None]
+
+
+def surface_curvature(psi, spacing):
+    """Sum of the principal curvatures of the surface that lies psi off each voxel: each is k/(1 - psi k)."""
+    k = principal_curvatures(psi, spacing)
+    bend = 1 - np.asarray(psi, float)[..., None] * k
+    most = 2 / min(spacing)
+    moved = np.where(bend.prod(axis=-1) > 0.2, (k / np.where(bend == 0, 1, bend)).sum(axis=-1), k.sum(axis=-1))
+    return np.clip(moved, -most, most)
+
+
+def one_sided(line, h):
+    """Second-order ENO differences (D-, D+) of a 1D array, first order beside its ends."""
+    n = len(line)
+    if n == 1:
+        return np.zeros(1), np.zeros(1)
+    slope = np.diff(line) / h
+    down, up = np.concatenate([slope[:1], slope]), np.concatenate([slope, slope[-1:]])
+    bend = np.full(n, np.nan)
+    bend[1:-1] = np.diff(slope) / h
+    for i in range(1, n - 1):
+        for side, array, sign in ((i - 1, down, 1), (i + 1, up, -1)):
+            pair = bend[i], bend[side]
+            if not np.isnan(pair).any() and np.sign(pair[0]) == np.sign(pair[1]):
+                array[i] += sign * h / 2 * min(pair, key=abs)
+    return down, up
+
+
+def godunov_norm(psi, spacing, shrinking):
+    """|grad psi| of psi_t = beta |grad psi| by Godunov's theorem, axis by axis; ``shrinking`` (mask) says beta > 0.
+
+    The extremum of p^2 over the slopes between D- and D+: beta > 0 takes the largest where D- <= D+ and the
+    smallest where D- > D+; beta < 0 the other way round.
+    """
+    psi = np.asarray(psi, float)
+    total = np.zeros(psi.shape)
+    for a, h in enumerate(spacing):
+        down, up = np.empty(psi.shape), np.empty(psi.shape)
+        for index in np.ndindex(*np.delete(psi.shape, a)):
+            line = (*index[:a], slice(None), *index[a:])
+            down[line], up[line] = one_sided(psi[line], h)
+        low, high = np.minimum(down, up), np.maximum(down, up)
+        most = np.maximum(low**2, high**2)
+        least = np.where((low < 0) & (high > 0), 0.0, np.minimum(low**2, high**2))
+        total += np.where((down <= up) == np.asarray(shrinking), most, least)
+    return np.sqrt(total)
+
+
+# ----------------------------------------------------------------------------------------------- regions and motion
+
+
+def cut_voxel(psi, gradient, spacing):
+    """(share inside, area) of a voxel cut by psi + n.x = 0: convex hull and polygon of the cut's corners."""
+    h = np.asarray(spacing, float)
+    normal = np.asarray(gradient, float) / np.linalg.norm(gradient)
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * h
+    value = psi + corners @ normal
+    cut = []
+    for i, j in itertools.combinations(range(8), 2):
+        if np.count_nonzero(corners[i] != corners[j]) == 1 and (value[i] < 0) != (value[j] < 0):
+            t = value[i] / (value[i] - value[j])
+            cut.append(corners[i] + t * (corners[j] - corners[i]))
+    if not cut:
+        return float(psi < 0), 0.0
+    ring = np.array(cut)
+    solid = spatial.ConvexHull(np.concatenate([corners[value < 0], ring]), qhull_options="QJ Pp")
+    middle = ring.mean(axis=0)
+    u = np.linalg.svd(normal[None])[2][1:]
+    angle = np.arctan2(*((ring - middle) @ u.T).T)
+    ring = ring[np.argsort(angle)] - middle
+    area = 0.5 * abs(sum(np.dot(normal, np.cross(p, q)) for p, q in zip(ring, np.roll(ring, -1, axis=0), strict=True)))
+    return solid.volume / h.prod(), area
+
+
+def smeared_share(s, epsilon):
+    """Share inside at signed distance ``s`` (voxels): the integral of the delta function from s to epsilon."""
+    if abs(s) >= epsilon:
+        return float(s < 0)
+    return integrate.quad(lambda t: (1 + np.cos(np.pi * t / epsilon)) / (2 * epsilon), s, epsilon)[0]
+
+
+def laplacian(values, present, spacing):
+    """7-point Laplacian of (z, y, x) ``values``; no flux to voxels not ``present`` or beyond the border."""
+    out = np.zeros(values.shape)
+    for cell in np.ndindex(*values.shape):
+        for a, side in itertools.product(range(3), (-1, 1)):
+            other = list(cell)
+            other[a] += side
+            if 0 <= other[a] < values.shape[a] and present[tuple(other)]:
+                out[cell] += (float(values[tuple(other)]) - float(values[cell])) / spacing[a] ** 2
+    return out
+
+
+def kick(beta, force, curvature, damping, dm):
+    """beta+ solves beta+ - beta = dm force - damping (beta + beta+)/2 + dm beta beta+ H/2."""
+    return (beta - damping * beta / 2 + dm * force) / np.maximum(1 + damping / 2 - dm * beta * curvature / 2, 0.2)
+
+
+def small_components(psi, most):
+    """(psi with the sign flipped on 6-connected components of at most ``most`` voxels, removed inside, outside)."""
+    out, removed = np.array(psi), []
+    for side in (psi < 0, psi >= 0):
+        labels, _ = ndimage.label(side)
+        sizes = np.bincount(labels.ravel())
+        small = np.flatnonzero((sizes <= most) & (np.arange(sizes.size) > 0))
+        out[np.isin(labels, small)] *= -1
+        removed.append(small.size)
+    return out, *removed

@@ -1,0 +1,144 @@
+"""Sampling at the surface, kick, Laplacian, rates, drift: against plain numpy."""
+
+import numpy as np
+import pytest
+
+from accelsurf.kernels import motion
+from accelsurf.kernels.grid import Band
+from tests import reference
+
+pytestmark = pytest.mark.nojit
+
+SPACING = (3.0, 1.0, 0.7)
+SHAPES = [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5)]
+
+
+def scene(shape, seed, reach=1.2):
+    """A whole band with random feet (mm), some of them beyond the border, a front mask and an image."""
+    rng = np.random.default_rng(seed)
+    foot = rng.uniform(-reach, reach, (int(np.prod(shape)), 3)) * SPACING
+    if shape[0] == 1:
+        foot[:, 0] = 0
+    psi = np.linalg.norm(foot, axis=1) * np.where(rng.random(len(foot)) < 0.5, -1, 1)
+    dense, band = reference.whole_band(psi.reshape(shape), foot)
+    front = rng.random(len(foot)) < 0.7
+    return dense, band, front, reference.smooth_noise(shape, seed + 1)
+
+
+def feet_in_voxels(shape, band):
+    return np.argwhere(np.ones(shape, bool)) + band.foot.astype(float) / SPACING
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_image_is_sampled_at_the_feet_and_held_at_the_border(shape):
+    _, band, front, image = scene(shape, 1)
+    out = np.full(image.size, np.nan, np.float32)
+    motion.sample_image(0, image.size, image.ravel(), reference.grid_of(shape, SPACING), band, front, out)
+    at = np.clip(feet_in_voxels(shape, band), 0, np.array(shape) - 1.0)
+    want, _ = reference.interpolate(image, at)
+    np.testing.assert_allclose(out[front], want[front], atol=2e-5)
+    assert not out[~front].any()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_mean_across_is_taken_along_the_normal(shape):
+    dense, band, front, image = scene(shape, 2)
+    grid, epsilon, (a, b, c) = reference.grid_of(shape, SPACING), 1.5, (0.7, -0.4, 0.2)
+    # Some cells lie on the surface: their direction is the gradient's.
+    on = np.arange(image.size) % 5 == 0
+    band.foot[on] = 0
+    out = np.full(image.size, np.nan, np.float32)
+    motion.mean_across(0, image.size, dense.psi, image.ravel(), band, front, (grid, epsilon, (a, b, c)), out)
+    gradient, _ = reference.derivatives(dense.psi.reshape(shape), SPACING)
+    way = np.where(on[:, None], gradient.reshape(-1, 3), band.foot) / SPACING
+    way /= np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+    s = np.arange(-2, 3) * epsilon / 3
+    delta = 1 + np.cos(np.pi * s / epsilon)
+    samples = [reference.linear(image, feet_in_voxels(shape, band) + u * way) for u in s]
+    want = np.tensordot(delta / delta.sum(), np.polyval((a, b, c), samples), axes=1)
+    np.testing.assert_allclose(out[front], want[front], atol=2e-5)
+    assert not out[~front].any()
+
+
+def test_mean_across_a_linear_image_is_its_value_at_the_foot():
+    shape = (11, 12, 13)
+    z, y, x = np.indices(shape)
+    image = (2 * z - y + 0.5 * x).astype(np.float32)
+    psi = (x - 6.2).astype(np.float32)
+    foot = np.zeros((*shape, 3))
+    foot[..., 2] = -psi
+    dense, band = reference.whole_band(psi, foot)
+    inner = np.zeros(shape, bool)
+    inner[3:-3, 3:-3, 4:-4] = True
+    out = np.empty(image.size, np.float32)
+    settings = (reference.grid_of(shape, (1, 1, 1)), 2.0, (0.0, 1.0, 0.0))
+    motion.mean_across(0, image.size, dense.psi, image.ravel(), band, inner.ravel(), settings, out)
+    np.testing.assert_allclose(out[inner.ravel()], (2 * z - y + 3.1)[inner], atol=1e-5)
+
+
+def test_kick_solves_the_centred_scheme():
+    rng = np.random.default_rng(3)
+    n = 200
+    beta, force, curvature = (rng.standard_normal(n).astype(np.float32) for _ in range(3))
+    front = rng.random(n) < 0.7
+    damping, dm = 0.3, 0.4
+    before = beta.copy()
+    motion.kick(0, n, beta, force, curvature, front, (damping, dm))
+    want = reference.kick(before.astype(float), force, curvature, damping, dm)
+    np.testing.assert_allclose(beta[front], want[front], rtol=2e-5, atol=1e-6)
+    np.testing.assert_array_equal(beta[~front], before[~front])
+    # As the equation: (b+ - b)/dm = f - gamma (b + b+)/2 + b b+ H/2, where the denominator was not held.
+    b, new, f, h = (a.astype(float)[front] for a in (before, beta, force, curvature))
+    free = 1 + 0.5 * damping - 0.5 * dm * b * h > 0.2
+    residue = new - b - dm * f + 0.5 * damping * (b + new) - 0.5 * dm * b * new * h
+    assert free.any()
+    assert np.abs(residue[free]).max() < 1e-5
+
+
+def test_kick_holds_its_denominator():
+    beta, front = np.array([5.0], np.float32), np.ones(1, bool)
+    motion.kick(0, 1, beta, np.zeros(1, np.float32), np.array([10.0], np.float32), front, (0.0, 1.0))
+    assert beta[0] == pytest.approx(25)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_laplacian_as_the_twin_with_holes_and_at_the_border(shape):
+    rng = np.random.default_rng(4)
+    present = rng.random(shape) < 0.8
+    values = rng.standard_normal(shape).astype(np.float32)
+    slot = np.full(values.size, -1, np.int32)
+    cells = np.flatnonzero(present)
+    slot[cells] = np.arange(cells.size)
+    front = rng.random(cells.size) < 0.7
+    beta = values.ravel()[cells]
+    out = np.full(cells.size, np.nan, np.float32)
+    motion.surface_laplacian(0, cells.size, slot, reference.grid_of(shape, SPACING), cells, beta, front, out)
+    want = reference.laplacian(values, present, SPACING).ravel()[cells]
+    np.testing.assert_allclose(out[front], want[front], rtol=1e-4, atol=1e-4)
+    assert not out[~front].any()
+
+
+def test_rates_are_voxels_along_the_normal():
+    normals = np.array([(1, 0, 0), (0, 1, 0), (0, 0, -1), (1, 1, 0) / np.sqrt(2), (0.48, 0.6, 0.64)])
+    distance = np.array([2.0, -1.0, 0.3, 1e-6, -1.5])
+    foot = (-distance[:, None] * normals).astype(np.float32)
+    band = Band(np.arange(5), distance.astype(np.float32), foot)
+    beta = np.array([1.0, -2.0, 3.0, 4.0, -5.0], np.float32)
+    front, out = np.array([True, True, True, True, True]), np.empty(5, np.float32)
+    motion.voxel_rates(0, 5, reference.grid_of((5, 1, 1), SPACING), band, front, beta, out)
+    np.testing.assert_allclose(out, np.abs(beta) * np.linalg.norm(normals / SPACING, axis=1), rtol=1e-4)
+    front[2] = False
+    motion.voxel_rates(0, 5, reference.grid_of((5, 1, 1), SPACING), band, front, beta, out)
+    assert out[2] == 0
+
+
+def test_drift_moves_psi_by_the_speed_and_only_in_the_band():
+    rng = np.random.default_rng(5)
+    psi = np.full(50, 9.0, np.float32)
+    cells = np.array([3, 7, 8, 20, 49])
+    values, beta, norm = (rng.standard_normal(5).astype(np.float32) for _ in range(3))
+    band = Band(cells, values, np.zeros((5, 3), np.float32))
+    motion.drift(1, 4, psi, band, beta, norm, np.float32(0.25))
+    want = np.full(50, 9.0)
+    want[cells[1:4]] = (values + 0.25 * beta * norm)[1:4]
+    np.testing.assert_allclose(psi, want, rtol=1e-6)
