@@ -116,9 +116,11 @@ class LevelSet:
     def curvature(self, front: np.ndarray) -> np.ndarray:
         """Sum of the principal curvatures (1/mm) of the surface at the foot of every front cell, (n,)."""
         out = np.empty(self.size, np.float32)
-        self.workers.run(
-            differences.surface_curvature, self.size, self.dense.psi, self.grid, self.band, front, out
-        )
+        # A stencil reaches sqrt(2) voxels further off, and beyond the band psi is no distance.
+        inner = front & self.front(self.half_width - 1.42)
+        self.workers.run(differences.surface_curvature, self.size, self.dense.psi, self.grid, self.band, inner, out)
+        self.extend_outwards(out, inner)
+        out[~front] = 0.0
         return out
 
     def cut(self) -> tuple[np.ndarray, np.ndarray]:
