@@ -183,7 +183,8 @@ def test_every_setting_is_an_option(capsys):
     values = RunConfig(
         **dict(flow="gradient", start=("center", "ball:-1,2,-3,4"), smoothness=1.5, presmooth=0.5, k=3, lam=2, rho=0.5),
         **dict(diffusion=0.25, friction=2, restart="off", cfl=0.25, max_steps=9, percentile=90, epsilon=2),
-        **dict(mesh="obj,vtp", mesh_space="ras", save_sdf=True, half_width=5, format="nrrd", seed=5, threads=2),
+        **dict(mesh="obj,vtp", mesh_space="ras", save_sdf=True, half_width=5, balance=1.5, format="nrrd"),
+        **dict(seed=5, threads=2),
     )
     words = []
     for key, value in values.model_dump().items():
@@ -450,8 +451,8 @@ def test_demo_on_a_small_cube(tmp_path, capsys, monkeypatch):
 def test_demo_shows_what_it_promises(tmp_path):
     assert run("demo", "-o", tmp_path) == 0
     runs = {entry["flow"]: entry for entry in json.loads((tmp_path / "demo.json").read_text())["runs"]}
-    assert runs["constant-density"]["metrics"]["dice"] >= 0.97
-    assert runs["constant-density"]["energy"]["last"] < runs["gradient"]["energy"]["last"]
+    # Not by a lower energy: without an area weight the energy rewards fitting the noise, and descent does.
+    assert runs["constant-density"]["metrics"]["dice"] >= max(0.95, runs["gradient"]["metrics"]["dice"] + 0.01)
 
 
 # ------------------------------------------------------------------------------------------- the program itself

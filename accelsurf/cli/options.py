@@ -28,7 +28,15 @@ _GROUPS = {
 _METAVARS = {
     **dict.fromkeys(("energy", "flow", "format", "mesh_space"), "NAME"),
     **dict.fromkeys(("max_steps", "seed", "threads", "half_width"), "N"),
-    **{"start": "WHERE", "smoothness": "MM", "presmooth": "MM", "cfl": "VOXELS", "percentile": "PERCENT"},
+    **{
+        "start": "WHERE",
+        "smoothness": "MM",
+        "balance": "RATIO",
+        "presmooth": "MM",
+        "cfl": "VOXELS",
+        "epsilon": "VOXELS",
+        "percentile": "PERCENT",
+    },
     **{"diffusion": "D|auto", "friction": "t|A", "restart": "auto|off", "mesh": "NAMES"},
 }
 
