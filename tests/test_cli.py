@@ -452,7 +452,7 @@ def test_demo_shows_what_it_promises(tmp_path):
     assert run("demo", "-o", tmp_path) == 0
     runs = {entry["flow"]: entry for entry in json.loads((tmp_path / "demo.json").read_text())["runs"]}
     # Not by a lower energy: without an area weight the energy rewards fitting the noise, and descent does.
-    assert runs["constant-density"]["metrics"]["dice"] >= max(0.95, runs["gradient"]["metrics"]["dice"] + 0.01)
+    assert runs["constant-density"]["metrics"]["dice"] >= max(0.95, runs["gradient"]["metrics"]["dice"] + 0.05)
 
 
 # ------------------------------------------------------------------------------------------- the program itself
