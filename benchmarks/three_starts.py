@@ -42,7 +42,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "gradient, same diffusion": {"flow": "gradient", "diffusion": 1e6, **FINE},
     "constant density, defaults": {"flow": "constant-density"},
     "gradient, defaults": {"flow": "gradient"},
-    "gradient, defaults, smoothness 0.1 mm": {"flow": "gradient", "smoothness": 0.1},
+    "constant density, defaults, smoothness 0.02 mm": {"flow": "constant-density", "smoothness": 0.02},
+    "gradient, defaults, smoothness 0.02 mm": {"flow": "gradient", "smoothness": 0.02},
     "constant density, defaults, presmooth 1 mm": {"flow": "constant-density", "presmooth": 1.0},
     "gradient, defaults, presmooth 1 mm": {"flow": "gradient", "presmooth": 1.0},
 }
@@ -114,7 +115,7 @@ def print_row(row: dict) -> None:
     steps = "/".join(f"{run['steps']}" for run in runs)
     stops = "/".join(run["stop"] for run in runs)
     seconds = "/".join(f"{run['seconds']:.0f}" for run in runs)
-    print(f"{row['name']:43s} Dice {dices}  agreement {row['agreement']:.3f}  steps {steps}  {stops}  s {seconds}")
+    print(f"{row['name']:46s} Dice {dices}  agreement {row['agreement']:.3f}  steps {steps}  {stops}  s {seconds}")
 
 
 def draw(labels: dict[str, list[np.ndarray]], rows: list[dict], truth: np.ndarray, path: Path) -> None:

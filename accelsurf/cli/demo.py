@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 
@@ -9,7 +10,10 @@ from accelsurf.cli.options import Display, Output, Overwrite
 
 #: Small ball inside the cube, off its centre: most of the object has to be found.
 START = "ball:9,-7,6,10"
-MAX_STEPS = 300
+MAX_STEPS = 250
+#: The fastest place sets the step, for both flows: with the limiter of the defaults descent hops over many of the traps
+#: that the demo is about.
+PERCENTILE = 100.0
 
 
 def demo(
@@ -40,10 +44,8 @@ def demo(
     recipe = phantoms.load_recipe("cube_noisy")
     image, labels = output / "cube.nii.gz", output / "cube_truth.nii.gz"
     paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
-    cases = [
-        Case(image, output, RunConfig(flow=flow, start=START, max_steps=MAX_STEPS), name=f"cube_{flow}")
-        for flow in reversed(FLOWS)
-    ]
+    common = RunConfig(start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, threads=min(2, os.cpu_count() or 1))
+    cases = [Case(image, output, common.replace(flow=flow), name=f"cube_{flow}") for flow in reversed(FLOWS)]
     planned = [case.paths(case.config) for case in cases if case.config is not None]
     everything = {"image": image, "labels": labels, **paths}
     everything |= {f"{number}-{kind}": path for number, some in enumerate(planned) for kind, path in some.items()}
