@@ -49,7 +49,7 @@ class LevelSet:
     spacing : sequence of 3 floats
         (hz, hy, hx), mm.
     half_width : float
-        Half width of the band in voxels along the normal.
+        Half width of the band in voxels along the normal; where the spacings differ the band is wider, see `_slant`.
     workers : Workers
         The threads to use.
 
@@ -65,8 +65,12 @@ class LevelSet:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
         self.grid = Grid(*self.shape, *(float(h) for h in spacing))
-        self.half_width = float(half_width)
-        self.gamma = np.float32(half_width * max(spacing))
+        # A stencil across a slanted surface reaches further, in voxels along the normal, the less the spacings are
+        # alike: at most by |n/h| |h n| <= (ratio + 1/ratio)/2 (Kantorovich).
+        steps = [float(h) for n, h in zip(self.shape, spacing, strict=True) if n > 1] or [1.0]
+        self._slant = 0.5 * (max(steps) / min(steps) + min(steps) / max(steps))
+        self.half_width = float(half_width) * self._slant
+        self.gamma = np.float32(self.half_width * max(spacing))
         self.workers = workers or Workers(1)
         dense = np.array(psi, dtype=np.float32, order="C", copy=True).ravel()
         self.dense = Lattice(dense, np.full(dense.size, -1, np.int32))
@@ -117,7 +121,7 @@ class LevelSet:
         """Sum of the principal curvatures (1/mm) of the surface at the foot of every front cell, (n,)."""
         out = np.empty(self.size, np.float32)
         # A stencil reaches sqrt(2) voxels further off, and beyond the band psi is no distance.
-        inner = front & self.front(self.half_width - 1.42)
+        inner = front & self.front(self.half_width - 1.42 * self._slant)
         self.workers.run(differences.surface_curvature, self.size, self.dense.psi, self.grid, self.band, inner, out)
         self.extend_outwards(out, inner)
         out[~front] = 0.0
