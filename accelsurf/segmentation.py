@@ -79,8 +79,13 @@ class Result:
 
     @property
     def area_mm2(self) -> float:
-        """Area of its surface inside the volume, mm2."""
-        return self.ledger[-1].area_mm2
+        """Area of its surface, mm2: the mesh's, with the caps where the volume's border cuts the object.
+
+        In one slice, where caps would be all of it: the contour's length times the thickness of the slice.
+        """
+        if min(self.labels.shape) == 1:
+            return self.ledger[-1].area_mm2
+        return self.surface.area if self.labels.any() else 0.0
 
     @cached_property
     def components(self) -> int:
@@ -280,8 +285,9 @@ def scaled(image: NDArray[np.float32]) -> NDArray[np.float32]:
     Examples
     --------
     >>> import numpy as np
-    >>> [float(v) for v in scaled(np.array([[[-5.0, 5.0]]], np.float32)).ravel().round(2)]
-    [-0.01, 1.01]
+    >>> image = scaled(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
+    >>> [float(v) for v in np.percentile(image, SCALE_PERCENTILES).round(6)]
+    [0.0, 1.0]
     """
     low, high = np.percentile(image, SCALE_PERCENTILES)
     if not high > low:
