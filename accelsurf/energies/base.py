@@ -115,9 +115,14 @@ class Interface(NamedTuple):
         return part
 
     def force(
-        self, image: np.ndarray, surface: LevelSet, front: np.ndarray, polynomial: tuple[float, float, float]
+        self,
+        image: np.ndarray,
+        surface: LevelSet,
+        front: np.ndarray,
+        curvature: np.ndarray,
+        polynomial: tuple[float, float, float],
     ) -> np.ndarray:
-        """A I^2 + b I + c (n,) of a raveled float32 image I at the surface, for every front cell, 0 elsewhere."""
+        """Values (n,) of a I^2 + b I + c at the surface for every front cell, 0 elsewhere; I raveled float32."""
         if self.epsilon == 0:
             value = sample_at_front(image, surface, front)
             a, b, c = (np.float32(v) for v in polynomial)
@@ -130,7 +135,7 @@ class Interface(NamedTuple):
             image,
             surface.band,
             front,
-            (surface.grid, self.epsilon, polynomial),
+            (surface.grid, self.epsilon, polynomial, curvature),
             out,
         )
         return out

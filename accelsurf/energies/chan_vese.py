@@ -73,6 +73,6 @@ class ChanVese:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
         (c1, c2), (l1, l2) = self.means, self._weights
         polynomial = (l1 - l2, 2.0 * (l2 * c2 - l1 * c1), l1 * c1 * c1 - l2 * c2 * c2)
-        force = self._interface.force(self._sums.image, surface, front, polynomial)
+        force = self._interface.force(self._sums.image, surface, front, curvature, polynomial)
         self._area.add_force(force, curvature)
         return force

@@ -61,6 +61,16 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
 
 
 @kernel
+def is_near_volume(grid, iz, iy, ix, foot):
+    """Whether a foot lies within a voxel of the outermost voxel centres: beyond, psi is only continued.
+
+    A surface that has left the volume is gone.
+    """
+    pz, py, px = iz + foot[0] / grid.hz, iy + foot[1] / grid.hy, ix + foot[2] / grid.hx
+    return -1.0 <= pz <= grid.nz and -1.0 <= py <= grid.ny and -1.0 <= px <= grid.nx
+
+
+@kernel
 def find_feet(start, stop, dense, grid, cells, foot, state):
     """Foot of every cell of the range from psi as it is; ``state`` becomes OPEN where it is not found.
 
@@ -80,13 +90,14 @@ def find_feet(start, stop, dense, grid, cells, foot, state):
         bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
         found = first_guess(psi, grid, cell, iz, iy, ix, near, guess)
         if found:
-            found = closest_point(psi, grid, iz, iy, ix, guess, w)
+            found = closest_point(psi, grid, iz, iy, ix, guess, w) and is_near_volume(grid, iz, iy, ix, guess)
         distance = np.sqrt(guess[0] ** 2 + guess[1] ** 2 + guess[2] ** 2)
         if bound >= 0.0 and (not found or distance > bound + 0.1 * h):
             for axis in range(3):
                 foot[s, axis] = plane[axis]
             state[s] = FROZEN
-        elif found and distance <= abs(psi[cell]) + 2.0 * h:
+        elif found and (bound >= 0.0 or 0.5 * abs(psi[cell]) <= distance <= abs(psi[cell]) + 2.0 * h):
+            # Much closer than psi said is no surface: the interpolant beyond the border, from the jump to +-gamma.
             for axis in range(3):
                 foot[s, axis] = guess[axis]
             state[s] = FROZEN
@@ -216,7 +227,7 @@ def march(dense, grid, cells, foot, state, half_width):
             state[source] = FROZEN
             # Polished where that converges; a cell further off than the radius of curvature keeps the
             # neighbour's foot.
-            if closest_point(psi, grid, iz, iy, ix, guess, w):
+            if closest_point(psi, grid, iz, iy, ix, guess, w) and is_near_volume(grid, iz, iy, ix, guess):
                 d = np.sqrt(guess[0] ** 2 + guess[1] ** 2 + guess[2] ** 2)
                 if d <= best[source] * (1.0 + 1e-3):
                     for axis in range(3):

@@ -28,11 +28,12 @@ def sample_image(start, stop, image, grid, band, front, out):
 def mean_across(start, stop, psi, image, band, front, settings, out):
     """Mean of a I^2 + b I + c across the surface at the foot of every front cell (0 elsewhere).
 
-    Weighted by the smeared delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the region sums, at five
-    points along the normal, the raveled dense image I interpolated linearly; ``settings`` = (grid, epsilon in
-    voxels along the normal, (a, b, c)).
+    Weighted by the smeared delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the region sums, and by the
+    area 1 + s H of the level at distance s, at five points along the normal, the raveled dense image I
+    interpolated linearly; ``settings`` = (grid, epsilon in voxels along the normal, (a, b, c), curvature H).
+    Where the smeared layer is not resolved, |s H| is held to 1/2.
     """
-    grid, epsilon, polynomial = settings
+    grid, epsilon, polynomial, curvature = settings
     a, b, c = polynomial
     for s in range(start, stop):
         out[s] = 0.0
@@ -47,10 +48,18 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
             gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
             nz, ny, nx = gz / grid.hz, gy / grid.hy, gx / grid.hx
             norm = max(np.sqrt(nz * nz + ny * ny + nx * nx), 1e-12)
+            outward = 1.0
+        else:
+            outward = -1.0 if band.psi[s] > 0.0 else 1.0
+        # Voxels along the normal to mm, times the curvature.
+        mm = np.sqrt((nz * grid.hz) ** 2 + (ny * grid.hy) ** 2 + (nx * grid.hx) ** 2) / norm
+        bend = outward * mm * curvature[s]
         total = 0.0
         for m in range(-2, 3):
-            u = m * epsilon / (3.0 * norm)
+            offset = m * epsilon / 3.0
+            u = offset / norm
             share = 1.0 / 3.0 if m == 0 else (0.25 if abs(m) == 1 else 1.0 / 12.0)
+            share *= 1.0 + min(max(offset * bend, -0.5), 0.5)
             value = linear_at(image, grid, iz + fz + u * nz, iy + fy + u * ny, ix + fx + u * nx)
             total += share * ((a * value + b) * value + c)
         out[s] = total
