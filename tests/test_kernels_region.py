@@ -46,6 +46,15 @@ def test_cut_voxel_without_a_gradient_is_in_or_out():
     assert region.cut_voxel(0.1, 0.0, 0.0, 0.0, grid) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_a_face_exactly_between_two_voxels_is_shared_by_them(axis):
+    grid, n = reference.grid_of((3, 3, 3), SPACING), np.eye(3)[axis]
+    inner, outer = (region.cut_voxel(sign * 0.5 * SPACING[axis], *n, grid) for sign in (-1, 1))
+    assert inner[1] + outer[1] == pytest.approx(np.prod(SPACING) / SPACING[axis], rel=1e-6)
+    assert inner[0] + outer[0] == pytest.approx(1, abs=1e-6)
+    assert inner[0] > 0.9999
+
+
 def test_area_is_the_derivative_of_the_share():
     grid, n, volume = reference.grid_of((3, 3, 3), SPACING), np.array((0.48, 0.6, 0.64)), np.prod(SPACING)
     for psi in np.linspace(-0.9, 0.9, 13):

@@ -34,17 +34,16 @@ def cut_voxel(psi, gz, gy, gx, grid):
     a = abs(gz) / norm * grid.hz
     b = abs(gy) / norm * grid.hy
     c = abs(gx) / norm * grid.hx
+    # A direction along a face has m = 0, where the formula is 0/0: this much tilt changes nothing visible, and
+    # shares a face that lies exactly between two voxels among them.
+    least = 1e-4 * (a + b + c)
+    a, b, c = max(a, least), max(b, least), max(c, least)
     total = a + b + c
     s = 0.5 * total - psi
     if s <= 0.0:
         return 0.0, 0.0
     if s >= total:
         return 1.0, 0.0
-    # A direction along a face has m = 0, where the formula is 0/0: this much tilt changes nothing visible.
-    least = 1e-4 * total
-    a, b, c = max(a, least), max(b, least), max(c, least)
-    total = a + b + c
-    s = min(max(0.5 * total - psi, 0.0), total)
     volume = cube(s) - cube(s - a) - cube(s - b) - cube(s - c)
     volume += cube(s - a - b) + cube(s - a - c) + cube(s - b - c)
     area = square(s) - square(s - a) - square(s - b) - square(s - c)
