@@ -63,10 +63,13 @@ def interpolate(array, positions):
     nodes = [base[:, None] + np.arange(w.shape[1]) for base, w, _, _ in axes]
     block = array[nodes[0][:, :, None, None], nodes[1][:, None, :, None], nodes[2][:, None, None, :]]
     gradient = np.empty_like(positions)
-    for a in range(3):
-        z, y, x = (axes[b][2] if b == a else axes[b][1] for b in range(3))
-        gradient[:, a] = np.einsum("mijk,mi,mj,mk->m", block, z, y, x)
-    value = np.einsum("mijk,mi,mj,mk->m", block, axes[0][1], axes[1][1], axes[2][1])
+    for along in (None, 0, 1, 2):
+        z, y, x = (axes[b][2] if b == along else axes[b][1] for b in range(3))
+        line = np.einsum("mij,mj->mi", np.einsum("mijk,mk->mij", block, x), y)
+        if along is None:
+            value = np.einsum("mi,mi->m", line, z)
+        else:
+            gradient[:, along] = np.einsum("mi,mi->m", line, z)
     beyond = np.stack([axis[3] for axis in axes], axis=1)
     return value + (gradient * beyond).sum(axis=1), gradient
 
@@ -130,7 +133,7 @@ def closest_points(psi, spacing, cells, parts=4):
     ways = np.array([w for w in itertools.product((-1, 0, 1), repeat=3) if any(w)], float)
     ways /= np.linalg.norm(ways, axis=1)[:, None]
     radius = h.max() / parts
-    for _ in range(14):
+    for _ in range(12):
         tried = (foot[:, None] + radius * ways).reshape(-1, 3)
         tried = pull_to_zero(psi, spacing, tried, 2).reshape(len(foot), len(ways), 3)
         tried = np.concatenate([foot[:, None], tried], axis=1)

@@ -198,7 +198,12 @@ def test_march_of_a_plane_gives_exact_feet_and_all_cells_within_reach(spacing):
     assert np.count_nonzero(dense.slot >= 0) == cells.size
     frozen = state != march.OPEN
     want = -psi.ravel()[cells, None] * n
-    np.testing.assert_allclose(foot[frozen], want[frozen], atol=2e-5)
+    at = np.stack(np.unravel_index(cells, shape), axis=1) + want / spacing
+    reached = frozen & ((at >= 0) & (at <= np.array(shape) - 1)).all(axis=1)
+    assert reached.sum() > 0.5 * frozen.sum()
+    np.testing.assert_allclose(foot[reached], want[reached], atol=2e-5)
+    # Where the closest point lies beyond the border, another may be taken.
+    assert (np.linalg.norm(foot[frozen], axis=1) > np.abs(psi.ravel()[cells[frozen]]) - 1e-5).all()
     grid = reference.grid_of(shape, spacing)
     reach = np.array([voxels_along(*(-d * n), grid) for d in psi.ravel()])
     assert set(np.flatnonzero(reach < 2.4)) <= set(cells[frozen])
