@@ -144,3 +144,16 @@ def test_slots_that_are_not_of_this_band_do_not_count():
     assert found
     assert got == pytest.approx(want, abs=1e-6)
     assert want != pytest.approx(interpolate.value_at(dense.ravel(), grid, *p, np.empty(24)), abs=1e-3)
+
+
+def test_one_unknown_node_of_the_stencil_is_enough_for_the_linear_fall_back():
+    shape = (6, 7, 8)
+    slot, values, dense = band_of(shape, np.ones(shape, bool), 14)
+    grid, p = reference.grid_of(shape, SPACING), np.array([2.4, 3.3, 2.6])
+    known = np.ones(values.size, bool)
+    cubic, _ = interpolate.band_value_at(values, slot, values.size, grid, p, np.empty(24), known)
+    known[int(np.ravel_multi_index((1, 2, 1), shape))] = False  # a corner of the 4 x 4 x 4
+    got, found = interpolate.band_value_at(values, slot, values.size, grid, p, np.empty(24), known)
+    assert found
+    assert got == pytest.approx(reference.linear(dense, p)[0], abs=1e-6)
+    assert got != pytest.approx(cubic, abs=1e-3)

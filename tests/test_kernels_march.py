@@ -48,6 +48,11 @@ def plane(shape, spacing, direction, offset):
     return direction[0] * z + direction[1] * y + direction[2] * x - offset, direction
 
 
+def crosses(psi, cell, other):
+    """Whether the surface lies between a voxel and a raveled neighbour (-1: beyond the border)."""
+    return other >= 0 and (psi.ravel()[other] < 0) != (psi[cell] < 0)
+
+
 @pytest.mark.parametrize("shape", [(4, 3, 5), (1, 3, 4), (2, 1, 3)])
 def test_neighbours_and_unravel_at_every_voxel(shape):
     grid = reference.grid_of(shape, UNEQUAL)
@@ -86,9 +91,12 @@ def test_first_guess_and_crossings_of_a_plane_are_exact(direction, spacing):
         assert (bound >= 0) == front[cell]
         if bound >= 0:
             assert bound >= abs(psi[cell]) * (1 - 1e-9)
+            # The nearest of the points where the edges to the neighbours cross the plane.
+            slopes = [abs(n[a]) for a in range(3) for o in near[2 * a : 2 * a + 2] if crosses(psi, cell, o)]
+            assert bound == pytest.approx(abs(psi[cell]) / max(slopes), rel=1e-9)
             # Exact where every axis that the plane is not parallel to has a crossing.
             complete = all(
-                any(o >= 0 and (psi.ravel()[o] < 0) != (psi[cell] < 0) for o in near[2 * a : 2 * a + 2])
+                any(crosses(psi, cell, o) for o in near[2 * a : 2 * a + 2])
                 for a in range(3)
                 if abs(n[a]) > 1e-9
             )

@@ -63,10 +63,11 @@ def test_area_is_the_derivative_of_the_share():
         assert region.cut_voxel(psi, *n, grid)[1] == pytest.approx(rise * volume / (2 * step), abs=2e-3)
 
 
+@pytest.mark.parametrize("direction", [(0.3, -0.7, 0.65), (1 / 3.0, 1, 1 / 0.7)])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6)])
-def test_cut_band_of_a_plane_is_exact_up_to_the_border(shape):
+def test_cut_band_of_a_plane_is_exact_up_to_the_border(shape, direction):
     """Shares add up to the volume on one side, areas to the polygon that the plane cuts out of the box."""
-    n = np.array((0.3, -0.7, 0.65))
+    n = np.array(direction)
     if shape[0] == 1:
         n[0] = 0  # kernels see no slope across a single slice
     n /= np.linalg.norm(n)
@@ -82,6 +83,21 @@ def test_cut_band_of_a_plane_is_exact_up_to_the_border(shape):
     assert area.sum() == pytest.approx(want_area, rel=2e-3)
     each = [reference.cut_voxel(float(d), n, SPACING)[0] for d in psi.ravel()]
     np.testing.assert_allclose(part, each, atol=4e-4)
+
+
+def test_cut_band_reaches_the_corners_of_the_voxels():
+    """A plane across the diagonal cuts off the last corner of voxels half a diagonal away."""
+    shape, n = (6, 7, 8), np.full(3, 1 / np.sqrt(3))
+    z, y, x = reference.coordinates(shape, (1, 1, 1), (2.5, 3.0, 3.5))
+    psi = ((z + y + x - 0.4) / np.sqrt(3)).astype(np.float32)
+    dense, band = reference.whole_band(psi)
+    part, area = np.empty(psi.size), np.empty(psi.size)
+    region.cut_band(0, psi.size, dense.psi, reference.grid_of(shape, (1, 1, 1)), band, part, area)
+    want = np.array([reference.cut_voxel(float(d), n, (1, 1, 1)) for d in psi.ravel()])
+    far = np.abs(psi.ravel()) > 0.75
+    assert want[far, 1].max() > 5e-3
+    np.testing.assert_allclose(part, want[:, 0], atol=1e-4)
+    np.testing.assert_allclose(area, want[:, 1], atol=2e-3)
 
 
 @pytest.mark.parametrize("epsilon", [1.0, 1.5, 2.5])
