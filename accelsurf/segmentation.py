@@ -83,9 +83,13 @@ class Result:
 
         In one slice, where caps would be all of it: the contour's length times the thickness of the slice.
         """
-        if min(self.labels.shape) == 1:
-            return self.ledger[-1].area_mm2
-        return self.surface.area if self.labels.any() else 0.0
+        if not self.labels.any():
+            return 0.0
+        area = self.surface.area
+        for n, h in zip(self.labels.shape, self.geometry.spacing, strict=True):
+            if n == 1:  # the caps of the prism: twice its volume over its thickness
+                area -= 2.0 * self.surface.volume / h
+        return area
 
     @cached_property
     def components(self) -> int:

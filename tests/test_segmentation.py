@@ -71,9 +71,12 @@ def test_the_image_is_never_modified():
 
 def test_scale_and_offset_of_the_image_do_not_matter():
     image = noisy()
-    one = segment(image, start="ball:19,17,15,6", smoothness=0.1)
-    other = segment(image * 0.01 + 7, start="ball:19,17,15,6", smoothness=0.1)
-    assert dice(one.labels, other.labels) > 0.999
+    one, four, other = (
+        segment(i, start="ball:19,17,15,6", smoothness=0.1) for i in (image, 4 * image, 0.01 * image + 7)
+    )
+    # A factor of 4 rounds nothing; other factors round each voxel, and in noise a run multiplies that.
+    np.testing.assert_array_equal(four.labels, one.labels)
+    assert dice(one.labels, other.labels) > 0.98
 
 
 def test_a_dark_object_is_found_as_well():
