@@ -163,12 +163,12 @@ def test_the_solver_gives_the_closed_forms() -> None:
 #: The step is 0.5 h, the CFL number, where the surface moves at most at unit speed by half a voxel; C and H turn
 #: round within 0.3 time units in a well as steep as 1/0.1, and need half of it for the same error in time.
 WANTED = {
-    "A": (0.5, 0.02, 1.65),
-    "B": (0.5, 0.02, 1.75),
-    "C": (0.25, 0.02, 1.65),
+    "A": (0.5, 0.02, 1.7),
+    "B": (0.5, 0.02, 1.8),
+    "C": (0.25, 0.02, 1.7),
     "F": (0.25, 0.02, 1.8),
-    "G": (0.5, 0.02, 1.7),
-    "H": (0.25, 0.02, 1.55),
+    "G": (0.5, 0.02, 1.75),
+    "H": (0.25, 0.02, 1.7),
 }
 
 
@@ -176,9 +176,11 @@ WANTED = {
 def test_sphere_and_circle_follow_the_exact_solution(name: str) -> None:
     """Every point within 0.02 voxels of the exact surface at every step, on 64^3.
 
-    The order (measured 1.75, 1.88, 1.77, 1.8, 1.81, 1.7 for A, B, C, F, G, H) is a little below the 2 of the scheme.
-    What is left at these steps is the drift: Godunov's |grad psi| with minmod-limited differences errs by
-    c (h/r)^2, and the limiter's choice of differences makes c still fall a little with h (order 1.96 from 64 to 96).
+    Measured on 64^3: 0.012, 0.009, 0.016, 0.011, 0.019, 0.016 h for A, B, C, F, G, H, with orders 1.75, 1.90, 1.77,
+    3.1, 1.81, 1.74 of the mean radius. Not all reach 1.8: what is left at these steps is the drift, whose Godunov
+    |grad psi| with minmod-limited differences errs by c (h/r)^2 with a c that still grows a little towards its limit
+    (order 1.96 from 64 to 96 for a sphere at constant speed). With |grad psi| = 1, which a distance has, errors are
+    four times smaller and orders above 2; but upwinding is what smooths noise, so the flow keeps it.
     """
     case, (step, tolerance, least) = exact.CASES[name], WANTED[name]
     misfits = [follow(case, lattice(n, flat=case.dim == 2), step * WIDTH / (n - 1)) for n in SIZES]
@@ -194,15 +196,17 @@ def test_sphere_and_circle_follow_the_exact_solution(name: str) -> None:
     assert order(means) >= least or means[-1] <= 0.003 * h
 
 
-@pytest.mark.parametrize("coarse_axis", [0, 1])
-@pytest.mark.parametrize(("name", "mean", "point"), [("B", 0.02, 0.03), ("C", 0.04, 0.1)])
-def test_exact_solutions_on_an_anisotropic_grid(name: str, mean: float, point: float, coarse_axis: int) -> None:
-    """Spacing 2:1:1; in h, the finer one.
+@pytest.mark.parametrize(
+    ("name", "coarser", "mean", "point"),
+    [("B", (2, 1, 1), 0.015, 0.02), ("B", (1, 3, 1), 0.02, 0.04), ("C", (1, 1, 2), 0.03, 0.08)],
+)
+def test_exact_solutions_on_an_anisotropic_grid(name: str, coarser: Triple, mean: float, point: float) -> None:
+    """Spacings 2:1:1 and 3:1:1; errors in h, the finer one.
 
     At its smallest (r = 0.39) case C is 3.5 of the coarse voxels in radius, and its image rises within one of them:
-    its poles are off by 0.05 h, its mean by 0.02 h. Case B, with a smooth force, is as good as on the isotropic grid.
+    its poles are off by 0.05 h, its mean by 0.02 h. Case B, with a smooth force, is as good as on the isotropic grid
+    (3:1:1: 0.015 h and 0.025 h).
     """
-    coarser = (2, 1, 1) if coarse_axis == 0 else (1, 2, 1)
     h = WIDTH / 63
     misfit = follow(exact.CASES[name], lattice(64, coarser), WANTED[name][0] * h)
     print(f"\n{name} {coarser}: {misfit.mean / h:.4f} h, {misfit.point / h:.4f} h")
@@ -295,7 +299,7 @@ def test_plane_front(k: float, axis: int) -> None:
 
 
 def test_descent_of_the_area_shrinks_a_sphere_as_it_must() -> None:
-    n, te = 48, 3.0
+    n, te = 32, 3.0
     h, on = WIDTH / (n - 1), lattice(n)
     surface = LevelSet(on.radius - 1.0, on.spacing)
     t = 0.0
@@ -326,19 +330,19 @@ def test_descent_of_case_c_converges_to_its_equation() -> None:
 
 @pytest.mark.parametrize("name", ["B", "C"])
 def test_the_wrong_sign_of_the_transport_term_misses_the_exact_solution(name: str) -> None:
-    """By 40 times the tolerance of the right one; the flow is sound otherwise: it follows its own wrong equation."""
+    """By 20 times the tolerance of the right one and more; otherwise sound: it follows its own wrong equation."""
     case = replace(exact.CASES[name], t_end=2.0 if name == "B" else 1.0)
-    h, on = WIDTH / 47, lattice(48)
-    assert follow(case, on, 0.5 * h, BentWrongly(diffusion=0.0)).mean > 0.8 * h
+    h, on = WIDTH / 31, lattice(32)
+    assert follow(case, on, 0.5 * h, BentWrongly(diffusion=0.0)).mean > 0.4 * h
     own = exact.with_wrong_transport(case)
     assert follow(case, on, 0.5 * h, BentWrongly(diffusion=0.0), exactly=own).mean < 0.03 * h
 
 
 def test_the_printed_pair_of_signs_moves_the_surface_the_wrong_way() -> None:
     case = replace(exact.B, r0=0.9, t_end=0.8)
-    h, on = WIDTH / 47, lattice(48)
+    h, on = WIDTH / 31, lattice(32)
     assert follow(case, on, 0.5 * h).point < 0.02 * h
-    assert follow(case, on, 0.5 * h, AsPrinted(diffusion=0.0)).mean > 2.5 * h
+    assert follow(case, on, 0.5 * h, AsPrinted(diffusion=0.0)).mean > 1.5 * h
     printed = exact.with_wrong_force(case)
     assert follow(case, on, 0.5 * h, AsPrinted(diffusion=0.0), exactly=printed).point < 0.02 * h
 
