@@ -16,10 +16,25 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from accelsurf.errors import UsageError
 
-EnergyName = Literal["chan-vese"]
-FlowName = Literal["constant-density", "gradient"]
+EnergyName = Literal["chan-vese", "geodesic"]
+FlowName = Literal["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"]
 MeshFormat = Literal["ply", "stl", "obj", "vtp"]
 LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd"]
+
+
+#: Settings that are true or false.
+SWITCHES = ("save_sdf", "reproducible")
+_WITH_MOMENTUM = ("constant-density", "flowable-mass")
+#: Flows and energies that a setting means something to; settings not named here mean something to all.
+_ONLY_FOR: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("k", "t0", "lam", "rho", "friction", "noise", "noise_length", "noise_time"), _WITH_MOMENTUM),
+    "gravity": ("flowable-mass",),
+    "diffusion": (*_WITH_MOMENTUM, "gradient"),
+    "sobolev_length": ("sobolev",),
+    "blend": ("momentum",),
+    **dict.fromkeys(("balance", "epsilon"), ("chan-vese",)),
+    **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), ("geodesic",)),
+}
 
 
 def _one_or_many(value: Any) -> Any:
@@ -63,11 +78,14 @@ class RunConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
     energy: EnergyName = Field(
-        "chan-vese", description="Energy to minimise. chan-vese: two regions, each with its own mean."
+        "chan-vese",
+        description="Energy to minimise. chan-vese: two regions, each with its own mean; geodesic: the area, counted "
+        "less where the image has edges.",
     )
     flow: FlowName = Field(
         "constant-density",
-        description="How the surface moves: constant-density (with momentum) or gradient (descent, the baseline).",
+        description="How the surface moves. With momentum: constant-density, or flowable-mass (mass that flows along "
+        "the surface). Descent, as baselines: gradient, sobolev (smoothed gradient), momentum (Andersson et al. 2013).",
     )
     start: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = Field(
         ("center",),
@@ -90,13 +108,53 @@ class RunConfig(BaseModel):
     presmooth: float = Field(
         0.0, ge=0, description="Sigma of a Gaussian applied to the image before the run, in mm; 0 for none."
     )
-    k: float = Field(2.0, gt=1, description="Order of the accelerated flow (no unit); it sets the friction (k+1)/t.")
+    edge_scale: Annotated[float, Field(gt=0)] | Literal["auto"] = Field(
+        "auto",
+        description="Scale at which the geodesic energy sees edges: sigma of the Gaussian gradient, in mm; "
+        "auto is one voxel (the largest spacing).",
+    )
+    edge_contrast: Annotated[float, Field(gt=0)] | Literal["auto"] = Field(
+        "auto",
+        description="Gradient magnitude that counts as half an edge, in parts of the image's range per mm; "
+        "auto takes it from the image.",
+    )
+    balloon: float = Field(
+        0.0,
+        description="Pressure of the geodesic energy away from edges, per mm: above 0 the surface shrinks, "
+        "below 0 it grows.",
+    )
+    k: float = Field(2.0, gt=0, description="Order of the accelerated flow (no unit); it sets the friction (k+1)/t.")
+    t0: Annotated[float, Field(ge=0)] | Literal["auto"] = Field(
+        "auto",
+        description="Time on the clock of the friction (k+1)/t when the surface starts at rest; auto is 0, "
+        "or with k <= 1, where that is impossible, the time in which the first step is made.",
+    )
     lam: float = Field(1.0, gt=0, description="Strength of the energy against inertia (no unit), the paper's lambda.")
     rho: float = Field(1.0, gt=0, description="Mass per area of the surface (relative units).")
-    diffusion: Annotated[float, Field(ge=0)] | Literal["auto"] = Field(
+    gravity: float = Field(
+        0.0, ge=0, description="Strength g of the mass potential of flowable-mass, which evens its density out."
+    )
+    diffusion: Annotated[float, Field(ge=0)] | Literal["auto", "free"] = Field(
         "auto",
-        description="Diffusion of the surface's speed along the surface, in mm^2 per unit of flow time; "
-        "auto chooses it from the voxel size, 0 is none.",
+        description="Diffusion of the surface's speed along the surface, in mm^2 per unit of flow time; 0 is none; "
+        "free is as much as costs no shorter step, within a mixing length; auto is free with momentum, else none.",
+    )
+    noise: float = Field(
+        0.0,
+        ge=0,
+        description="Strength of random acceleration, smooth in space, in mm per unit of flow time^1.5; 0 is none.",
+    )
+    noise_length: Annotated[float, Field(gt=0)] | Literal["auto"] = Field(
+        "auto", description="Correlation length of the noise, in mm; auto is 4 voxels (the largest spacing)."
+    )
+    noise_time: Annotated[float, Field(gt=0)] | Literal["auto"] = Field(
+        "auto", description="How long the noise acts, in flow time; auto is until the first restart."
+    )
+    sobolev_length: Annotated[float, Field(gt=0)] | Literal["auto"] = Field(
+        "auto", description="Length over which the sobolev flow smooths the force, in mm; auto is 5 voxels."
+    )
+    blend: float = Field(
+        0.8, ge=0, lt=1, description="Part of the last step that the momentum flow keeps in the next (no unit)."
     )
     friction: Annotated[float, Field(gt=0)] | Literal["t"] = Field(
         "t", description="Friction of the accelerated flow: t is (k+1)/t, a number is constant, per unit of flow time."
@@ -119,7 +177,9 @@ class RunConfig(BaseModel):
         le=2.5,
         description="Half width of the smeared interface in the energy, in voxels along the normal; 0 is sharp.",
     )
-    half_width: int = Field(3, ge=3, le=32, description="Half width of the narrow band, in voxels.")
+    half_width: Annotated[int, Field(ge=3, le=32)] | Literal["auto"] = Field(
+        "auto", description="Half width of the narrow band, in voxels; auto is 3, for flowable-mass 4."
+    )
     mesh: Annotated[tuple[MeshFormat, ...], BeforeValidator(_split_commas)] = Field(
         ("ply",), min_length=1, description="Mesh formats to write, separated by commas: ply, stl, obj, vtp."
     )
@@ -130,7 +190,10 @@ class RunConfig(BaseModel):
     format: LabelFormat | None = Field(
         None, description="Format of the label map: nii.gz, nii, nrrd, mha or mhd. Follows the input unless given."
     )
-    seed: int = Field(0, ge=0, description="Seed of everything random in the run.")
+    seed: Annotated[int, Field(ge=0)] | None = Field(
+        None, description="Seed of everything random in the run; drawn and reported unless given."
+    )
+    reproducible: bool = Field(False, description="Refuse to run anything random without a seed.")
     threads: int = Field(1, ge=1, description="Number of threads; the result does not depend on it.")
 
     def __init__(self, **values: Any) -> None:
@@ -138,13 +201,42 @@ class RunConfig(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise _usage_error(error, values) from None
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Refuse values that are valid one by one but not together."""
+        if self.reproducible and self.noise > 0 and self.seed is None:
+            raise UsageError(
+                f"seed: none was given, expected a whole number at least 0: noise {self.noise:g} is random and the run "
+                "is to be reproducible",
+                "add --seed 1, or leave --reproducible out",
+            )
+        if self.t0 == 0 and self.k <= 1:
+            raise UsageError(
+                f"t0: 0 was given, expected a number greater than 0 with k = {self.k:g}",
+                "for k <= 1 the accelerated flow has no start from rest at time 0; auto chooses a time",
+            )
+
+    def unused(self) -> list[str]:
+        """Return the settings that were changed from their defaults and mean nothing to this flow and energy.
+
+        Examples
+        --------
+        >>> RunConfig(flow="gradient", gravity=0.1).unused()
+        ['gravity']
+        """
+        return [
+            key
+            for key, users in _ONLY_FOR.items()
+            if self.flow not in users and self.energy not in users and getattr(self, key) != _default(key)
+        ]
 
     @model_validator(mode="before")
     @classmethod
     def _no_truth_for_numbers(cls, values: Any) -> Any:
         # Pydantic takes True for 1; in a configuration file that is always a mistake.
         for key, value in values.items() if isinstance(values, dict) else ():
-            if isinstance(value, bool) and key in cls.model_fields and key != "save_sdf":
+            if isinstance(value, bool) and key in cls.model_fields and key not in SWITCHES:
                 raise UsageError(*_complaint(key, value))
         return values
 
@@ -216,6 +308,10 @@ class RunConfig(BaseModel):
         return cls.model_json_schema()
 
 
+def _default(key: str) -> Any:
+    return RunConfig.model_fields[key].default
+
+
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Read a TOML file as a dictionary.
 
@@ -282,7 +378,7 @@ def expected(key: str) -> str:
     Examples
     --------
     >>> expected("diffusion"), expected("restart")
-    ('a number at least 0, or auto', 'auto or off')
+    ('a number at least 0, auto or free', 'auto or off')
     """
     words = _in_words(RunConfig.json_schema()["properties"][key])
     return " or ".join(words) if len(words) < 3 else ", ".join(words[:-1]) + " or " + words[-1]

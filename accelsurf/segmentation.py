@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from accelsurf import report, starts
 from accelsurf.config import RunConfig
-from accelsurf.energies import ChanVese
+from accelsurf.energies import ChanVese, Energy
 from accelsurf.errors import InputError
 from accelsurf.evolution import Evolution, Restart, Row, Step, Stop, StopRule
 from accelsurf.flows import ConstantDensity, Flow, Gradient, Limits
@@ -231,10 +231,10 @@ class Run:
         self.image = scaled(smoothed)
         self.workers = Workers(config.threads)
         spacing = volume.geometry.spacing
-        surface = LevelSet(psi, spacing, config.half_width, self.workers)
+        surface = LevelSet(psi, spacing, half_width(config), self.workers)
         self.evolution = Evolution(
             surface,
-            ChanVese(self.image, config.smoothness, epsilon=config.epsilon, balance=config.balance),
+            make_energy(config, self.image, spacing),
             make_flow(config),
             Limits(config.cfl, config.percentile),
             config.max_steps,
@@ -261,12 +261,27 @@ class Run:
         )
 
 
+def half_width(config: RunConfig) -> float:
+    """Half width of the band in voxels: ``auto`` is what the flow needs.
+
+    The mass of flowable-mass is carried along the surface by cubic interpolation, which reaches further.
+    """
+    if config.half_width == "auto":
+        return 4.0 if config.flow == "flowable-mass" else 3.0
+    return float(config.half_width)
+
+
+def make_energy(config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
+    """The energy that a configuration asks for, of an image on a grid of ``spacing`` (hz, hy, hx) mm."""
+    return ChanVese(image, config.smoothness, epsilon=config.epsilon, balance=config.balance)
+
+
 def make_flow(config: RunConfig) -> Flow:
     """The flow that a configuration asks for.
 
     With diffusion ``auto`` momentum gets its mixing-length diffusion and descent none: it is the plain baseline.
     """
-    diffusion = None if config.diffusion == "auto" else config.diffusion
+    diffusion = None if config.diffusion in ("auto", "free") else config.diffusion
     if config.flow == "gradient":
         return Gradient(diffusion or 0.0)
     friction = None if config.friction == "t" else config.friction

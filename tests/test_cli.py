@@ -184,7 +184,9 @@ def test_every_setting_is_an_option(capsys):
         **dict(flow="gradient", start=("center", "ball:-1,2,-3,4"), smoothness=1.5, presmooth=0.5, k=3, lam=2, rho=0.5),
         **dict(diffusion=0.25, friction=2, restart="off", cfl=0.25, max_steps=9, percentile=90, epsilon=2),
         **dict(mesh="obj,vtp", mesh_space="ras", save_sdf=True, half_width=5, balance=1.5, format="nrrd"),
-        **dict(seed=5, threads=2),
+        **dict(seed=5, threads=2, energy="geodesic", edge_scale=1.5, edge_contrast=0.2, balloon=-0.5),
+        **dict(t0=0.1, gravity=2, noise=0.5, noise_length=6, noise_time=2, sobolev_length=7),
+        **dict(blend=0.6, reproducible=True),
     )
     words = []
     for key, value in values.model_dump().items():
@@ -202,7 +204,7 @@ def test_every_setting_is_an_option(capsys):
     [
         (("--smoothness", "-1"), "smoothness: -1 was given, expected a number at least 0"),
         (("--cfl", "fast"), "cfl: fast was given"),
-        (("--flow", "sobolov"), "expected constant-density or gradient"),
+        (("--flow", "sobolov"), "gradient, sobolev or momentum"),
         (("--mesh", "ply,glb"), "one or more of ply, stl, obj, vtp"),
         (("--friction", "0"), "a number greater than 0, or t"),
         (("--smothness", "1"), "Did you mean --smoothness"),
@@ -418,7 +420,7 @@ def test_compare_refuses_a_reference_on_another_grid(scans, tmp_path, capsys):
 def test_info(capsys):
     assert run("info", "--json") == 0
     facts = json.loads(capsys.readouterr().out)
-    assert set(facts["flows"]) == {"gradient", "constant-density"} and "chan-vese" in facts["energies"]
+    assert {"gradient", "flowable-mass"} < set(facts["flows"]) and "chan-vese" in facts["energies"]
     assert {"ball", "box", "label", "threshold", "center"} <= set(facts["starts"])
     assert "interrupted" in facts["stop_reasons"] and facts["exit_codes"]["130"]
     assert set(facts["config_schema"]["properties"]) == set(RunConfig.model_fields)

@@ -22,7 +22,7 @@ def compare(
     input: Annotated[Path | None, Parameter(name=("--input", "-i"), group=FILES)] = None,
     *,
     output: Output = None,
-    flows: Annotated[str, Parameter(group=RUN)] = ",".join(reversed(FLOWS)),
+    flows: Annotated[str, Parameter(group=RUN)] = "gradient,constant-density",
     reference: Annotated[Path | None, Parameter(group=FILES)] = None,
     config: Annotated[Path | None, Parameter(group=FILES)] = None,
     overwrite: Overwrite = False,
