@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ from accelsurf.config import RunConfig
 from accelsurf.energies import ChanVese, Energy
 from accelsurf.errors import InputError
 from accelsurf.evolution import Evolution, Restart, Row, Step, Stop, StopRule
-from accelsurf.flows import ConstantDensity, Flow, Gradient, Limits
+from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Limits, Momentum, Noise, Sobolev
 from accelsurf.geometry import Geometry
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.surface import Surface, extract
@@ -225,6 +226,9 @@ class Run:
     def __init__(self, volume: Volume, config: RunConfig) -> None:
         began = time.perf_counter()
         check_image(volume)
+        if config.noise > 0 and config.seed is None:
+            # Drawn once and kept: the report's settings then repeat the run.
+            config = config.replace(seed=secrets.randbelow(2**31))
         self.volume, self.config = volume, config
         smoothed = presmoothed(volume, config.presmooth)
         psi = starts.build(config.start, volume, smoothed)
@@ -258,6 +262,10 @@ class Run:
             stop=stop,
             seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
             volume=self.volume,
+            warnings=[
+                f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.config.energy}"
+                for key in self.config.unused()
+            ],
         )
 
 
@@ -281,11 +289,43 @@ def make_flow(config: RunConfig) -> Flow:
 
     With diffusion ``auto`` momentum gets its mixing-length diffusion and descent none: it is the plain baseline.
     """
-    diffusion = None if config.diffusion in ("auto", "free") else config.diffusion
-    if config.flow == "gradient":
-        return Gradient(diffusion or 0.0)
-    friction = None if config.friction == "t" else config.friction
-    return ConstantDensity(config.k, config.lam, config.rho, friction, diffusion)
+    return FLOWS[config.flow](config)
+
+
+def _gradient(config: RunConfig) -> Flow:
+    diffusion = 0.0 if config.diffusion == "auto" else _number(config.diffusion)
+    return Gradient(diffusion)
+
+
+def _common(config: RunConfig) -> dict[str, Any]:
+    noise = None
+    if config.noise > 0:
+        assert config.seed is not None
+        noise = Noise(config.noise, _number(config.noise_length), config.seed, _number(config.noise_time))
+    return {
+        "k": config.k,
+        "lambda_": config.lam,
+        "rho": config.rho,
+        "friction": _number(config.friction),
+        "diffusion": _number(config.diffusion),
+        "t0": _number(config.t0),
+        "noise": noise,
+    }
+
+
+def _number(value: float | str) -> float | None:
+    """A setting that is a number or a word: None for the word."""
+    return None if isinstance(value, str) else value
+
+
+#: How to make each flow from a configuration.
+FLOWS: dict[str, Callable[[RunConfig], Flow]] = {
+    "constant-density": lambda config: ConstantDensity(**_common(config)),
+    "flowable-mass": lambda config: FlowableMass(config.gravity, **_common(config)),
+    "gradient": _gradient,
+    "sobolev": lambda config: Sobolev(_number(config.sobolev_length)),
+    "momentum": lambda config: Momentum(config.blend),
+}
 
 
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:

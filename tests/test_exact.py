@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from accelsurf.energies import ChanVese, Energy, RegionField
 from accelsurf.evolution import Evolution, Row
-from accelsurf.flows import ConstantDensity, Flow, Gradient, Limits, Move
+from accelsurf.flows import ConstantDensity, Flow, Gradient, Limits, Move, Now
 from accelsurf.levelset import LevelSet
 from tests import exact
 from tests.exact import Case
@@ -107,23 +107,23 @@ def order(errors: list[float]) -> float:
 class BentWrongly(ConstantDensity):
     """The 1/2 beta^2 H term with the sign that the paper prints for surfaces (after f and beta are turned inward)."""
 
-    def move(self, surface: LevelSet, front: Any, force: Any, curvature: Any, *rest: Any) -> Move:
-        return super().move(surface, front, force, -curvature, *rest)
+    def move(self, now: Now, limits: Limits) -> Move:
+        return super().move(now._replace(curvature=-now.curvature), limits)
 
 
 class AsPrinted(ConstantDensity):
     """The paper's printed pair for surfaces: psi_t = -beta |grad psi| and + div(1/2 beta^2 n)."""
 
-    def move(self, *args: Any) -> Move:
-        move = super().move(*args)
+    def move(self, now: Now, limits: Limits) -> Move:
+        move = super().move(now, limits)
         return move._replace(speed=-move.speed)
 
 
 class DescentAsPrinted(Gradient):
     """The paper's printed gradient flow: psi_t = -f |grad psi|."""
 
-    def move(self, *args: Any) -> Move:
-        move = super().move(*args)
+    def move(self, now: Now, limits: Limits) -> Move:
+        move = super().move(now, limits)
         return move._replace(speed=-move.speed)
 
 
