@@ -86,7 +86,7 @@ def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.n
         return out
 
     right = eta * force
-    g = np.where(eta > 0, guess, 0.0)
+    g = guess.astype(np.float64)
     residue = right - product(g)
     enough = TOLERANCE**2 * _dot(right, right / diagonal)
     way = np.zeros(n)

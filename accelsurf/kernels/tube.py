@@ -18,22 +18,20 @@ def tube_weight(start, stop, grid, band, width, eta):
 
 @kernel
 def tube_product(start, stop, slot, grid, cells, eta, length, field, out):
-    """Product of the weighted operator with ``field`` (n,): eta g - ell^2 div(eta grad g) on the tube, 0 elsewhere.
+    """Product of the weighted operator with ``field`` (n,): eta g - ell^2 div(eta grad g) .
 
-    The weak form of sum eta (g^2 + ell^2 |grad g|^2)/2: symmetric; no flux through the edge of the tube.
+    The weak form of sum eta (g^2 + ell^2 |grad g|^2)/2, a face between two cells having the mean of their weights:
+    symmetric. Cells just off the tube take part (without them the faces at its edge would be lost).
     """
     near = np.empty(6, np.int64)
     for s in range(start, stop):
-        out[s] = 0.0
-        if eta[s] == 0.0:
-            continue
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
         total = 0.0
         for side in range(6):
             other = slot[near[side]] if near[side] >= 0 else -1
-            if other >= 0 and eta[other] > 0.0:
+            if other >= 0:
                 h = grid.hz if side < 2 else (grid.hy if side < 4 else grid.hx)
                 total += 0.5 * (eta[s] + eta[other]) * (field[s] - field[other]) / (h * h)
         out[s] = eta[s] * field[s] + length * length * total
@@ -41,19 +39,17 @@ def tube_product(start, stop, slot, grid, cells, eta, length, field, out):
 
 @kernel
 def tube_diagonal(start, stop, slot, grid, cells, eta, length, out):
-    """Diagonal of `tube_product`'s operator; 1 off the tube."""
+    """Diagonal of `tube_product`'s operator; 1 where that is 0, away from the tube."""
     near = np.empty(6, np.int64)
     for s in range(start, stop):
-        out[s] = 1.0
-        if eta[s] == 0.0:
-            continue
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
         total = 0.0
         for side in range(6):
             other = slot[near[side]] if near[side] >= 0 else -1
-            if other >= 0 and eta[other] > 0.0:
+            if other >= 0:
                 h = grid.hz if side < 2 else (grid.hy if side < 4 else grid.hx)
                 total += 0.5 * (eta[s] + eta[other]) / (h * h)
-        out[s] = eta[s] + length * length * total
+        total = eta[s] + length * length * total
+        out[s] = total if total > 0.0 else 1.0
