@@ -104,7 +104,7 @@ def build(
         "error": dict(error) if error is not None else None,
         "versions": versions(),
         "argv": list(argv),
-        "config": config.model_dump(mode="json") if config is not None else None,
+        "config": describe_config(config, result),
         "input": dict(source) if source is not None else None,
         "seed": config.seed if config is not None else None,
         "threads": config.threads if config is not None else None,
@@ -114,6 +114,14 @@ def build(
         "warnings": [*(result.warnings if result is not None else ()), *warnings],
         "outputs": [dict(output) for output in outputs],
     }
+
+
+def describe_config(config: RunConfig | None, result: Result | None) -> dict[str, Any] | None:
+    """Return the settings of a run; ``energy`` is what the run had: ``custom: ClassName`` for one of the user's own."""
+    if config is None:
+        return None
+    settings = config.model_dump(mode="json")
+    return settings if result is None else {**settings, "energy": result.energy}
 
 
 def describe_result(result: Result | None) -> dict[str, Any]:
@@ -135,6 +143,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "message": result.stop.message,
         },
         "energy": {
+            "name": result.energy,
             "first": first.potential if first else None,
             "last": last.potential if last else None,
             "kinetic_last": last.kinetic if last else None,
