@@ -15,17 +15,21 @@ from scipy import ndimage
 
 from accelsurf import report, starts
 from accelsurf.config import RunConfig
-from accelsurf.energies import ChanVese, Energy
+from accelsurf.energies import Energy
 from accelsurf.errors import InputError
 from accelsurf.evolution import Evolution, Restart, Row, Step, Stop, StopRule
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Limits, Momentum, Noise, Sobolev
+from accelsurf.flows import Limits
 from accelsurf.geometry import Geometry
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.surface import Surface, extract
+from accelsurf.systems import half_width, make_energy, make_flow, own_energy
 from accelsurf.volume import Volume, check_image
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
+#: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
+#: `Result.image`, and the spacing, (hz, hy, hx) mm.
+EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,8 @@ class Result:
         The image as the energy saw it: presmoothed, 0 and 1 at its `SCALE_PERCENTILES`.
     geometry : Geometry
     config : RunConfig
+    energy : str
+        Name of the energy: that of ``config``, or ``custom: ClassName``.
     ledger : list of Row
         One row per step; the last records the final state.
     stop : Stop
@@ -58,6 +64,7 @@ class Result:
     image: NDArray[np.float32]
     geometry: Geometry
     config: RunConfig
+    energy: str
     ledger: list[Row]
     stop: Stop
     seconds: dict[str, float]
@@ -120,6 +127,7 @@ def segment(
     *,
     spacing: float | tuple[float, float, float] | None = None,
     config: RunConfig | None = None,
+    energy: EnergyLike | None = None,
     on_step: Callable[[Row], bool | None] | None = None,
     **options: Any,
 ) -> Result:
@@ -133,6 +141,10 @@ def segment(
         mm, for an array only; 1 by default.
     config : RunConfig, optional
         Settings; the defaults otherwise.
+    energy : str or Energy or callable, optional
+        A name, over that of ``config``; or an energy of your own (`accelsurf.energies.Energy`); or a class or function
+        that makes one of ``(image, spacing)``: the image as the named energies see it (`Result.image`) and
+        (hz, hy, hx) in mm. Settings of the named energies, such as ``smoothness``, are then refused.
     on_step : callable, optional
         Called with each `Row`; a true return value ends the run with the reason ``interrupted``.
     **options
@@ -145,9 +157,10 @@ def segment(
     Raises
     ------
     UsageError
-        When an option is unknown or out of bounds, or a start cannot be parsed.
+        When an option is unknown or out of bounds, a start cannot be parsed, or an energy lacks something.
     InputError
-        When the image has NaN or infinite voxels or is constant, or the start is outside, empty or full.
+        When the image has NaN or infinite voxels or is constant, the start is outside, empty or full, or an energy of
+        your own returns something else than numbers of the right shape.
 
     Examples
     --------
@@ -158,7 +171,7 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
-    run = Run(_as_volume(volume, spacing), _resolved(config, options))
+    run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
     with run.workers:
         for step in run.evolution:
             if on_step is not None and on_step(step.row):
@@ -171,13 +184,14 @@ def evolve(
     *,
     spacing: float | tuple[float, float, float] | None = None,
     config: RunConfig | None = None,
+    energy: EnergyLike | None = None,
     **options: Any,
 ) -> Iterator[Step]:
     """Run as `segment` does, yielding each step; leave the loop to end the run.
 
     Parameters
     ----------
-    volume, spacing, config, **options
+    volume, spacing, config, energy, **options
         As for `segment`.
 
     Yields
@@ -197,7 +211,7 @@ def evolve(
     >>> step.surface.labels.shape
     (24, 24, 24)
     """
-    run = Run(_as_volume(volume, spacing), _resolved(config, options))
+    run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
     with run.workers:
         yield from run.evolution
 
@@ -210,8 +224,13 @@ def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, floa
     return Volume.from_array(volume, 1.0 if spacing is None else spacing)
 
 
-def _resolved(config: RunConfig | None, options: dict[str, Any]) -> RunConfig:
-    return (config or RunConfig()).replace(**options) if options else config or RunConfig()
+def _resolved(
+    config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any]
+) -> tuple[RunConfig, EnergyLike | None]:
+    """The configuration, and the energy if it is not one with a name."""
+    if isinstance(energy, str):
+        options, energy = {**options, "energy": energy}, None
+    return (config or RunConfig()).replace(**options) if options else config or RunConfig(), energy
 
 
 class Run:
@@ -221,9 +240,11 @@ class Run:
     ----------
     volume : Volume
     config : RunConfig
+    energy : Energy or callable, optional
+        In place of the energy that ``config`` names; see `segment`.
     """
 
-    def __init__(self, volume: Volume, config: RunConfig) -> None:
+    def __init__(self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None) -> None:
         began = time.perf_counter()
         check_image(volume)
         if config.noise > 0 and config.seed is None:
@@ -236,9 +257,11 @@ class Run:
         self.workers = Workers(config.threads)
         spacing = volume.geometry.spacing
         surface = LevelSet(psi, spacing, half_width(config), self.workers)
+        own = None if energy is None else own_energy(energy, config, self.image, spacing)
+        self.energy_name = config.energy if own is None else own.name
         self.evolution = Evolution(
             surface,
-            make_energy(config, self.image, spacing),
+            own or make_energy(config, self.image, spacing),
             make_flow(config),
             Limits(config.cfl, config.percentile),
             config.max_steps,
@@ -258,74 +281,16 @@ class Run:
             image=self.image,
             geometry=self.volume.geometry,
             config=self.config,
+            energy=self.energy_name,
             ledger=self.evolution.ledger,
             stop=stop,
             seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
             volume=self.volume,
             warnings=[
-                f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.config.energy}"
+                f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.energy_name}"
                 for key in self.config.unused()
             ],
         )
-
-
-def half_width(config: RunConfig) -> float:
-    """Half width of the band in voxels: ``auto`` is what the flow needs.
-
-    The mass of flowable-mass is carried along the surface by cubic interpolation, which reaches further.
-    """
-    if config.half_width == "auto":
-        return 4.0 if config.flow == "flowable-mass" else 3.0
-    return float(config.half_width)
-
-
-def make_energy(config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
-    """The energy that a configuration asks for, of an image on a grid of ``spacing`` (hz, hy, hx) mm."""
-    return ChanVese(image, config.smoothness, epsilon=config.epsilon, balance=config.balance)
-
-
-def make_flow(config: RunConfig) -> Flow:
-    """The flow that a configuration asks for.
-
-    With diffusion ``auto`` momentum gets its mixing-length diffusion and descent none: it is the plain baseline.
-    """
-    return FLOWS[config.flow](config)
-
-
-def _gradient(config: RunConfig) -> Flow:
-    diffusion = 0.0 if config.diffusion == "auto" else _number(config.diffusion)
-    return Gradient(diffusion)
-
-
-def _common(config: RunConfig) -> dict[str, Any]:
-    noise = None
-    if config.noise > 0:
-        assert config.seed is not None
-        noise = Noise(config.noise, _number(config.noise_length), config.seed, _number(config.noise_time))
-    return {
-        "k": config.k,
-        "lambda_": config.lam,
-        "rho": config.rho,
-        "friction": _number(config.friction),
-        "diffusion": _number(config.diffusion),
-        "t0": _number(config.t0),
-        "noise": noise,
-    }
-
-
-def _number(value: float | str) -> float | None:
-    """A setting that is a number or a word: None for the word."""
-    return None if isinstance(value, str) else value
-
-
-#: How to make each flow from a configuration.
-FLOWS: dict[str, Callable[[RunConfig], Flow]] = {
-    "constant-density": lambda config: ConstantDensity(**_common(config)),
-    "flowable-mass": lambda config: FlowableMass(config.gravity, **_common(config)),
-    "gradient": _gradient,
-    "sobolev": lambda config: Sobolev(_number(config.sobolev_length)),
-    "momentum": lambda config: Momentum(config.blend),
-}
 
 
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
