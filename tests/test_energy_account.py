@@ -12,7 +12,8 @@ from accelsurf.energies import RegionField
 from accelsurf.evolution import Evolution, Restart, Row
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Limits, Noise
 from accelsurf.levelset import LevelSet
-from tests.test_exact import BentWrongly, lattice, spheroid
+from tests.follow import lattice
+from tests.test_exact import BentWrongly, spheroid
 
 
 def run(flow: Flow, alpha: float = 0.0, t_end: float = 2.0, n: int = 48, restart: Restart | None = None) -> list[Row]:

@@ -8,106 +8,34 @@ then a smooth function of h, and an order can be seen.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from accelsurf.energies import ChanVese, Energy, RegionField
+from accelsurf.energies import Energy, RegionField
 from accelsurf.evolution import Evolution, Row
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Limits, Move, Now
+from accelsurf.flows import ConstantDensity, Gradient, Limits, Move, Now
 from accelsurf.levelset import LevelSet
 from tests import exact
 from tests.exact import Case
-
-WIDTH = 2.6
-SIZES = (32, 48, 64)
-Triple = tuple[int, int, int]
-
-
-class Lattice(NamedTuple):
-    """A grid around the origin: spacing (hz, hy, hx) mm and coordinates (3, nz, ny, nx) in the order z, y, x."""
-
-    spacing: tuple[float, float, float]
-    points: np.ndarray
-
-    @property
-    def radius(self) -> np.ndarray:
-        return np.sqrt((self.points**2).sum(axis=0))
-
-
-def lattice(n: int, coarser: Triple = (1, 1, 1), flat: bool = False) -> Lattice:
-    """``n`` voxels of h = WIDTH/(n - 1) along an axis, n/c of c h along one coarser by c; flat: a single slice."""
-    h = WIDTH / (n - 1)
-    shape = [1 if flat and axis == 0 else n // c for axis, c in enumerate(coarser)]
-    axes = [(np.arange(m) - 0.5 * (m - 1)) * c * h for m, c in zip(shape, coarser, strict=True)]
-    return Lattice((coarser[0] * h, coarser[1] * h, coarser[2] * h), np.stack(np.meshgrid(*axes, indexing="ij")))
-
-
-def energy_of(case: Case, radius: np.ndarray) -> Energy:
-    """An energy of which the force of the case is the gradient: a region field or an image."""
-    if case.force is exact.shrinking:
-        return RegionField(np.zeros_like(radius), case.alpha)
-    if case.force is exact.well:
-        return RegionField(0.5 * (radius**2 - 0.36) / np.maximum(radius, 1e-9), case.alpha)
-    if case.force is exact.flowable_well or case.force is exact.flowable_circle_well:
-        r = np.maximum(radius, 0.05)
-        return RegionField((r - 0.6) / r ** (case.dim - 1))
-    return ChanVese(0.5 * (1.0 - np.tanh((radius - 0.5) / 0.1)), case.alpha, means=(1.0, 0.0))
-
-
-def flow_of(case: Case) -> ConstantDensity | FlowableMass:
-    made = FlowableMass if case.flowable else ConstantDensity
-    return made(
-        k=case.k, lambda_=case.lambda_, rho=case.rho, friction=case.friction, diffusion=0.0, t0=case.t0 or None
-    )
-
-
-def surface_points(surface: LevelSet, lattice: Lattice) -> np.ndarray:
-    """Points (n, 3) of the surface, z y x: the closest ones to the voxels within a voxel of it."""
-    near = surface.front(1.0)
-    voxels = lattice.points.reshape(3, -1)[:, surface.band.cells[near]].T
-    return voxels + surface.band.foot[near]
-
-
-def steps(
-    surface: LevelSet, energy: Energy, flow: Flow, dt: float, t_end: float, cfl: float = 0.5
-) -> Iterator[tuple[float, Row]]:
-    """Evolve with steps of ``dt`` up to ``t_end``: after each, the time now and the row of the step."""
-    evolution = Evolution(surface, energy, flow, Limits(cfl, percentile=100.0, dt_max=dt), max_steps=10_000)
-    for step in evolution:
-        assert step.row.dt > 0, evolution.stop
-        now = step.row.t + step.row.dt
-        if now > t_end + 1e-9:
-            return
-        yield now, step.row
-
-
-class Misfit(NamedTuple):
-    """Largest difference of radii from the exact one, mm: of their mean, and of any point; at all times."""
-
-    mean: float
-    point: float
-
-
-def follow(case: Case, on: Lattice, dt: float, flow: Flow | None = None, exactly: Case | None = None) -> Misfit:
-    """Run a case and compare every step with the exact solution (of ``exactly`` if given)."""
-    surface = LevelSet(on.radius - case.r0, on.spacing, 4.0 if case.flowable else 3.0)
-    path = exact.path(exactly or case)
-    mean = point = 0.0
-    for t, _ in steps(surface, energy_of(case, on.radius), flow or flow_of(case), dt, case.t_end):
-        radii = np.linalg.norm(surface_points(surface, on), axis=1)
-        mean = max(mean, abs(float(radii.mean()) - path(t)))
-        point = max(point, float(np.abs(radii - path(t)).max()))
-    return Misfit(mean, point)
-
-
-def order(errors: list[float]) -> float:
-    """Slope of log(error) over log(h), for errors on the grids of `SIZES`."""
-    return float(np.polyfit(np.log([WIDTH / (n - 1) for n in SIZES]), np.log(errors), 1)[0])
+from tests.follow import (
+    SIZES,
+    STEP,
+    WIDTH,
+    Lattice,
+    Misfit,
+    Triple,
+    energy_of,
+    flow_of,
+    follow,
+    lattice,
+    order,
+    steps,
+    surface_points,
+)
 
 
 class BentWrongly(ConstantDensity):
@@ -168,22 +96,20 @@ def test_the_solver_gives_the_closed_forms() -> None:
 
 # ---------------------------------------------------------------------------------------------- exact solutions
 
-#: Case -> (time step in h, largest error of any point in h on 64^3, least order of the mean radius).
-#: The step is 0.5 h, the CFL number, where the surface moves at most at unit speed by half a voxel; C and H turn
-#: round within 0.3 time units in a well as steep as 1/0.1, and need half of it for the same error in time.
+#: Case -> (largest error of any point in h on 64^3, least order of the mean radius).
 WANTED = {
-    "A": (0.5, 0.02, 1.7),
-    "B": (0.5, 0.02, 1.8),
-    "C": (0.25, 0.02, 1.7),
-    "D": (0.5, 0.01, 1.8),
-    "E": (0.25, 0.02, 1.8),
-    "F": (0.25, 0.02, 1.8),
-    "G": (0.5, 0.02, 1.75),
-    "H": (0.25, 0.02, 1.7),
-    "J": (0.5, 0.02, 1.8),
-    "K": (0.2, 0.02, 1.7),
-    "L": (0.25, 0.02, 1.7),
-    "M": (0.25, 0.02, 1.8),
+    "A": (0.02, 1.7),
+    "B": (0.02, 1.8),
+    "C": (0.02, 1.7),
+    "D": (0.01, 1.8),
+    "E": (0.02, 1.8),
+    "F": (0.02, 1.8),
+    "G": (0.02, 1.75),
+    "H": (0.02, 1.7),
+    "J": (0.02, 1.8),
+    "K": (0.02, 1.7),
+    "L": (0.021, 1.75),
+    "M": (0.02, 1.8),
 }
 
 
@@ -197,8 +123,8 @@ def test_sphere_and_circle_follow_the_exact_solution(name: str) -> None:
     (order 1.96 from 64 to 96 for a sphere at constant speed). With |grad psi| = 1, which a distance has, errors are
     four times smaller and orders above 2; but upwinding is what smooths noise, so the flow keeps it.
     """
-    case, (step, tolerance, least) = exact.CASES[name], WANTED[name]
-    misfits = [follow(case, lattice(n, flat=case.dim == 2), step * WIDTH / (n - 1)) for n in SIZES]
+    case, (tolerance, least) = exact.CASES[name], WANTED[name]
+    misfits = [follow(case, lattice(n, flat=case.dim == 2), STEP[name] * WIDTH / (n - 1)) for n in SIZES]
     means, points = ([getattr(m, kind) for m in misfits] for kind in Misfit._fields)
     table = "  ".join(
         f"{n}: {(n - 1) * m.mean / WIDTH:.4f} h, {(n - 1) * m.point / WIDTH:.4f} h"
@@ -223,7 +149,7 @@ def test_exact_solutions_on_an_anisotropic_grid(name: str, coarser: Triple, mean
     (3:1:1: 0.015 h and 0.025 h).
     """
     h = WIDTH / 63
-    misfit = follow(exact.CASES[name], lattice(64, coarser), WANTED[name][0] * h)
+    misfit = follow(exact.CASES[name], lattice(64, coarser), STEP[name] * h)
     print(f"\n{name} {coarser}: {misfit.mean / h:.4f} h, {misfit.point / h:.4f} h")
     assert misfit.mean <= mean * h and misfit.point <= point * h
 

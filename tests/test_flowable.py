@@ -18,7 +18,8 @@ from accelsurf.evolution import Evolution, Row
 from accelsurf.flows import FlowableMass, Limits, Move, Now
 from accelsurf.levelset import LevelSet
 from tests import exact
-from tests.test_exact import WIDTH, Lattice, energy_of, lattice, spheroid, surface_points
+from tests.follow import WIDTH, Lattice, energy_of, lattice, surface_points
+from tests.test_exact import spheroid
 
 AXES = np.array((0.6, 0.8, 1.0))  # z, y, x
 #: Half axes (x, y, z) of case I, from another solver run; eight digits.

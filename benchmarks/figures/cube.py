@@ -1,0 +1,125 @@
+"""`cube`: a cube in noise from twenty random balls, under every flow. How many end in the object's basin?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from accelsurf.surface import extract
+from accelsurf.volume import Volume
+from benchmarks.figures.common import FINE, Task, agreement, box, make, run_all, write
+from benchmarks.figures.planar import save, show, tell
+
+SIDE, SIZE = 20, 40
+CUBE = box((SIZE,) * 3, (10,) * 3, (30,) * 3, 1.0, 5)
+STARTS, START_SEED = 20, 2024
+#: A run has found the object when its Dice against the truth is at least this.
+FOUND = 0.9
+FLOWS: dict[str, dict[str, Any]] = {
+    "gradient": {"flow": "gradient"},
+    "gradient, same diffusion": {"flow": "gradient", "diffusion": "free"},
+    "gradient, area weight 0.3 mm": {"flow": "gradient", "smoothness": 0.3},
+    "gradient, presmooth 1 mm": {"flow": "gradient", "presmooth": 1.0},
+    "Sobolev, 5 mm": {"flow": "sobolev", "sobolev_length": 5.0},
+    "momentum (Andersson et al.)": {"flow": "momentum", "blend": 0.9},
+    "constant density, diffusion": {"flow": "constant-density", "diffusion": "free"},
+    "constant density, none": {"flow": "constant-density", "diffusion": 0.0},
+    "flowable mass, diffusion": {"flow": "flowable-mass", "diffusion": "free"},
+    "flowable mass, none": {"flow": "flowable-mass", "diffusion": 0.0},
+    "flowable mass, gravity": {"flow": "flowable-mass", "diffusion": "free", "gravity": 1e-5},
+    "constant density, noise": {"flow": "constant-density", "noise": 0.1, "seed": 1, "noise_time": 20.0},
+}
+PICTURED = ("gradient", "gradient, same diffusion", "Sobolev, 5 mm", "constant density, diffusion")
+
+
+def starts() -> list[str]:
+    """Balls of radius 3 to 7 voxels with their centres in the cube's box, or up to 3 voxels off it."""
+    random = np.random.default_rng(START_SEED)
+    balls = []
+    for _ in range(STARTS):
+        x, y, z = random.uniform(7.0, 32.0, 3)
+        balls.append(f"ball:{x:.1f},{y:.1f},{z:.1f},{random.uniform(3.0, 7.0):.1f}vox")
+    return balls
+
+
+def cube(output: Path) -> None:
+    """Run every flow from every start; a table, and a picture of what four of them leave."""
+    balls = starts()
+    settings = {"max_steps": 300, **FINE, "cfl": 0.5}
+    tasks = [
+        Task((name, start), CUBE, {"start": start, **settings, **changes})
+        for name, changes in FLOWS.items()
+        for start in balls
+    ]
+    results = run_all(tasks, tell)
+    table = []
+    for name in FLOWS:
+        runs = [facts for facts in results if facts["name"][0] == name]
+        table.append(summary(name, runs))
+        print(row(table[-1]))
+    draw(output, results)
+    write(
+        output,
+        "cube",
+        {"shape": CUBE, "start_seed": START_SEED, "found_from_dice": FOUND, "table": table, "runs": results},
+    )
+
+
+def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """One line of the table."""
+    dices = [facts["dice"] for facts in runs]
+    return {
+        "flow": name,
+        "found": sum(value >= FOUND for value in dices),
+        "of": len(runs),
+        "dice_median": float(np.median(dices)),
+        "dice_least": min(dices),
+        "corner_dice_median": float(np.median([facts["corner_dice"] for facts in runs])),
+        "agreement_least": float(np.nanmin(agreement([facts["labels"] for facts in runs]))),
+        "energy_median": float(np.median([facts["energy"] for facts in runs])),
+        "steps_median": float(np.median([facts["steps"] for facts in runs])),
+        "converged": sum(facts["stop"] == "converged" for facts in runs),
+        "cells_visited_median": float(np.median([facts["cells_visited"] for facts in runs])),
+    }
+
+
+def row(line: dict[str, Any]) -> str:
+    """The line as text."""
+    return (
+        f"{line['flow']:34s} found {line['found']:2d}/{line['of']}  Dice median {line['dice_median']:.3f} "
+        f"least {line['dice_least']:.3f}  corners {line['corner_dice_median']:.3f}  "
+        f"energy {line['energy_median']:.1f}  steps {line['steps_median']:.0f}  converged {line['converged']}"
+    )
+
+
+def draw(output: Path, results: list[dict[str, Any]]) -> None:
+    """Middle slices with all twenty contours, and the surface of the median run, for four flows."""
+    truth, image = make(CUBE)
+    figure = plt.figure(figsize=(3.4 * len(PICTURED), 7.2))
+    for column, name in enumerate(PICTURED):
+        runs = sorted((facts for facts in results if facts["name"][0] == name), key=lambda facts: facts["dice"])
+        axis = figure.add_subplot(2, len(PICTURED), column + 1)
+        show(axis, image, truth, [facts["labels"] for facts in runs], ["#0072B2"] * len(runs))
+        found = sum(facts["dice"] >= FOUND for facts in runs)
+        axis.set_title(f"{name}\nfound by {found} of {len(runs)}", fontsize=9)
+        below = figure.add_subplot(2, len(PICTURED), len(PICTURED) + column + 1, projection="3d")
+        surface_plot(below, runs[len(runs) // 2])
+    save(figure, output, "cube", "Cube in noise of its own contrast: all runs in the middle slice, surface of the median run")
+
+
+def surface_plot(axis: Any, facts: dict[str, Any]) -> None:
+    """Shaded mesh of a run."""
+    labels = facts["labels"]
+    if labels.any():
+        psi = 0.5 - labels.astype(np.float32)
+        mesh = extract(psi, Volume.from_array(labels.astype(np.uint8), 1.0).geometry)
+        points = mesh.points
+        axis.plot_trisurf(points[:, 0], points[:, 1], points[:, 2], triangles=mesh.faces, color="#E69F00", linewidth=0)
+    axis.set_box_aspect((1, 1, 1))
+    for bounds in (axis.set_xlim, axis.set_ylim, axis.set_zlim):
+        bounds(0, SIZE)
+    axis.set_axis_off()
+    axis.set_title(f"Dice {facts['dice']:.3f}", fontsize=9)
