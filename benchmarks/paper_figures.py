@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
 import matplotlib
-
-matplotlib.use("Agg")
 
 from benchmarks.figures.cube import cube
 from benchmarks.figures.planar import rectangle, rectangle_accelerated, square
@@ -19,6 +13,7 @@ from benchmarks.figures.solutions import exact_solutions
 from benchmarks.figures.speed import speed
 from benchmarks.figures.tuned import tuned
 
+ROOT = Path(__file__).resolve().parent.parent
 FIGURES = {
     "square": square,
     "rectangle": rectangle,
@@ -35,6 +30,7 @@ def main() -> None:
     parser.add_argument("name", nargs="+", choices=[*FIGURES, "all"])
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "figures")
     options = parser.parse_args()
+    matplotlib.use("Agg")
     options.output.mkdir(parents=True, exist_ok=True)
     for name in FIGURES if "all" in options.name else options.name:
         print(f"== {name}", flush=True)

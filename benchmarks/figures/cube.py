@@ -107,7 +107,7 @@ def draw(output: Path, results: list[dict[str, Any]]) -> None:
         axis.set_title(f"{name}\nfound by {found} of {len(runs)}", fontsize=9)
         below = figure.add_subplot(2, len(PICTURED), len(PICTURED) + column + 1, projection="3d")
         surface_plot(below, runs[len(runs) // 2])
-    save(figure, output, "cube", "Cube in noise of its own contrast: all runs in the middle slice, surface of the median run")
+    save(figure, output, "cube", "Cube in noise: all runs in the middle slice, surface of the median run")
 
 
 def surface_plot(axis: Any, facts: dict[str, Any]) -> None:
