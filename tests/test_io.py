@@ -203,7 +203,8 @@ def test_folder_instead_of_a_file(tmp_path):
 @pytest.mark.parametrize("name", ["a.jpg", "a.gz", "a", ".nii", "a.nii.zip"])
 def test_unknown_suffix(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
-    refuse(tmp_path / name, r"unknown file type, one of \.nii\.gz, \.nii, \.nrrd, \.mha, \.mhd, \.png, \.tif, \.tiff expected")
+    words = r"unknown file type, one of \.nii\.gz, \.nii, \.nrrd, \.mha, \.mhd, \.png, \.tif, \.tiff expected"
+    refuse(tmp_path / name, words)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
