@@ -133,6 +133,19 @@ def check_writable(array: NDArray[Any], suffix: str) -> None:
         )
 
 
+def keeps(geometry: Geometry, suffix: str) -> bool:
+    """Whether a format gives the same grid back; those that are no PNG or TIFF do.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The grid to be written.
+    suffix : str
+        Of the file.
+    """
+    return suffix not in SUFFIXES or kept_grid(geometry, suffix).matches(geometry)
+
+
 def kept_grid(geometry: Geometry, suffix: str) -> Geometry:
     """The grid that is read back from a PNG or TIFF: the size of a pixel is kept, and in a TIFF the distance of slices.
 

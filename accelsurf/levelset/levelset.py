@@ -70,7 +70,7 @@ class LevelSet:
         steps = [float(h) for n, h in zip(self.shape, spacing, strict=True) if n > 1] or [1.0]
         self._slant = 0.5 * (max(steps) / min(steps) + min(steps) / max(steps))
         self.half_width = float(half_width) * self._slant
-        self.gamma = np.float32(self.half_width * max(spacing))
+        self.gamma = np.float32(self.half_width * max(steps))
         self.workers = workers or Workers(1)
         dense = np.array(psi, dtype=np.float32, order="C", copy=True).ravel()
         self.dense = Lattice(dense, np.full(dense.size, -1, np.int32))
