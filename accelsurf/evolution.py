@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from accelsurf.energies import Energy
-from accelsurf.flows import Flow, Limits
+from accelsurf.flows import Account, Flow, Limits, Move, Now
 from accelsurf.flows.base import voxel_rates
 from accelsurf.levelset import LevelSet, Snapshot
 
@@ -25,8 +25,15 @@ class Row(NamedTuple):
     step : int
     t, dt : float
         Flow time and the step's length; dt is 0 in the last row, which only records the final state.
-    potential, kinetic : float
-        U and T at time t.
+    potential, kinetic, mass_potential, weight : float
+        U, the paper's T, U_mass, and the factor w of the potentials, at time t: E = U + U_mass + T/w never rises.
+    friction_work, smoothing_work, noise_work : float
+        What friction has taken from E so far; what diffusion, the limiter and restarts have; what noise has put in:
+        E + friction_work + smoothing_work - noise_work stays what it was.
+    mass, mass_correction : float
+        Mass of the surface, and the part that the flow has had to add so far to conserve it (relative).
+    clamped_fraction : float
+        Share of the surface where a negative tension of the mass potential was clamped.
     volume_mm3, area_mm2 : float
     speed : float
         The limiter's percentile of the speed (sign dropped) on the front, mm per unit time.
@@ -36,7 +43,8 @@ class Row(NamedTuple):
         Share of front cells held to the CFL limit.
     diffusion : float
         Velocity diffusion used, mm2 per unit time.
-    band_cells : int
+    band_cells, cells_visited : int
+        Size of the band, and the cells that the step's passes over it visited in all: its cost, on any machine.
     restarted : bool
         True when momentum was set to zero before this step.
     removed_components : int
@@ -50,13 +58,22 @@ class Row(NamedTuple):
     dt: float
     potential: float
     kinetic: float
+    mass_potential: float
+    weight: float
+    friction_work: float
+    smoothing_work: float
+    noise_work: float
+    mass: float
+    mass_correction: float
     volume_mm3: float
     area_mm2: float
     speed: float
     motion_voxels: float
     limited_fraction: float
+    clamped_fraction: float
     diffusion: float
     band_cells: int
+    cells_visited: int
     restarted: bool
     removed_components: int
     seconds: float
@@ -98,6 +115,46 @@ class Restart(NamedTuple):
 
     travel: float = 3.0
     rest: int = 5
+
+
+class Books:
+    """Adds up, from the accounts of the steps, what has become of the energy; in the units of U.
+
+    Rates are known at the times of the rows, kicks happen around them: both are summed by the trapezoidal rule.
+    """
+
+    COLUMNS = (
+        "kinetic", "mass_potential", "weight", "friction_work", "smoothing_work", "noise_work", "mass",
+        "mass_correction", "clamped_fraction",
+    )
+
+    def __init__(self) -> None:
+        self._friction = self._smoothing = self._noise = 0.0
+        self._last, self._last_dt = Account(), 0.0
+
+    def lose(self, energy: float) -> None:
+        """A restart has taken the kinetic energy (as T/w)."""
+        self._smoothing += energy - 0.5 * (self._last.smoothing - self._last.noise)
+        self._last = self._last._replace(friction=0.0, smoothing=0.0, noise=0.0)
+
+    def enter(self, now: Account, dt: float) -> dict[str, Any]:
+        """The columns of a row that begins with ``now`` and lasts ``dt``."""
+        last = self._last
+        self._friction += 0.5 * self._last_dt * (last.friction + now.friction)
+        self._smoothing += 0.5 * (last.smoothing + now.smoothing)
+        self._noise += 0.5 * (last.noise + now.noise)
+        self._last, self._last_dt = now, dt
+        return {
+            "kinetic": now.kinetic,
+            "mass_potential": now.mass_potential,
+            "weight": now.weight,
+            "friction_work": self._friction,
+            "smoothing_work": self._smoothing,
+            "noise_work": self._noise,
+            "mass": now.mass,
+            "mass_correction": now.mass_correction,
+            "clamped_fraction": now.clamped,
+        }
 
 
 class Evolution:
@@ -149,6 +206,7 @@ class Evolution:
         self._asked = False
         self._time = 0.0
         self._snapshot: Snapshot | None = None
+        self._books = Books()
 
     def ask_to_stop(self) -> None:
         """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
@@ -168,6 +226,7 @@ class Evolution:
     def _step(self, n: int) -> Row:
         began = time.perf_counter()
         surface, flow = self.surface, self.flow
+        visited = surface.workers.visited
         part, area = surface.cut()
         potential = self.energy.value(surface, part, area)
         state: dict[str, Any] = {
@@ -184,41 +243,54 @@ class Evolution:
             return self._still(state, began)
         restarted = self._restart_due(potential)
         if restarted:
-            flow.rest()
-        front = surface.front()
+            self._books.lose(flow.rest(area))
+        front = surface.front(flow.reach(surface))
         curvature = surface.curvature(front)
         force = self.energy.force(surface, front, curvature)
-        move = flow.move(surface, front, force, curvature, area, self.energy.alpha, self.limits)
+        move = flow.move(Now(surface, front, force, curvature, area, self.energy.alpha), self.limits)
         if not move.dt > 0:
             self._end("converged", "no force acts on the surface", n)
             return self._still(state, began)
+        entries = self._books.enter(move.account, move.dt)
         rates = voxel_rates(surface, area > 0, move.speed)
         motion = move.dt * float(np.dot(area, rates)) / max(float(area.sum()), 1e-300)
-        surface.advance(move.speed, move.dt)
-        removed = surface.remove_small()
-        change = surface.redistance(flow.fields)
-        flow.take(change.fields)
-        self.energy.follow(surface, change)
+        removed = self._drift(move)
         self._time += move.dt
         return Row(
             **state,
+            **entries,
             dt=move.dt,
-            kinetic=move.kinetic,
             speed=move.rate,
             motion_voxels=motion,
             limited_fraction=move.limited,
             diffusion=move.diffusion,
+            cells_visited=surface.workers.visited - visited,
             restarted=restarted,
             removed_components=removed,
             seconds=time.perf_counter() - began,
         )
 
+    def _drift(self, move: Move) -> int:
+        """Move the surface, and everything that lives on it; returns how many components were removed."""
+        surface = self.surface
+        if move.velocity is None:
+            surface.advance(move.speed, move.dt)
+        else:
+            surface.carry(move.velocity, move.dt)
+        removed = surface.remove_small()
+        change = surface.redistance(self.flow.fields, None if move.velocity is None else (move.velocity, move.dt))
+        self.flow.take(change.fields)
+        self.energy.follow(surface, change)
+        return removed
+
     def _still(self, state: dict[str, Any], began: float) -> Row:
         """The last row: the final state, no move."""
-        kinetic = self.ledger[-1].kinetic if self.ledger else 0.0
+        last = self.ledger[-1] if self.ledger else None
+        entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in Books.COLUMNS}
+        entries["weight"] = self.flow.weight
         return Row(
-            **state, dt=0.0, kinetic=kinetic, speed=0.0, motion_voxels=0.0, limited_fraction=0.0, diffusion=0.0,
-            restarted=False, removed_components=0, seconds=time.perf_counter() - began,
+            **state, **entries, dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0, diffusion=0.0,
+            cells_visited=0, restarted=False, removed_components=0, seconds=time.perf_counter() - began,
         )
 
     # -- decisions -----------------------------------------------------------------------------------------

@@ -36,13 +36,22 @@ TRACE_COLUMNS = (
     "dt",
     "potential",
     "kinetic",
+    "mass_potential",
+    "weight",
+    "friction_work",
+    "smoothing_work",
+    "noise_work",
+    "mass",
+    "mass_correction",
     "volume_mm3",
     "area_mm2",
     "speed",
     "motion_voxels",
     "limited_fraction",
+    "clamped_fraction",
     "diffusion",
     "band_cells",
+    "cells_visited",
     "restarted",
     "removed_components",
     "seconds",
@@ -96,6 +105,7 @@ def build(
     dict
         Ready for `to_json`.
     """
+    config = result.config if result is not None else config  # with the seed that was drawn, if none was given
     spent = {**(dict(result.seconds) if result is not None else {}), **(seconds or {})}
     return {
         "schema_version": SCHEMA_VERSION,
@@ -104,7 +114,7 @@ def build(
         "error": dict(error) if error is not None else None,
         "versions": versions(),
         "argv": list(argv),
-        "config": config.model_dump(mode="json") if config is not None else None,
+        "config": describe_config(config, result),
         "input": dict(source) if source is not None else None,
         "seed": config.seed if config is not None else None,
         "threads": config.threads if config is not None else None,
@@ -116,6 +126,14 @@ def build(
     }
 
 
+def describe_config(config: RunConfig | None, result: Result | None) -> dict[str, Any] | None:
+    """Return the settings of a run; ``energy`` is what the run had: ``custom: ClassName`` for one of the user's own."""
+    if config is None:
+        return None
+    settings = config.model_dump(mode="json")
+    return settings if result is None else {**settings, "energy": result.energy}
+
+
 def describe_result(result: Result | None) -> dict[str, Any]:
     """Return the part of the report that comes from the evolution: stop, energy and measures of the surface.
 
@@ -125,9 +143,8 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         With None every value is null.
     """
     if result is None:
-        return dict.fromkeys(
-            ("stop", "energy", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components", "touches_border")
-        )
+        keys = ("stop", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
+        return dict.fromkeys((*keys, "touches_border"))
     first, last = (result.ledger[0], result.ledger[-1]) if result.ledger else (None, None)
     return {
         "stop": {
@@ -137,16 +154,40 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "message": result.stop.message,
         },
         "energy": {
+            "name": result.energy,
             "first": first.potential if first else None,
             "last": last.potential if last else None,
             "kinetic_last": last.kinetic if last else None,
+            "mass_potential_last": last.mass_potential if last else None,
+            "friction_work": last.friction_work if last else None,
+            "smoothing_work": last.smoothing_work if last else None,
+            "noise_work": last.noise_work if last else None,
         },
+        "mass": describe_mass(result),
         "volume_mm3": result.volume_mm3,
         "area_mm2": result.area_mm2,
         "enclosed_mm2": result.enclosed_mm2,
         "length_mm": result.length_mm,
         "components": result.components,
         "touches_border": result.touches_border,
+    }
+
+
+def describe_mass(result: Result) -> dict[str, Any] | None:
+    """Return the part of the report about conserved mass; None for a flow that has none.
+
+    ``correction`` is the part of the mass that had to be added to conserve it, ``cure`` what is done where the mass
+    potential would make the flow ill-posed, and ``clamped_fraction_largest`` the largest share of surface where it was.
+    """
+    if result.config.flow != "flowable-mass" or not result.ledger:
+        return None
+    first, last = result.ledger[0], result.ledger[-1]
+    return {
+        "first": first.mass,
+        "last": last.mass,
+        "correction": last.mass_correction,
+        "cure": "negative tension clamped at -smoothness, normal part only" if result.config.gravity > 0 else None,
+        "clamped_fraction_largest": max(row.clamped_fraction for row in result.ledger),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -15,17 +16,21 @@ from scipy import ndimage
 from accelsurf import contours, report, starts
 from accelsurf.config import RunConfig
 from accelsurf.contours import Contours
-from accelsurf.energies import ChanVese, Energy
+from accelsurf.energies import Energy
 from accelsurf.errors import InputError
 from accelsurf.evolution import Evolution, Restart, Row, Step, Stop, StopRule
-from accelsurf.flows import ConstantDensity, Flow, Gradient, Limits
+from accelsurf.flows import Limits
 from accelsurf.geometry import Geometry
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.surface import Surface, extract
+from accelsurf.systems import half_width, make_energy, make_flow, own_energy
 from accelsurf.volume import Volume, check_image
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
+#: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
+#: `Result.image`, and the spacing, (hz, hy, hx) mm.
+EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +47,8 @@ class Result:
         The image as the energy saw it: presmoothed, 0 and 1 at its `SCALE_PERCENTILES`.
     geometry : Geometry
     config : RunConfig
+    energy : str
+        Name of the energy: that of ``config``, or ``custom: ClassName``.
     ledger : list of Row
         One row per step; the last records the final state.
     stop : Stop
@@ -60,6 +67,7 @@ class Result:
     image: NDArray[np.float32]
     geometry: Geometry
     config: RunConfig
+    energy: str
     ledger: list[Row]
     stop: Stop
     seconds: dict[str, float]
@@ -149,6 +157,7 @@ def segment(
     *,
     spacing: float | tuple[float, float, float] | None = None,
     config: RunConfig | None = None,
+    energy: EnergyLike | None = None,
     on_step: Callable[[Row], bool | None] | None = None,
     **options: Any,
 ) -> Result:
@@ -162,6 +171,10 @@ def segment(
         mm, for an array only; 1 by default.
     config : RunConfig, optional
         Settings; the defaults otherwise.
+    energy : str or Energy or callable, optional
+        A name, over that of ``config``; or an energy of your own (`accelsurf.energies.Energy`); or a class or function
+        that makes one of ``(image, spacing)``: the image as the named energies see it (`Result.image`) and
+        (hz, hy, hx) in mm. Settings of the named energies, such as ``smoothness``, are then refused.
     on_step : callable, optional
         Called with each `Row`; a true return value ends the run with the reason ``interrupted``.
     **options
@@ -174,9 +187,10 @@ def segment(
     Raises
     ------
     UsageError
-        When an option is unknown or out of bounds, or a start cannot be parsed.
+        When an option is unknown or out of bounds, a start cannot be parsed, or an energy lacks something.
     InputError
-        When the image has NaN or infinite voxels or is constant, or the start is outside, empty or full.
+        When the image has NaN or infinite voxels or is constant, the start is outside, empty or full, or an energy of
+        your own returns something else than numbers of the right shape.
 
     Examples
     --------
@@ -187,7 +201,7 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
-    run = Run(_as_volume(volume, spacing), _resolved(config, options))
+    run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
     with run.workers:
         for step in run.evolution:
             if on_step is not None and on_step(step.row):
@@ -200,13 +214,14 @@ def evolve(
     *,
     spacing: float | tuple[float, float, float] | None = None,
     config: RunConfig | None = None,
+    energy: EnergyLike | None = None,
     **options: Any,
 ) -> Iterator[Step]:
     """Run as `segment` does, yielding each step; leave the loop to end the run.
 
     Parameters
     ----------
-    volume, spacing, config, **options
+    volume, spacing, config, energy, **options
         As for `segment`.
 
     Yields
@@ -226,7 +241,7 @@ def evolve(
     >>> step.surface.labels.shape
     (24, 24, 24)
     """
-    run = Run(_as_volume(volume, spacing), _resolved(config, options))
+    run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
     with run.workers:
         yield from run.evolution
 
@@ -239,8 +254,13 @@ def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, floa
     return Volume.from_array(volume, 1.0 if spacing is None else spacing)
 
 
-def _resolved(config: RunConfig | None, options: dict[str, Any]) -> RunConfig:
-    return (config or RunConfig()).replace(**options) if options else config or RunConfig()
+def _resolved(
+    config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any]
+) -> tuple[RunConfig, EnergyLike | None]:
+    """The configuration, and the energy if it is not one with a name."""
+    if isinstance(energy, str):
+        options, energy = {**options, "energy": energy}, None
+    return (config or RunConfig()).replace(**options) if options else config or RunConfig(), energy
 
 
 class Run:
@@ -250,11 +270,16 @@ class Run:
     ----------
     volume : Volume
     config : RunConfig
+    energy : Energy or callable, optional
+        In place of the energy that ``config`` names; see `segment`.
     """
 
-    def __init__(self, volume: Volume, config: RunConfig) -> None:
+    def __init__(self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None) -> None:
         began = time.perf_counter()
         check_image(volume)
+        if config.noise > 0 and config.seed is None:
+            # Drawn once and kept: the report's settings then repeat the run.
+            config = config.replace(seed=secrets.randbelow(2**31))
         self.volume, self.config = volume, config
         smoothed = presmoothed(volume, config.presmooth)
         psi = starts.build(config.start, volume, smoothed)
@@ -263,9 +288,11 @@ class Run:
         self.workers = Workers(config.threads)
         spacing = volume.geometry.spacing
         surface = LevelSet(psi, spacing, half_width(config), self.workers)
+        own = None if energy is None else own_energy(energy, config, self.image, spacing)
+        self.energy_name = config.energy if own is None else own.name
         self.evolution = Evolution(
             surface,
-            make_energy(config, self.image, spacing),
+            own or make_energy(config, self.image, spacing),
             make_flow(config),
             Limits(config.cfl, config.percentile),
             config.max_steps,
@@ -285,39 +312,17 @@ class Run:
             image=self.image,
             geometry=self.volume.geometry,
             config=self.config,
+            energy=self.energy_name,
             ledger=self.evolution.ledger,
             stop=stop,
             seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
             volume=self.volume,
             start=self.start,
+            warnings=[
+                f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.energy_name}"
+                for key in self.config.unused()
+            ],
         )
-
-
-def half_width(config: RunConfig) -> float:
-    """Half width of the band in voxels: ``auto`` is what the flow needs.
-
-    The mass of flowable-mass is carried along the surface by cubic interpolation, which reaches further.
-    """
-    if config.half_width == "auto":
-        return 4.0 if config.flow == "flowable-mass" else 3.0
-    return float(config.half_width)
-
-
-def make_energy(config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
-    """The energy that a configuration asks for, of an image on a grid of ``spacing`` (hz, hy, hx) mm."""
-    return ChanVese(image, config.smoothness, epsilon=config.epsilon, balance=config.balance)
-
-
-def make_flow(config: RunConfig) -> Flow:
-    """The flow that a configuration asks for.
-
-    With diffusion ``auto`` momentum gets its mixing-length diffusion and descent none: it is the plain baseline.
-    """
-    diffusion = None if config.diffusion in ("auto", "free") else config.diffusion
-    if config.flow == "gradient":
-        return Gradient(diffusion or 0.0)
-    friction = None if config.friction == "t" else config.friction
-    return ConstantDensity(config.k, config.lam, config.rho, friction, diffusion)
 
 
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:

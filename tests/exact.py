@@ -5,7 +5,12 @@ A sphere (or circle) under a force that depends on its radius stays one, and the
     r'' = -(d - 1)/2 r'^2/r - gamma r' - w f(r)/rho,    w = lambda k^2 t^(k-2), gamma = (k + 1)/t
                                                         (constant friction a: w = lambda, gamma = a)
 
-with d = 3 (or 2), from rest at t = 0 by the series r = r0 - (lambda/2) t^k f(r0)/rho. Solved here by DOP853 to
+with d = 3 (or 2), from rest at t = 0 by the series r = r0 - (lambda/2) t^k f(r0)/rho. With mass that is conserved and
+flows along the surface, the density stays uniform, rho (r0/r)^(d-1), and there is no term r'^2/r:
+
+    r'' = -gamma r' - w f(r) (r/r0)^(d-1)/rho
+
+Solved here by DOP853 to
 rtol 1e-12, which knows nothing of grids. `TABLES` holds numbers computed independently of this file.
 """
 
@@ -26,7 +31,8 @@ class Case:
     """A sphere or circle of radius ``r0`` at rest under the force ``force(r)`` (> 0 shrinks).
 
     ``alpha`` is the part of the force that is alpha H, ``force`` is all of it. ``transport`` is the factor of the
-    term r'^2/r: 1 is right, -1 is what its wrong sign would give, 0 leaves it out.
+    term r'^2/r: 1 is right, -1 is what its wrong sign would give, 0 leaves it out. ``flowable`` is the conserved
+    mass. ``t0`` is the time on the clock of w and gamma when the surface starts at rest.
     """
 
     name: str
@@ -40,6 +46,8 @@ class Case:
     rho: float = 1.0
     friction: float | None = None
     transport: float = 1.0
+    flowable: bool = False
+    t0: float = 0.0
 
 
 def shrinking(r: float) -> float:
@@ -62,13 +70,29 @@ def soft_disc(r: float) -> float:
     return math.tanh((r - 0.5) / 0.1) + 0.02 / r
 
 
+def flowable_well(r: float) -> float:
+    """Pulls to the radius 0.6 so that a flowable sphere swings about it as a spring would."""
+    return (r - 0.6) / (r * r)
+
+
+def flowable_circle_well(r: float) -> float:
+    """The same for a flowable circle."""
+    return (r - 0.6) / r
+
+
 A = Case("A", 1.0, shrinking, alpha=0.05, t_end=2.5)
 B = Case("B", 1.0, well)
 C = Case("C", 0.9, soft_ball, alpha=0.02)
 F = Case("F", 0.9, soft_disc, alpha=0.02, dim=2)
 G = Case("G", 0.9, soft_ball, alpha=0.02, friction=2.0)
 H = Case("H", 0.9, soft_ball, alpha=0.02, k=3.0, t_end=1.5)
-CASES = {case.name: case for case in (A, B, C, F, G, H)}
+D = Case("D", 1.0, flowable_well, flowable=True)
+E = Case("E", 0.9, soft_ball, alpha=0.02, flowable=True)
+J = Case("J", 1.0, flowable_circle_well, dim=2, flowable=True)
+K = Case("K", 0.9, soft_ball, alpha=0.02, k=4.0, t_end=1.2)
+L = Case("L", 0.9, soft_ball, alpha=0.02, k=1.0, t0=0.3, t_end=1.0)
+M = Case("M", 0.9, soft_ball, alpha=0.02, k=0.6, t0=0.3, flowable=True)
+CASES = {case.name: case for case in (A, B, C, D, E, F, G, H, J, K, L, M)}
 
 
 class Path:
@@ -77,8 +101,9 @@ class Path:
     def __init__(self, case: Case) -> None:
         self.case = case
         # With gamma = (k + 1)/t the series takes over below this time; its own error is of order t^(2k).
-        self._first = 0.0 if case.friction is not None else 1e-3
-        start = (case.r0, 0.0) if case.friction is not None else self._series(self._first)
+        at_rest = case.friction is not None or case.t0 > 0
+        self._first = 0.0 if at_rest else 1e-3
+        start = (case.r0, 0.0) if at_rest else self._series(self._first)
         solved = solve_ivp(
             self._rates, (self._first, case.t_end), start, method="DOP853", rtol=1e-12, atol=1e-14, dense_output=True
         )
@@ -93,11 +118,14 @@ class Path:
     def _rates(self, t: float, state: np.ndarray) -> tuple[float, float]:
         c = self.case
         r, speed = state
+        t = t + c.t0
         if c.friction is None:
             w, gamma = c.lambda_ * c.k**2 * t ** (c.k - 2.0), (c.k + 1.0) / t
         else:
             w, gamma = c.lambda_, c.friction
         bend = c.transport * 0.5 * (c.dim - 1) * speed * speed / r
+        if c.flowable:
+            return speed, -gamma * speed - w * c.force(r) * (r / c.r0) ** (c.dim - 1) / c.rho
         return speed, -bend - gamma * speed - w * c.force(r) / c.rho
 
     def __call__(self, t: float) -> float:
@@ -161,6 +189,16 @@ def circle_well(r: float) -> float:
     return (r**1.5 - 0.6**1.5) / math.sqrt(r)
 
 
+def flowable_sphere(t: float) -> float:
+    """Case D: r = R + (r0 - R) jinc(omega t), omega^2 = 16 pi c/M = 4."""
+    return 0.6 + 0.4 * jinc(2.0 * t)
+
+
+def flowable_circle(t: float) -> float:
+    """Case J: the same with omega^2 = 8 pi c/M = 4 (M = 2 pi)."""
+    return 0.6 + 0.4 * jinc(2.0 * t)
+
+
 def plane(t: float, force: float, k: float = 2.0, lambda_: float = 1.0, rho: float = 1.0) -> float:
     """Distance that a plane front at rest has moved under a constant force: (lambda/2) t^k f/rho."""
     return 0.5 * lambda_ * t**k * force / rho
@@ -178,6 +216,8 @@ TABLES: dict[str, dict[float, float]] = {
     "A": {0.5: 0.98742088, 1.0: 0.94868330, 1.5: 0.88034084, 2.0: 0.77459667, 2.5: 0.61237244},
     "B": {0.25: 0.99005417, 0.5: 0.96086667, 1.0: 0.85387580, 1.5: 0.71039789, 2.0: 0.58212210},
     "C": {0.25: 0.86716700, 0.5: 0.76579395, 0.75: 0.58674465, 1.0: 0.39546571, 1.5: 0.49001547, 2.0: 0.49311263},
+    "D": {0.25: 0.98762953, 0.5: 0.95204047, 1.0: 0.83068992, 1.5: 0.69041572, 2.0: 0.58679133},
+    "E": {0.25: 0.86814281, 0.5: 0.78104067, 1.0: 0.53734245, 1.5: 0.42357764, 2.0: 0.45572679},
     "F": {0.25: 0.86797675, 0.5: 0.77064985, 0.75: 0.60565651, 1.0: 0.43238200, 1.5: 0.50958826, 2.0: 0.48797996},
     "G": {0.25: 0.87192149, 0.5: 0.80065610, 1.0: 0.57103055, 1.5: 0.36258799, 2.0: 0.37341077},
     "H": {0.5: 0.83387976, 1.0: 0.39546571, 1.5: 0.53180316},
@@ -187,6 +227,8 @@ SPEEDS: dict[str, dict[float, float]] = {
     "A": {0.5: 0.05063697, 1.5: 0.17038855, 2.5: 0.40824829},
     "B": {0.5: 0.15306646, 1.0: 0.26445741, 2.0: 0.20016592},
     "C": {0.5: 0.55331027, 1.0: 0.44730016, 1.5: -0.41025517},
+    "D": {0.5: 0.18384558, 1.0: 0.28226722, 2.0: 0.14565126},
+    "E": {0.5: 0.43303699, 1.0: 0.43834880, 2.0: -0.13415630},
     "F": {0.5: 0.52419015, 1.0: 0.41828691, 1.5: -0.31495245},
     "G": {0.5: 0.35314664, 1.0: 0.54060014, 2.0: -0.16775890},
 }

@@ -3,7 +3,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from accelsurf.energies import ChanVese, RegionField
-from accelsurf.flows import ConstantDensity, Limits
+from accelsurf.flows import ConstantDensity, Limits, Now
 from accelsurf.levelset import LevelSet
 
 SHAPE, SPACING, RADIUS = (40, 44, 42), (1.0, 0.9, 1.1), 13.0
@@ -81,7 +81,8 @@ def test_region_sums_kept_up_to_date_equal_full_ones():
         energy.value(surface, part, area)
         front = surface.front()
         curvature = surface.curvature(front)
-        move = flow.move(surface, front, energy.force(surface, front, curvature), curvature, area, 0.0, Limits(0.5))
+        force = energy.force(surface, front, curvature)
+        move = flow.move(Now(surface, front, force, curvature, area, 0.0), Limits(0.5))
         surface.advance(move.speed, move.dt)
         surface.remove_small()
         change = surface.redistance(flow.fields)

@@ -114,9 +114,9 @@ def test_diverged():
 class Freezing(Gradient):
     """A flow whose time step collapses."""
 
-    def move(self, surface, front, force, curvature, area, alpha, limits):
+    def move(self, now, limits):
         self.factor = getattr(self, "factor", 1.0) * 0.2
-        move = super().move(surface, front, force, curvature, area, alpha, limits)
+        move = super().move(now, limits)
         return move._replace(dt=move.dt * self.factor)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from accelsurf.energies import ChanVese, Energy, RegionField
 from accelsurf.evolution import Evolution, Row
-from accelsurf.flows import ConstantDensity, Flow, Gradient, Limits, Move
+from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Limits, Move, Now
 from accelsurf.levelset import LevelSet
 from tests import exact
 from tests.exact import Case
@@ -53,11 +53,17 @@ def energy_of(case: Case, radius: np.ndarray) -> Energy:
         return RegionField(np.zeros_like(radius), case.alpha)
     if case.force is exact.well:
         return RegionField(0.5 * (radius**2 - 0.36) / np.maximum(radius, 1e-9), case.alpha)
+    if case.force is exact.flowable_well or case.force is exact.flowable_circle_well:
+        r = np.maximum(radius, 0.05)
+        return RegionField((r - 0.6) / r ** (case.dim - 1))
     return ChanVese(0.5 * (1.0 - np.tanh((radius - 0.5) / 0.1)), case.alpha, means=(1.0, 0.0))
 
 
-def flow_of(case: Case) -> ConstantDensity:
-    return ConstantDensity(case.k, case.lambda_, case.rho, case.friction, diffusion=0.0)
+def flow_of(case: Case) -> ConstantDensity | FlowableMass:
+    made = FlowableMass if case.flowable else ConstantDensity
+    return made(
+        k=case.k, lambda_=case.lambda_, rho=case.rho, friction=case.friction, diffusion=0.0, t0=case.t0 or None
+    )
 
 
 def surface_points(surface: LevelSet, lattice: Lattice) -> np.ndarray:
@@ -89,7 +95,7 @@ class Misfit(NamedTuple):
 
 def follow(case: Case, on: Lattice, dt: float, flow: Flow | None = None, exactly: Case | None = None) -> Misfit:
     """Run a case and compare every step with the exact solution (of ``exactly`` if given)."""
-    surface = LevelSet(on.radius - case.r0, on.spacing)
+    surface = LevelSet(on.radius - case.r0, on.spacing, 4.0 if case.flowable else 3.0)
     path = exact.path(exactly or case)
     mean = point = 0.0
     for t, _ in steps(surface, energy_of(case, on.radius), flow or flow_of(case), dt, case.t_end):
@@ -107,23 +113,23 @@ def order(errors: list[float]) -> float:
 class BentWrongly(ConstantDensity):
     """The 1/2 beta^2 H term with the sign that the paper prints for surfaces (after f and beta are turned inward)."""
 
-    def move(self, surface: LevelSet, front: Any, force: Any, curvature: Any, *rest: Any) -> Move:
-        return super().move(surface, front, force, -curvature, *rest)
+    def move(self, now: Now, limits: Limits) -> Move:
+        return super().move(now._replace(curvature=-now.curvature), limits)
 
 
 class AsPrinted(ConstantDensity):
     """The paper's printed pair for surfaces: psi_t = -beta |grad psi| and + div(1/2 beta^2 n)."""
 
-    def move(self, *args: Any) -> Move:
-        move = super().move(*args)
+    def move(self, now: Now, limits: Limits) -> Move:
+        move = super().move(now, limits)
         return move._replace(speed=-move.speed)
 
 
 class DescentAsPrinted(Gradient):
     """The paper's printed gradient flow: psi_t = -f |grad psi|."""
 
-    def move(self, *args: Any) -> Move:
-        move = super().move(*args)
+    def move(self, now: Now, limits: Limits) -> Move:
+        move = super().move(now, limits)
         return move._replace(speed=-move.speed)
 
 
@@ -143,9 +149,12 @@ def test_the_solver_gives_the_closed_forms() -> None:
     damped = exact.path(replace(exact.B, friction=0.7))
     circle = exact.path(Case("circle", 1.0, exact.circle_well, dim=2))
     third = exact.path(replace(exact.B, k=3.0))
+    flowable = exact.path(exact.D), exact.path(exact.J)
     for t in np.linspace(0.0, 2.0, 21):
         assert exact.path(exact.A)(t) == pytest.approx(exact.shrinking_sphere(t), abs=1e-10)
         assert exact.path(exact.B)(t) == pytest.approx(exact.sphere_in_well(t), abs=1e-10)
+        assert flowable[0](t) == pytest.approx(exact.flowable_sphere(t), abs=1e-10)
+        assert flowable[1](t) == pytest.approx(exact.flowable_circle(t), abs=1e-10)
         assert third(t) == pytest.approx(exact.sphere_in_well(t, k=3.0), abs=1e-9)
         assert damped(t) == pytest.approx(exact.damped_sphere_in_well(t, 0.7), abs=1e-10)
         assert circle(t) == pytest.approx(exact.circle_in_well(t), abs=1e-10)
@@ -166,9 +175,15 @@ WANTED = {
     "A": (0.5, 0.02, 1.7),
     "B": (0.5, 0.02, 1.8),
     "C": (0.25, 0.02, 1.7),
+    "D": (0.5, 0.01, 1.8),
+    "E": (0.25, 0.02, 1.8),
     "F": (0.25, 0.02, 1.8),
     "G": (0.5, 0.02, 1.75),
     "H": (0.25, 0.02, 1.7),
+    "J": (0.5, 0.02, 1.8),
+    "K": (0.2, 0.02, 1.7),
+    "L": (0.25, 0.02, 1.7),
+    "M": (0.25, 0.02, 1.8),
 }
 
 
@@ -193,7 +208,7 @@ def test_sphere_and_circle_follow_the_exact_solution(name: str) -> None:
     h = WIDTH / (SIZES[-1] - 1)
     assert points[-1] <= tolerance * h
     # Where the error is down to what float32 and the sampling of the surface leave there is no order to see.
-    assert order(means) >= least or means[-1] <= 0.003 * h
+    assert order(means) >= least or means[-1] <= 0.004 * h
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from accelsurf.flows import ConstantDensity, Gradient, Limits
+from accelsurf.flows import ConstantDensity, Gradient, Limits, Now
 from accelsurf.flows.base import (
     STAGES,
     diffuse,
     diffusion_bound,
-    free_diffusion,
+    diffusion_reach,
     hold_back,
     percentile,
     smallest_spacing,
@@ -39,9 +39,10 @@ def moved(flow, surface, force, alpha=0.0, limits=None):
     if not any(field.size for field in flow.fields):
         flow.start(surface)
     curvature = surface.curvature(front)
-    _, area = surface.cut()
+    area = surface.cut()[1]
     full = np.where(front, np.float32(force), np.float32(0.0)).astype(np.float32)
-    return flow.move(surface, front, full, curvature, area, alpha, limits or Limits(percentile=100.0)), front
+    now = Now(surface, front, full, curvature, area, alpha)
+    return flow.move(now, limits or Limits(percentile=100.0)), front
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
@@ -68,7 +69,7 @@ def test_diffusion_is_stable_at_its_bound_in_noise():
     """The largest amount that the stages reach: noise shrinks, the mean stays, a constant is left alone."""
     surface = sphere()
     front = surface.front()
-    amount = free_diffusion(surface, 1.0)
+    amount = diffusion_reach(surface)
     assert amount == pytest.approx(0.5 * STAGES * (STAGES + 1) * diffusion_bound(surface))
     field = np.random.default_rng(0).normal(size=surface.size).astype(np.float32)
     surface.extend_outwards(field, front)
@@ -165,7 +166,7 @@ def test_start_up_series(k, friction):
     if friction is not None:
         series = 0.5 * dt * 1.3 * 0.25 / 2.0 / (1 + 0.25 * friction * dt)
     np.testing.assert_allclose(move.speed[front], series, rtol=1e-5)
-    assert move.kinetic == 0 and flow.clock == dt
+    assert move.account.kinetic == 0 and flow.clock.time == dt
 
 
 def test_rest_forgets_the_momentum_and_the_clock():
@@ -174,9 +175,9 @@ def test_rest_forgets_the_momentum_and_the_clock():
     flow.start(surface)
     first, _ = moved(flow, surface, 0.25)
     second, _ = moved(flow, surface, 0.25)
-    assert np.abs(second.speed).max() > np.abs(first.speed[surface.front()]).min() and flow.clock > first.dt
-    flow.rest()
-    assert flow.clock == 0 and not flow.beta.any()
+    assert np.abs(second.speed).max() > np.abs(first.speed[surface.front()]).min() and flow.clock.time > first.dt
+    assert flow.rest(surface.cut()[1]) > 0
+    assert flow.clock.time == 0 and flow.clock.at_rest and not flow.beta.any()
 
 
 def test_wave_bound_with_an_area_weight():

@@ -407,8 +407,8 @@ def test_distance_from_a_snapshot_is_the_shift():
     surface = LevelSet(ball((30, 30, 30), ISOTROPIC, 9.0), ISOTROPIC)
     before = surface.snapshot()
     steps(surface, constant(-1.0), 0.5, 8)
-    # Where the earlier band did not reach, its half width counts.
-    assert surface.distance_from(before) == pytest.approx(3)
+    # Where the earlier band did not reach, its half width counts; the others are in its outermost part.
+    assert surface.distance_from(before) == pytest.approx(3, abs=0.1)
 
 
 def test_a_surface_that_shrinks_to_nothing():

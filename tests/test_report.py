@@ -37,12 +37,15 @@ def row(step, **changes):
 
 def finished(**changes):
     values = dict(
+        energy="chan-vese",
         ledger=[row(0), row(1), row(2, kinetic=0.25)],
         stop=Stop("converged", 2, 0.2, "it moved no more"),
         seconds={"start": 0.1, "evolve": 2.0},
         warnings=["from the run"],
         volume_mm3=1.5,
         area_mm2=2.5,
+        enclosed_mm2=None,
+        length_mm=None,
         components=1,
         touches_border=False,
     )
@@ -64,7 +67,7 @@ def test_every_key_is_there_with_and_without_a_result():
         warnings=["from outside"],
     )
     assert KEYS <= set(full)
-    assert full["energy"] == {"first": 100.0, "last": 100.0 / 3, "kinetic_last": 0.25}
+    assert full["energy"] == {"name": "chan-vese", "first": 100.0, "last": 100.0 / 3, "kinetic_last": 0.25}
     assert full["stop"] == {"reason": "converged", "steps": 2, "time": 0.2, "message": "it moved no more"}
     assert full["seconds"] == {"load": 0.5, "start": 0.1, "evolve": 2.0, "mesh": None, "write": None, "total": 3.0}
     assert full["warnings"] == ["from the run", "from outside"]

@@ -221,7 +221,7 @@ def test_preview_shows_image_contour_start_and_energy(done):
     for color, left in ((preview.ORANGE, True), (preview.GREEN, True), (preview.BLUE, False)):
         found = np.argwhere(colours_of(path, color))
         assert len(found) > 50
-        assert ((found[:, 1] < 0.65 * width) == left).mean() > 0.95
+        assert ((found[:, 1] < 0.6 * width) == left).mean() > 0.95
 
 
 @pytest.mark.parametrize("shape", [(1, 20, 200), (1, 200, 20), (30, 1, 40), (30, 40, 1)])

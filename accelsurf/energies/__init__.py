@@ -1,12 +1,32 @@
 """What pulls the surface: each energy gives its value U and its force f = -dU along the inward normal per area.
 
 An energy follows one run. The loop calls, in this order: `start` once with the first surface; at each step
-`value` and `force`; after each redistancing `follow` with what changed. See `Energy` for the protocol.
+`value` and `force`; after each redistancing `follow` with what changed. See `Energy` for the protocol; `ImageEnergy`
+and the ``..._at_front`` functions are there for energies of your own.
 """
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.base import Energy
+from accelsurf.energies.at_front import normals_at_front, points_at_front, sample_at_front, slope_at_front
+from accelsurf.energies.base import Energy, ImageEnergy, RegionSums, Sums
 from accelsurf.energies.chan_vese import ChanVese
+from accelsurf.energies.geodesic import Geodesic, edge_contrast, edge_indicator
+from accelsurf.energies.own import Checked
 from accelsurf.energies.region_field import RegionField
 
-__all__ = ["AreaTerm", "ChanVese", "Energy", "RegionField"]
+__all__ = [
+    "AreaTerm",
+    "ChanVese",
+    "Checked",
+    "Energy",
+    "Geodesic",
+    "ImageEnergy",
+    "RegionField",
+    "RegionSums",
+    "Sums",
+    "edge_contrast",
+    "edge_indicator",
+    "normals_at_front",
+    "points_at_front",
+    "sample_at_front",
+    "slope_at_front",
+]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from accelsurf.energies.at_front import check_shape, sample_at_front
 from accelsurf.kernels import motion, region
 from accelsurf.kernels.grid import BLOCK
 from accelsurf.levelset import Change, LevelSet
@@ -14,13 +16,20 @@ from accelsurf.levelset import Change, LevelSet
 class Energy(Protocol):
     """What the loop asks of an energy.
 
+    The loop calls `start` once; then, in each step, `value`, `force` and, with the surface moved, `follow`. What
+    `value` found out about the surface may be kept for the `force` that comes after it.
+
     Attributes
     ----------
     alpha : float
-        Weight of the surface's area in the energy (0 when there is none); it bounds the time step.
+        The largest factor of the curvature H in the force (0 when there is none): the weight of the surface's area.
+        The time step is bounded by it.
     """
 
-    alpha: float
+    @property
+    def alpha(self) -> float:
+        """Largest factor of the curvature in the force; a plain attribute will do."""
+        ...
 
     def start(self, surface: LevelSet) -> None:
         """Take up a surface: full sums, once."""
@@ -57,14 +66,27 @@ class RegionSums:
     ----------
     image : ndarray (nz, ny, nx), float32
         Not modified.
+
+    Attributes
+    ----------
+    image : ndarray (nz * ny * nx,), float32
+        The image, raveled.
     """
 
     def __init__(self, image: np.ndarray) -> None:
+        self._shape = np.shape(image)
         self.image = np.ascontiguousarray(image, dtype=np.float32).ravel()
         self._beyond_band = np.zeros(3)
 
     def start(self, surface: LevelSet) -> None:
-        """Sum the inside voxels that are not in the band."""
+        """Sum the inside voxels that are not in the band.
+
+        Raises
+        ------
+        InputError
+            When the image is not on the surface's grid.
+        """
+        check_shape(self._shape, surface)
         self._beyond_band = surface.workers.sums(
             region.inside_sums, self.image.size, 3, surface.dense, self.image
         )
@@ -94,6 +116,48 @@ class RegionSums:
     def _plain_sums(self, cells: np.ndarray) -> np.ndarray:
         values = self.image[cells].astype(np.float64)
         return np.array([values.size, values.sum(), np.dot(values, values)])
+
+
+class ImageEnergy(ABC):
+    """Base of energies of an image: has its sums over the inside, follows the band, carries the area weight.
+
+    A subclass gives `value` and `force`, as `Energy` says them.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx)
+        On the grid of the volume that is segmented; not modified.
+    alpha : float
+        Weight of the area, in units of the energy per mm2.
+
+    Attributes
+    ----------
+    sums : RegionSums
+        ``sums.inside(surface, part)`` are the sums over the inside, in voxels: times ``surface.voxel_volume`` they are
+        integrals. ``sums.image`` is the image, raveled, ready for `sample_at_front`.
+    alpha : float
+        As given. A subclass whose force has more than alpha times the curvature raises it, see `Energy`.
+    """
+
+    def __init__(self, image: np.ndarray, alpha: float = 0.0) -> None:
+        self.sums = RegionSums(image)
+        self.alpha = float(alpha)
+
+    def start(self, surface: LevelSet) -> None:
+        """Sum the image over the first inside."""
+        self.sums.start(surface)
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up the cells that entered or left the band."""
+        self.sums.follow(change)
+
+    @abstractmethod
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U for the present surface."""
+
+    @abstractmethod
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front."""
 
 
 class Interface(NamedTuple):
@@ -139,10 +203,3 @@ class Interface(NamedTuple):
             out,
         )
         return out
-
-
-def sample_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> np.ndarray:
-    """Values (n,) of a raveled float32 image at the foot of every front cell, by cubic interpolation."""
-    out = np.empty(surface.size, np.float32)
-    surface.workers.run(motion.sample_image, surface.size, image, surface.grid, surface.band, front, out)
-    return out

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.base import Interface, RegionSums, Sums
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.energies.base import ImageEnergy, Interface, Sums
+from accelsurf.levelset import LevelSet
 
 
-class ChanVese:
+class ChanVese(ImageEnergy):
     """U = l1 int_in (I - c1)^2 + l2 int_out (I - c2)^2 + alpha A, f = l1 (I - c1)^2 - l2 (I - c2)^2 + alpha H.
 
     The first variation of the paper's region energy for an inward normal. c1 and c2 are the means inside and
@@ -37,26 +37,17 @@ class ChanVese:
         epsilon: float = 0.0,
         balance: float = 1.0,
     ) -> None:
+        super().__init__(image, alpha)
         self._interface = Interface(float(epsilon))
         self._weights = (2.0 * balance / (1.0 + balance), 2.0 / (1.0 + balance))
         self._area = AreaTerm(alpha)
-        self.alpha = self._area.alpha
         self._fixed = means
-        self._sums = RegionSums(image)
-        self._all = self._sums.everything()
+        self._all = self.sums.everything()
         self.means = means or (0.0, 0.0)
-
-    def start(self, surface: LevelSet) -> None:
-        """Sum the image over the first inside."""
-        self._sums.start(surface)
-
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Take up the cells that entered or left the band."""
-        self._sums.follow(change)
 
     def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also sets `means` for the next `force`."""
-        inside = self._sums.inside(surface, self._interface.part(surface, part))
+        inside = self.sums.inside(surface, self._interface.part(surface, part))
         energy = 0.0
         means = []
         for i, sums in enumerate((inside, self._outside(inside))):
@@ -73,6 +64,6 @@ class ChanVese:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
         (c1, c2), (l1, l2) = self.means, self._weights
         polynomial = (l1 - l2, 2.0 * (l2 * c2 - l1 * c1), l1 * c1 * c1 - l2 * c2 * c2)
-        force = self._interface.force(self._sums.image, surface, front, curvature, polynomial)
+        force = self._interface.force(self.sums.image, surface, front, curvature, polynomial)
         self._area.add_force(force, curvature)
         return force

@@ -1,10 +1,27 @@
 """How the surface moves under a force: each flow turns forces into speeds and owns its stable time step.
 
-A flow knows no image. beta is the speed along the inward normal N (beta > 0 shrinks), psi_t = beta |grad psi|.
+A flow knows no image. beta is the speed along the inward normal N (beta > 0 shrinks), psi_t = beta |grad psi|; where
+the whole velocity V carries the surface, psi_t = -V . grad psi.
 """
 
-from accelsurf.flows.base import Flow, Limits, Move
+from accelsurf.flows.base import Account, Flow, Limits, Move, Now
 from accelsurf.flows.constant_density import ConstantDensity
+from accelsurf.flows.flowable_mass import FlowableMass
 from accelsurf.flows.gradient import Gradient
+from accelsurf.flows.momentum import Momentum
+from accelsurf.flows.noise import Noise
+from accelsurf.flows.sobolev import Sobolev
 
-__all__ = ["ConstantDensity", "Flow", "Gradient", "Limits", "Move"]
+__all__ = [
+    "Account",
+    "ConstantDensity",
+    "Flow",
+    "FlowableMass",
+    "Gradient",
+    "Limits",
+    "Momentum",
+    "Move",
+    "Noise",
+    "Now",
+    "Sobolev",
+]

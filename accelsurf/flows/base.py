@@ -1,4 +1,4 @@
-"""What all flows share: the protocol, the speed limiter, the bounds on the time step."""
+"""What all flows share: the protocol, the speed limiter, diffusion along the surface, the bounds on the time step."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from accelsurf.kernels import motion
-from accelsurf.levelset import LevelSet
+from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Most stages of a diffusion step. The free bound is what these reach explicitly: (s^2 + s)/2 times one stage.
 STAGES = 8
+#: Free diffusion is a mixing length: D = at most MIXING x h x front speed. The surface then averages its speed over
+#: the same patch for each voxel travelled, whatever the step: a step cut short by another bound is not overdamped.
+MIXING = 16.0
 
 
 class Limits(NamedTuple):
@@ -27,20 +30,60 @@ class Limits(NamedTuple):
     dt_max: float = math.inf
 
 
+class Now(NamedTuple):
+    """The surface at the beginning of a step, and what acts on it; arrays are per band cell.
+
+    ``front`` (n,) mask of the cells that count; ``force`` f (n,), ``curvature`` H (n,), 1/mm, at the front;
+    ``area`` (n,) mm2 of surface in each voxel; ``alpha`` weight of the area in the energy.
+    """
+
+    surface: LevelSet
+    front: np.ndarray
+    force: np.ndarray
+    curvature: np.ndarray
+    area: np.ndarray
+    alpha: float
+
+
+class Account(NamedTuple):
+    """Energy and mass at the beginning of a step, and what the step takes; see `evolution.Row`.
+
+    ``kinetic`` is the paper's T, ``weight`` the factor w of the potential in T + w U; the others are in the units
+    of U: ``friction`` is lost per unit of flow time, ``smoothing`` (diffusion, limiter) taken and ``noise`` put in
+    by this step.
+    """
+
+    kinetic: float = 0.0
+    weight: float = 1.0
+    mass_potential: float = 0.0
+    friction: float = 0.0
+    smoothing: float = 0.0
+    noise: float = 0.0
+    mass: float = 0.0
+    mass_correction: float = 0.0
+    clamped: float = 0.0
+
+
 class Move(NamedTuple):
     """One step as the flow wants it.
 
-    ``dt``; ``speed`` (n,) beta on the whole band; ``kinetic`` energy at the beginning of the step; ``rate``
-    the percentile of the front's speeds (mm per unit time); ``limited`` share of front cells held back;
+    ``dt``; ``speed`` (n,) beta on the whole band; ``velocity`` (n, 3) V, where the surface is carried along by it;
+    ``rate`` the percentile of the front's speeds (mm per unit time); ``limited`` share of front cells held back;
     ``diffusion`` used (mm2 per unit time).
     """
 
     dt: float
     speed: np.ndarray
-    kinetic: float
-    rate: float
-    limited: float
-    diffusion: float
+    velocity: np.ndarray | None = None
+    rate: float = 0.0
+    limited: float = 0.0
+    diffusion: float = 0.0
+    account: Account = Account()
+
+    @classmethod
+    def none(cls, surface: LevelSet) -> Move:
+        """No move: nothing acts on the surface."""
+        return cls(0.0, np.zeros(surface.size, np.float32))
 
 
 class Flow(Protocol):
@@ -49,29 +92,28 @@ class Flow(Protocol):
     Attributes
     ----------
     name : str
-    weight : float
-        Factor w of the potential in T + w U (1 for descent), at the present time.
     """
 
     name: str
 
     @property
     def weight(self) -> float:
-        """Factor of the potential in the energy that the flow dissipates."""
+        """Factor w of the potential in the energy T + w U that the flow dissipates; 1 for descent."""
+        ...
+
+    def reach(self, surface: LevelSet) -> float:
+        """Distance from the surface, in voxels, up to which the flow needs forces."""
         ...
 
     def start(self, surface: LevelSet) -> None:
         """Begin at rest on a surface."""
         ...
 
-    def rest(self) -> None:
-        """Put the surface at rest, as at the start (adaptive restart)."""
+    def rest(self, area: np.ndarray) -> float:
+        """Put the surface at rest, as at the start (adaptive restart); returns T/w, which is lost."""
         ...
 
-    def move(
-        self, surface: LevelSet, front: np.ndarray, force: np.ndarray, curvature: np.ndarray, area: np.ndarray,
-        alpha: float, limits: Limits,
-    ) -> Move:
+    def move(self, now: Now, limits: Limits) -> Move:
         """Choose the time step and the speeds of one step."""
         ...
 
@@ -83,6 +125,50 @@ class Flow(Protocol):
     def take(self, fields: list[np.ndarray]) -> None:
         """Take the extended fields back, on the new band."""
         ...
+
+
+class Descent:
+    """What flows without inertia share: no kinetic energy, and a step that follows the strongest speed so far."""
+
+    weight = 1.0
+
+    def __init__(self) -> None:
+        self._strongest = 0.0
+
+    @property
+    def fields(self) -> list[np.ndarray]:
+        """None: descent remembers nothing."""
+        return []
+
+    def reach(self, surface: LevelSet) -> float:
+        """The front."""
+        return FRONT_WIDTH
+
+    def start(self, surface: LevelSet) -> None:
+        """Forget the forces of another run."""
+        self._strongest = 0.0
+
+    def rest(self, area: np.ndarray) -> float:
+        """Always at rest."""
+        return 0.0
+
+    def take(self, fields: list[np.ndarray]) -> None:
+        """Nothing to take."""
+
+    def travel_dt(self, rates: np.ndarray, limits: Limits) -> float:
+        """Step in which the percentile of the speeds ``rates`` (voxels per unit time) moves the surface by cfl."""
+        # The strongest force so far: near the minimum forces fade, but the wells keep their steepness.
+        fastest = self._strongest = max(self._strongest, percentile(rates, limits.percentile))
+        return min(limits.dt_max, limits.cfl / fastest if fastest > 0 else math.inf)
+
+
+def finish(now: Now, speed: np.ndarray, dt: float, limits: Limits, diffusion: float = 0.0) -> Move:
+    """The move of a descent: ``speed`` (n,) at the front, held to the limit and extended (in place)."""
+    rates = voxel_rates(now.surface, now.front, speed)
+    held = hold_back(speed, rates, dt, limits.cfl)
+    rate = percentile(np.abs(speed[now.front]), limits.percentile)
+    now.surface.extend_outwards(speed, now.front)
+    return Move(dt, speed, None, rate, held / max(1, int(now.front.sum())), diffusion)
 
 
 def voxel_rates(surface: LevelSet, front: np.ndarray, speed: np.ndarray) -> np.ndarray:
@@ -103,10 +189,11 @@ def percentile(values: np.ndarray, percent: float) -> float:
 
 
 def hold_back(speed: np.ndarray, rates: np.ndarray, dt: float, cfl: float) -> int:
-    """Hold ``speed`` (in place) to ``cfl`` voxels in ``dt``; returns how many cells were held."""
+    """Hold ``speed`` (n,) or (n, 3) (in place) to ``cfl`` voxels in ``dt``; returns how many cells were held."""
     most = cfl / dt
     fast = rates > most * (1.0 + 1e-6)
-    speed[fast] *= np.float32(most) / rates[fast]
+    share = np.float32(most) / rates[fast]
+    speed[fast] *= share if speed.ndim == 1 else share[:, None]
     return int(fast.sum())
 
 
@@ -126,9 +213,18 @@ def diffusion_bound(surface: LevelSet) -> float:
     return 0.5 / sum(1.0 / h**2 for n, h in axes if n > 1)
 
 
-def free_diffusion(surface: LevelSet, dt: float) -> float:
-    """The free bound: the largest D (mm2 per unit time) that `diffuse` reaches in a step of ``dt``."""
-    return 0.5 * STAGES * (STAGES + 1) * diffusion_bound(surface) / dt
+def diffusion_reach(surface: LevelSet) -> float:
+    """The largest amount D dt (mm2) that `diffuse` reaches in one step."""
+    return 0.5 * STAGES * (STAGES + 1) * diffusion_bound(surface)
+
+
+def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
+    """The paper's free gain: the largest D (mm2 per unit time) that costs no shorter step, within a mixing length.
+
+    The first bound is what `diffuse` reaches in ``dt``; the second, MIXING x h x ``speed``, keeps a step that
+    another bound has made short from being overdamped.
+    """
+    return min(diffusion_reach(surface) / dt, MIXING * smallest_spacing(surface) * speed)
 
 
 def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float) -> None:
@@ -156,5 +252,10 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
 
 def smallest_spacing(surface: LevelSet) -> float:
     """Smallest spacing (mm) among the axes with more than one slice."""
+    return min(h for n, h in axes_of(surface) if n > 1)
+
+
+def axes_of(surface: LevelSet) -> tuple[tuple[int, float], ...]:
+    """(voxels, spacing) of the axes z, y, x."""
     g = surface.grid
-    return min(h for n, h in ((g.nz, g.hz), (g.ny, g.hy), (g.nx, g.hx)) if n > 1)
+    return (g.nz, g.hz), (g.ny, g.hy), (g.nx, g.hx)

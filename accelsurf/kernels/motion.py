@@ -66,19 +66,19 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
 
 
 @kernel
-def kick(start, stop, beta, force, curvature, front, rates):
+def kick(start, stop, beta, gain, curvature, front, rates):
     """Leap-frog kick, centred in time, of the front's speeds (in place); numerics of the surface system.
 
-    beta+ = [beta (1 - gamma dm/2) + dm force] / [1 + gamma dm/2 - dm beta H/2], the transport term
-    1/2 beta^2 H taken as 1/2 beta beta+ H, which makes the scheme second order. ``force`` is w f/rho plus
-    the diffusion; ``rates`` = (gamma dm, dm). The denominator is kept above 0.2.
+    beta+ = [beta (1 - gamma dm/2) + gain] / [1 + gamma dm/2 - dm beta H/2], the transport term 1/2 beta^2 H taken
+    as 1/2 beta beta+ H, which makes the scheme second order. ``gain`` is dm w f/rho; ``rates`` = (gamma dm, dm).
+    The denominator is kept above 0.2.
     """
     damping, dm = rates
     for s in range(start, stop):
         if front[s]:
             b = beta[s]
             denominator = max(1.0 + 0.5 * damping - 0.5 * dm * b * curvature[s], 0.2)
-            beta[s] = (b * (1.0 - 0.5 * damping) + dm * force[s]) / denominator
+            beta[s] = (b * (1.0 - 0.5 * damping) + gain[s]) / denominator
 
 
 @kernel

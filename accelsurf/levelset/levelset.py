@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels import differences, march, motion, region
+from accelsurf.kernels import differences, march, motion, region, transport
 from accelsurf.kernels.grid import Band, Grid, Lattice
 from accelsurf.levelset.parallel import Workers
 
@@ -64,10 +65,14 @@ class LevelSet:
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
-        self.grid = Grid(*self.shape, *(float(h) for h in spacing))
+        steps = [float(h) for n, h in zip(self.shape, spacing, strict=True) if n > 1] or [1.0]
+        # Nothing happens along an axis of one voxel: for the kernels it is as fine as the others, and the thickness
+        # of the slice only scales volumes and areas.
+        own = [float(h) if n > 1 else min(steps) for n, h in zip(self.shape, spacing, strict=True)]
+        self.grid = Grid(*self.shape, *own)
+        self._thickness = math.prod(spacing) / math.prod(own)
         # A stencil across a slanted surface reaches further, in voxels along the normal, the less the spacings are
         # alike: at most by |n/h| |h n| <= (ratio + 1/ratio)/2 (Kantorovich).
-        steps = [float(h) for n, h in zip(self.shape, spacing, strict=True) if n > 1] or [1.0]
         self._slant = 0.5 * (max(steps) / min(steps) + min(steps) / max(steps))
         self.half_width = float(half_width) * self._slant
         self.gamma = np.float32(self.half_width * max(steps))
@@ -109,7 +114,7 @@ class LevelSet:
     @property
     def voxel_volume(self) -> float:
         """Volume of a voxel, mm3."""
-        return self.grid.hz * self.grid.hy * self.grid.hx
+        return self.grid.hz * self.grid.hy * self.grid.hx * self._thickness
 
     def front(self, width: float = FRONT_WIDTH) -> np.ndarray:
         """Mask (n,) of the band cells within ``width`` voxels of the surface."""
@@ -128,9 +133,14 @@ class LevelSet:
         return out
 
     def cut(self) -> tuple[np.ndarray, np.ndarray]:
-        """Share of each band voxel that is inside, and the area (mm2) of the surface in it, both (n,) float64."""
+        """Share of each band voxel that is inside, and its part of the surface's area (mm2), both (n,) float64.
+
+        The area is smeared over 1.5 voxels: sums vary by 1e-4 as a smooth surface moves through the grid. In
+        strong noise, where distances to several walls meet, it is a few percent below the mesh's.
+        """
         part, area = np.empty(self.size), np.empty(self.size)
         self.workers.run(region.cut_band, self.size, self.dense.psi, self.grid, self.band, part, area)
+        area *= self._thickness
         return part, area
 
     def slopes(self) -> np.ndarray:
@@ -191,6 +201,21 @@ class LevelSet:
         run(differences.upwind_norms, self.size, self.dense.psi, self.grid, self.band, speed, front, norm)
         run(motion.drift, self.size, self.dense.psi, self.band, speed, norm, np.float32(dt))
 
+    def carry(self, velocity: np.ndarray, dt: float) -> None:
+        """psi_t = -V . grad psi for one step with the extended velocity ``velocity`` (n, 3), mm per unit time.
+
+        Semi-Lagrangian: psi at the point that the velocity takes to each cell, by cubic interpolation.
+        """
+        out = np.empty(self.size, np.float32)
+        self.workers.run(transport.carry_psi, self.size, self.dense, self.grid, self.band, velocity, dt, out)
+        self.dense.psi[self.band.cells] = out
+
+    def normals(self, front: np.ndarray) -> np.ndarray:
+        """Inward unit normal N (n, 3), z y x, of the surface at the foot of every front cell, 0 elsewhere."""
+        out = np.empty((self.size, 3), np.float32)
+        self.workers.run(transport.normals, self.size, self.dense.psi, self.grid, self.band, front, out)
+        return out
+
     def remove_small(self) -> int:
         """Remove components, inside or outside, of at most `SMALLEST` voxels; returns how many.
 
@@ -206,7 +231,9 @@ class LevelSet:
             band_kernels.extend_outwards, self.size, self.dense.slot, self.grid, self.band, front, values
         )
 
-    def redistance(self, fields: Sequence[np.ndarray] = ()) -> Change:
+    def redistance(
+        self, fields: Sequence[np.ndarray] = (), carried: tuple[np.ndarray, float] | None = None
+    ) -> Change:
         """Make psi a distance again about its zero level, move the band after it, extend ``fields``.
 
         Parameters
@@ -214,6 +241,9 @@ class LevelSet:
         fields : sequence of ndarray (n,)
             Values on the present band. Each comes back on the new band, sampled at the closest point of
             every cell, so that grad F . grad psi = 0.
+        carried : (velocity (n, 3), dt), optional
+            The motion since the last redistancing, when the fields are carried along with it: they are then
+            sampled at the point that moved to the closest point.
 
         Returns
         -------
@@ -227,6 +257,7 @@ class LevelSet:
         cells, foot, state, total = march.march(
             self.dense, self.grid, self.band.cells, foot, reviewed, self.half_width
         )
+        self.workers.visited += total
         keep = np.empty(total, np.bool_)
         run(band_kernels.keep_mask, total, self.grid, foot, state, self.half_width, keep)
         entered = n + np.flatnonzero(keep[n:])
@@ -237,7 +268,7 @@ class LevelSet:
         new = Band(np.empty(size, np.int64), np.empty(size, np.float32), np.empty((size, 3), np.float32))
         old = Band(cells, self.band.psi, foot)
         run(band_kernels.gather_band, size, self.dense.psi, self.grid, order, old, new)
-        extended = [self._sample(new, n, field) for field in fields]
+        extended = [self._sample(new, n, f) for f in fields] if carried is None else self._carried(new, fields, carried)
 
         entered_cells, left_cells = cells[entered], cells[:n][~keep[:n]]
         change = Change(
@@ -248,6 +279,17 @@ class LevelSet:
         run(band_kernels.store_band, size, self.dense, new)
         self.band = new
         return change
+
+    def _carried(
+        self, new: Band, fields: Sequence[np.ndarray], carried: tuple[np.ndarray, float]
+    ) -> list[np.ndarray]:
+        velocity, dt = carried
+        values = np.stack(fields, axis=1).astype(np.float32, copy=False)
+        out = np.empty((new.cells.size, len(fields)), np.float32)
+        self.workers.run(
+            transport.carry_fields, new.cells.size, self.dense.slot, self.grid, new, velocity, dt, values, out
+        )
+        return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]
 
     def _sample(self, new: Band, n_old: int, field: np.ndarray) -> np.ndarray:
         out = np.empty(new.cells.size, np.float32)

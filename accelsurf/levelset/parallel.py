@@ -21,12 +21,15 @@ class Workers:
 
     def __init__(self, threads: int = 1) -> None:
         self.threads = threads
+        #: Band cells handed to kernels so far: the cost of a run that does not depend on the machine.
+        self.visited = 0
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def run(self, kernel: Callable[..., Any], size: int, *args: Any) -> None:
         """Call ``kernel(start, stop, *args)`` so that the ranges cover ``0 .. size``."""
         if size == 0:
             return
+        self.visited += size
         blocks = -(-size // BLOCK)
         if self._pool is None or blocks == 1:
             kernel(0, size, *args)
@@ -42,6 +45,7 @@ class Workers:
     def sums(self, kernel: Callable[..., Any], size: int, columns: int, *args: Any) -> np.ndarray:
         """Sum the rows that ``kernel(first_block, last_block, *args, rows)`` leaves, one per block, in order."""
         blocks = -(-size // BLOCK)
+        self.visited += size
         rows = np.zeros((blocks, columns))
         if self._pool is None or blocks <= 1:
             kernel(0, blocks, *args, rows)

@@ -1,0 +1,147 @@
+"""Geodesic active surfaces: the area, counted less where the image has edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import ndimage
+
+from accelsurf.energies.area import AreaTerm
+from accelsurf.energies.at_front import sample_at_front, slope_at_front
+from accelsurf.energies.base import ImageEnergy
+from accelsurf.errors import InputError
+from accelsurf.levelset import LevelSet
+
+#: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that
+#: counts as half an edge, and how far above the middle of all gradients, noise or texture, half an edge must be.
+STRONG_PERCENTILE, STRONG_PART, ABOVE_NOISE = 99.9, 0.25, 2.0
+
+
+class Geodesic(ImageEnergy):
+    """U = int phi dA + c int_in phi dx + alpha A, f = phi H + grad phi . n + c phi + alpha H (n outward).
+
+    The exact first variation: phi H pulls as the area does, grad phi . n towards lower phi on either side of an edge.
+
+    Parameters
+    ----------
+    phi : ndarray (nz, ny, nx)
+        Price of area at a place, above 0; `edge_indicator` makes it from an image. No unit, so U is in mm2.
+    alpha : float
+        Price of area that edges do not lower: the surface cannot follow an edge that bends more sharply than they
+        outweigh. No unit.
+    balloon : float
+        c, per mm: above 0 the surface shrinks where there is no edge, below 0 it grows. It wins over the area's own
+        pull on a ball of radius r mm when c < -2/r.
+
+    Attributes
+    ----------
+    alpha : float
+        max(phi) + alpha, the largest factor of H in the force. With the given alpha alone, 0 by default, the flows
+        would step as if there were no curvature in the force, and be unstable.
+    """
+
+    def __init__(self, phi: np.ndarray, alpha: float = 0.0, balloon: float = 0.0) -> None:
+        super().__init__(phi, float(np.max(phi)) + float(alpha))
+        self._area = AreaTerm(alpha)
+        self.balloon = float(balloon)
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface: phi at the foot of each voxel that the surface cuts, times the area in it."""
+        phi = sample_at_front(self.sums.image, surface, area > 0)
+        energy = float(np.dot(phi, area)) + self._area.value(area)
+        if self.balloon:
+            energy += self.balloon * self.sums.inside(surface, part).total * surface.voxel_volume
+        return energy
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front, phi and its slope at each cell's closest surface point."""
+        phi, slope = slope_at_front(self.sums.image, surface, front)
+        force: np.ndarray = phi * (curvature + np.float32(self.balloon)) + slope
+        self._area.add_force(force, curvature)
+        return force
+
+
+def edge_indicator(
+    image: np.ndarray, spacing: Sequence[float], scale: float | None = None, contrast: float | None = None
+) -> np.ndarray:
+    """Edge indicator phi = 1/(1 + (|grad I_s|/K)^2): 1 where the image is flat, near 0 on its edges.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx)
+        Values in any unit.
+    spacing : sequence of 3 floats
+        (hz, hy, hx), mm.
+    scale : float, optional
+        s, mm: sigma of the Gaussian that the image is smoothed with first. By default the largest spacing, so that
+        edges look alike along every axis.
+    contrast : float, optional
+        K, image units per mm. By default `edge_contrast` of the image's gradients.
+
+    Returns
+    -------
+    ndarray (nz, ny, nx), float32
+
+    Raises
+    ------
+    InputError
+        When the image is flat at this scale, so that there is no edge.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = np.zeros((1, 9, 24))
+    >>> image[..., 12:] = 1
+    >>> phi = edge_indicator(image, (1, 1, 1))
+    >>> bool(phi[0, 4, 12] < 0.1), bool(phi[0, 4, 2] > 0.99)
+    (True, True)
+    """
+    gradient = gradient_magnitude(image, spacing, largest_spacing(image.shape, spacing) if scale is None else scale)
+    k = edge_contrast(gradient) if contrast is None else float(contrast)
+    return np.asarray(1.0 / (1.0 + (gradient / np.float32(k)) ** 2), np.float32)
+
+
+def largest_spacing(shape: Sequence[int], spacing: Sequence[float]) -> float:
+    """Largest spacing (mm) among the axes with more than one slice."""
+    return max((float(h) for n, h in zip(shape, spacing, strict=True) if n > 1), default=1.0)
+
+
+def gradient_magnitude(image: np.ndarray, spacing: Sequence[float], scale: float) -> np.ndarray:
+    """|grad I| (nz, ny, nx), float32, per mm, of the image smoothed by a Gaussian of ``scale`` mm.
+
+    Centred differences of the smoothed image, and not a filter of the Gaussian's derivative: that is wrong where the
+    Gaussian is narrower than a voxel, as it is across thick slices. An axis with one slice has no slope.
+    """
+    axes = [axis for axis, n in enumerate(image.shape) if n > 1]
+    widths = [scale / spacing[axis] if axis in axes else 0.0 for axis in range(3)]
+    smooth = ndimage.gaussian_filter(np.asarray(image, np.float32), widths, mode="nearest")
+    total = np.zeros(image.shape, np.float32)
+    for axis in axes:
+        total += np.gradient(smooth, np.float32(spacing[axis]), axis=axis) ** 2
+    return np.sqrt(total)
+
+
+def edge_contrast(gradient: np.ndarray) -> float:
+    """Gradient K that counts as half an edge, from all gradients of an image.
+
+    The larger of a quarter of the strongest edges (99.9th percentile) and twice the median. Most voxels are not on an
+    edge, so the median is what noise and texture have: there phi stays at 0.8, and edges stand out of it as far as
+    they can. In a clean image the median is 0, and a quarter of the strongest edge makes phi 1/17 on it.
+
+    Raises
+    ------
+    InputError
+        When all gradients are 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> edge_contrast(np.array([0.1] * 90 + [1.0] * 10)), edge_contrast(np.array([0.3] * 90 + [1.0] * 10))
+    (0.25, 0.6)
+    """
+    strong = float(np.percentile(gradient, STRONG_PERCENTILE)) or float(np.max(gradient))
+    contrast = max(STRONG_PART * strong, ABOVE_NOISE * float(np.median(gradient)))
+    if not contrast > 0:
+        raise InputError("the image has no edge at this scale: its gradient is 0", "take a smaller edge scale")
+    return contrast

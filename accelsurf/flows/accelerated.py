@@ -1,0 +1,194 @@
+"""What the paper's systems share: the clock, its weight and friction, the start from rest, the bounds on the step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from accelsurf.flows.base import (
+    Limits,
+    Now,
+    diffusion_reach,
+    free_diffusion,
+    smallest_spacing,
+)
+from accelsurf.flows.noise import Noise
+from accelsurf.levelset import LevelSet
+
+
+class Clock:
+    """The time t of the weight w = lambda k^2 t^(k-2) and the friction gamma = (k+1)/t.
+
+    With a constant friction a, w = lambda and gamma = a. From rest at t = 0 the first half step follows the exact
+    series beta = (lambda k/2) t^(k-1) f/rho; that needs k > 1. Otherwise the clock starts at t0 > 0, from rest.
+
+    Parameters
+    ----------
+    k, lambda_ : float
+        Order and strength of the potential.
+    friction : float, optional
+        A constant friction instead of (k+1)/t.
+    t0 : float, optional
+        Time on the clock at rest. None: 0 for k > 1; otherwise the time in which the first step is made.
+    """
+
+    def __init__(
+        self, k: float = 2.0, lambda_: float = 1.0, friction: float | None = None, t0: float | None = None
+    ) -> None:
+        self.k, self.lambda_, self.friction = float(k), float(lambda_), friction
+        self._given = 0.0 if t0 is None and (k > 1 or friction is not None) else t0
+        self.t0 = self._given
+        self.time = self.t0 or 0.0
+        #: The last time step, 0 right after a rest.
+        self.last_dt = 0.0
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no step was made since the last rest."""
+        return self.last_dt == 0.0
+
+    def start(self) -> None:
+        """Begin another run."""
+        self.t0 = self._given
+        self.rest()
+
+    def rest(self) -> None:
+        """Back to the time of a start from rest."""
+        self.time, self.last_dt = self.t0 or 0.0, 0.0
+
+    def tick(self, dt: float) -> None:
+        """Go on by ``dt``."""
+        self.time += dt
+        self.last_dt = dt
+
+    def weight(self, t: float | None = None) -> float:
+        """Weight w at time ``t``, now unless given; at 0, where it may be infinite, that of time 1."""
+        t = self.time if t is None else t
+        if self.friction is not None:
+            return self.lambda_
+        return self.lambda_ * self.k**2 * (t if t > 0 else 1.0) ** (self.k - 2.0)
+
+    @property
+    def gamma(self) -> float:
+        """Friction now (time > 0)."""
+        return (self.k + 1.0) / self.time if self.friction is None else self.friction
+
+    @property
+    def loss(self) -> float:
+        """Part of T/w that is lost per unit of time, now: 2 gamma + w'/w = 3 k/t, or 2 a."""
+        if self.friction is not None:
+            return 2.0 * self.friction
+        return 3.0 * self.k / self.time if self.time > 0 else 0.0
+
+    def first_kick(self, dt: float) -> float:
+        """Speed per f/rho half a step after rest."""
+        half = 0.5 * dt
+        if self.friction is not None:
+            return half * self.lambda_ / (1.0 + 0.5 * half * self.friction)
+        if self.time == 0.0:
+            return self.lambda_ * 0.5 * self.k * half ** (self.k - 1.0)
+        return half * self.weight() / (1.0 + 0.5 * half * self.gamma)
+
+    def first_dt(self, pull: float, stiffness: float, h: float, cfl: float) -> float:
+        """Largest first step: travel beta(dt/2) dt <= cfl with f/rho = ``pull`` (voxels), and the wave bound.
+
+        ``stiffness`` is the sum of the tensions over rho: waves run at sqrt(w stiffness).
+        """
+        if pull <= 0:
+            return math.inf
+        if self.t0 is None:
+            # The step that a weight of that very time allows: lambda k^2 t^(k-2) f/rho t^2/2 = cfl.
+            self.t0 = self.time = (2.0 * cfl / (self.lambda_ * self.k**2 * pull)) ** (1.0 / self.k)
+        if self.friction is None and self.time == 0.0:
+            k = self.k
+            travel = (cfl * 2.0 ** (k - 1.0) / (0.5 * k * self.lambda_ * pull)) ** (1.0 / k)
+            if stiffness <= 0:
+                return travel
+            return min(travel, (h / (k * math.sqrt(3.0 * self.lambda_ * stiffness))) ** (2.0 / k))
+        w = self.weight()
+        wave = h / math.sqrt(3.0 * w * stiffness) if stiffness > 0 else math.inf
+        return min(math.sqrt(2.0 * cfl / (w * pull)), wave)
+
+    def next_weight(self) -> float:
+        """Weight w at the end of a step like the last: where it grows, the step must be stable up to there."""
+        return self.weight(self.time + (self.last_dt if self.k > 2 else 0.0))
+
+
+class Accelerated:
+    """What the two mass models share. See `Clock` for k, lambda_, friction and t0.
+
+    Parameters
+    ----------
+    rho : float
+        Mass per area at the start.
+    diffusion : float, optional
+        D of the velocity along the surface, mm2 per unit time; the step is as short as it needs. None is the
+        free gain of each step (`base.free_diffusion`).
+    noise : Noise, optional
+        Random acceleration.
+    """
+
+    def __init__(
+        self,
+        k: float = 2.0,
+        lambda_: float = 1.0,
+        rho: float = 1.0,
+        friction: float | None = None,
+        diffusion: float | None = None,
+        t0: float | None = None,
+        noise: Noise | None = None,
+    ) -> None:
+        self.clock = Clock(k, lambda_, friction, t0)
+        self.rho = float(rho)
+        self.diffusion = diffusion
+        self.noise = noise
+        self._strongest = 0.0
+
+    @property
+    def weight(self) -> float:
+        """The factor w of the potential, lambda k^2 t^(k-2) (lambda with a constant friction)."""
+        return self.clock.weight()
+
+    def _begin(self) -> None:
+        self.clock.start()
+        self._strongest = 0.0
+        if self.noise is not None:
+            self.noise.start()
+
+    def _put_to_rest(self) -> None:
+        self.clock.rest()
+        if self.noise is not None:
+            self.noise.rest()
+
+    def _strongest_yet(self, pull: float) -> float:
+        # Near the minimum forces fade, but the wells keep their steepness.
+        self._strongest = max(self._strongest, pull)
+        return self._strongest
+
+    def _bounded(self, dt: float, surface: LevelSet, limits: Limits) -> float:
+        """The step ``dt`` within the bounds of diffusion and noise, and the user's."""
+        if self.diffusion:
+            dt = min(dt, diffusion_reach(surface) / self.diffusion)
+        if self.noise is not None and self.noise.acts:
+            dt = min(dt, self.noise.longest_dt(surface, limits.cfl))
+        return min(dt, limits.dt_max)
+
+    def _diffusion_now(self, surface: LevelSet, dt: float, speed: float) -> float:
+        return free_diffusion(surface, dt, speed) if self.diffusion is None else self.diffusion
+
+    def _noise_now(self, now: Now, dt: float, components: int) -> np.ndarray | None:
+        if self.noise is None or not self.noise.acts:
+            return None
+        return self.noise.kicks(now.surface, now.front, dt, components)
+
+
+def travel_dt(speed: float, acceleration: float, cfl: float) -> float:
+    """Step in which b dt + A dt^2/2 = cfl."""
+    root = speed + math.sqrt(speed * speed + 2.0 * acceleration * cfl)
+    return 2.0 * cfl / root if root > 0 else math.inf
+
+
+def wave_dt(surface: LevelSet, speed: float) -> float:
+    """Step in which a transverse wave of ``speed`` goes h/sqrt(3): stable in any direction."""
+    return smallest_spacing(surface) / (math.sqrt(3.0) * speed) if speed > 0 else math.inf

@@ -1,0 +1,275 @@
+"""The paper's conserved flowable mass: momentum on a surface whose mass flows along it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf.flows.accelerated import Accelerated, travel_dt, wave_dt
+from accelsurf.flows.base import (
+    Account,
+    Limits,
+    Move,
+    Now,
+    diffuse,
+    hold_back,
+    percentile,
+    smallest_spacing,
+)
+from accelsurf.kernels import transport
+from accelsurf.levelset import LevelSet
+
+#: Density is kept within this factor of its mean: the force is f/rho, and the model has no pressure.
+DENSITY_RANGE = 20.0
+#: The area under a piece of surface may change by at most this factor in a step.
+STRETCH_RANGE = 2.0
+
+
+class Gravity(NamedTuple):
+    """The mass potential U_mass = g A P, P = int 1/2 rho^2 dA, on the present surface.
+
+    ``potential``; ``tension`` (n,) g (P - 1/2 A rho^2), its tension, as used; ``area`` A; ``clamped`` share of the
+    front where the tension was clamped.
+    """
+
+    potential: float
+    tension: np.ndarray
+    area: float
+    clamped: float
+
+
+class FlowableMass(Accelerated):
+    """V_t + (V . grad) V = (w/rho) f N - gamma V + ..., rho_t + V . grad rho + rho div_S V = 0, psi_t = -V . grad psi.
+
+    The paper's system for surfaces in extended fields, psi with the corrected sign. Kick by the leap-frog (each
+    piece of surface feels only its own forces: no curvature term); then psi, V and rho are carried semi-Lagrangian,
+    rho divided by the exact stretch of the area, and rho is rescaled to the mass of the start. What is rescaled is
+    reported (`mass_correction`): the error of the transport, and the mass of surface that vanished where fronts met
+    or a component was removed, which is so spread over what is left.
+
+    With ``gravity`` g the mass potential U_mass = g A int 1/2 rho^2 dA acts as well,
+    V_t -= w g [A grad_S rho + (1/2 A rho - P/rho) H N]. Its tension g (P - 1/2 A rho^2) is negative where
+    rho > rms(rho), and the system ill-posed where that exceeds alpha: there the tension is clamped to -alpha (its
+    normal part only; ``clamp=False`` leaves it), and the share of the surface where it is clamped is reported.
+
+    Parameters
+    ----------
+    gravity : float
+        g.
+    clamp : bool
+        Whether the tension is clamped.
+    **common
+        As `Accelerated`.
+    """
+
+    name = "flowable-mass"
+    velocity = np.zeros((0, 3), np.float32)
+    density = np.zeros(0, np.float32)
+
+    def __init__(self, gravity: float = 0.0, clamp: bool = True, **common: object) -> None:
+        super().__init__(**common)  # type: ignore[arg-type]
+        self.gravity, self.clamp = float(gravity), clamp
+        self.mass = 0.0
+        self._correction = 1.0
+
+    def reach(self, surface: LevelSet) -> float:
+        """All but the outermost cells: what is carried is interpolated from cells further off than the front."""
+        return surface.half_width - 1.0
+
+    @property
+    def fields(self) -> list[np.ndarray]:
+        """Velocity z, y, x and the density that the carried surface will have."""
+        return [*(np.ascontiguousarray(self.velocity[:, c]) for c in range(3)), self.density]
+
+    def take(self, fields: list[np.ndarray]) -> None:
+        """Velocity and density on the new band."""
+        self.velocity = np.stack(fields[:3], axis=1)
+        self.density = fields[3]
+
+    def start(self, surface: LevelSet) -> None:
+        """At rest on ``surface`` with uniform density."""
+        self.velocity = np.zeros((surface.size, 3), np.float32)
+        self.density = np.full(surface.size, self.rho, np.float32)
+        self.mass = 0.0
+        self._correction = 1.0
+        self._begin()
+
+    def rest(self, area: np.ndarray) -> float:
+        """At rest where the surface is; the mass stays where it has flowed to."""
+        lost = self._kinetic(area, self.velocity, self.velocity) / self.weight
+        self.velocity[:] = 0.0
+        self._put_to_rest()
+        return lost
+
+    def move(self, now: Now, limits: Limits) -> Move:
+        """Kick the velocity by the forces over the step around the present time."""
+        surface, front, clock = now.surface, now.front, self.clock
+        self._settle_density(now.area)
+        normal = surface.normals(front)
+        gravity = self._gravity_now(now)
+        acceleration = self._acceleration(now, normal, gravity)
+        dt = self.stable_dt(now, acceleration, gravity, limits)
+        if not math.isfinite(dt):
+            return Move.none(surface)
+        before, dm = self.velocity, 0.5 * (dt + clock.last_dt)
+        smoothed, diffusion = self._diffused(now, acceleration, dt, limits)
+        damping, pull = (0.0, clock.first_kick(dt)) if clock.at_rest else (clock.gamma * dm, clock.weight() * dm)
+        gain = np.float32(pull) * acceleration
+        kicked = (smoothed * np.float32(1.0 - 0.5 * damping) + gain) / np.float32(1.0 + 0.5 * damping)
+        noise = self._noise_now(now, dm, 3)
+        noisy = kicked if noise is None else kicked + noise
+        velocity = noisy.copy()
+        rates = self._rates(surface, velocity)
+        rates[~front] = 0.0
+        held = hold_back(velocity, rates, dt, limits.cfl)
+        account = self._account(now.area, (before, smoothed, kicked, noisy, velocity), gravity)
+        self.velocity = self._extended(surface, velocity, front)
+        speed = (velocity * normal).sum(axis=1)
+        rate = percentile(np.linalg.norm(velocity[front], axis=1), limits.percentile)
+        surface.extend_outwards(speed, front)
+        self._stretch(now, normal, dt)
+        clock.tick(dt)
+        return Move(dt, speed, self.velocity, rate, held / max(1, int(front.sum())), diffusion, account)
+
+    # -- mass ----------------------------------------------------------------------------------------------
+
+    def _settle_density(self, area: np.ndarray) -> None:
+        """Bring the carried density back to the mass of the start, within its range."""
+        total = float(area.sum())
+        if self.mass == 0.0:
+            self.mass = float((area * self.density).sum())
+        if total == 0.0:
+            return
+        mean = self.mass / total
+        np.clip(self.density, mean / DENSITY_RANGE, mean * DENSITY_RANGE, out=self.density)
+        factor = self.mass / float((area * self.density).sum())
+        self.density *= np.float32(factor)
+        self._correction *= factor
+
+    def _stretch(self, now: Now, normal: np.ndarray, dt: float) -> None:
+        """Divide the density by the stretch of the area that the coming motion makes."""
+        surface, front = now.surface, now.front
+        stretch = np.empty(surface.size, np.float32)
+        surface.workers.run(
+            transport.area_stretch, surface.size, surface.dense.slot, surface.grid, surface.band.cells,
+            self.velocity, normal, front, dt, stretch,
+        )
+        self.density = np.asarray(self.density / np.clip(stretch, 1.0 / STRETCH_RANGE, STRETCH_RANGE), np.float32)
+        surface.extend_outwards(self.density, front)
+
+    # -- forces --------------------------------------------------------------------------------------------
+
+    def _gravity_now(self, now: Now) -> Gravity | None:
+        if self.gravity == 0.0:
+            return None
+        g, area = self.gravity, float(now.area.sum())
+        squares = 0.5 * float((now.area * self.density.astype(np.float64) ** 2).sum())
+        tension = g * (squares - 0.5 * area * self.density.astype(np.float64) ** 2)
+        clamped = 0.0
+        if self.clamp:
+            low = tension < -now.alpha
+            clamped = float((now.area * low).sum()) / area
+            tension[low] = -now.alpha
+        return Gravity(g * area * squares, tension.astype(np.float32), area, clamped)
+
+    def _acceleration(self, now: Now, normal: np.ndarray, gravity: Gravity | None) -> np.ndarray:
+        """Acceleration (n, 3) at the front, per weight w: f N/rho and the mass potential's."""
+        surface = now.surface
+        density = np.maximum(self.density, np.float32(1e-30))
+        along = np.asarray(now.force, np.float32) / density
+        if gravity is None:
+            return np.asarray(along[:, None] * normal)
+        along = along + gravity.tension * now.curvature / density
+        slope = np.empty((surface.size, 3), np.float32)
+        surface.workers.run(
+            transport.surface_gradient, surface.size, surface.dense.slot, surface.grid, surface.band.cells,
+            self.density[:, None], normal, now.front, slope,
+        )
+        return np.asarray(along[:, None] * normal - np.float32(self.gravity * gravity.area) * slope)
+
+    def _diffused(
+        self, now: Now, acceleration: np.ndarray, dt: float, limits: Limits
+    ) -> tuple[np.ndarray, float]:
+        """The velocity after diffusion over the time of the kick, and the coefficient used."""
+        if self.clock.at_rest:
+            return self.velocity, 0.0
+        front, dm = now.front, 0.5 * (dt + self.clock.last_dt)
+        speed = percentile(np.linalg.norm(self.velocity[front], axis=1), limits.percentile)
+        speed += dt * self.weight * percentile(np.linalg.norm(acceleration[front], axis=1), limits.percentile)
+        diffusion = self._diffusion_now(now.surface, dm, speed)
+        if diffusion <= 0:
+            return self.velocity, 0.0
+        parts = [np.ascontiguousarray(self.velocity[:, c]) for c in range(3)]
+        for part in parts:
+            if part.any():
+                diffuse(now.surface, front, part, diffusion * dm)
+        return np.stack(parts, axis=1), diffusion
+
+    # -- step and account ----------------------------------------------------------------------------------
+
+    def stable_dt(self, now: Now, acceleration: np.ndarray, gravity: Gravity | None, limits: Limits) -> float:
+        """Largest stable time step under ``acceleration`` (n, 3), that of weight 1.
+
+        Travel, b dt + A dt^2/2 <= cfl, b and A the percentiles of speed and acceleration in voxels; transverse waves,
+        c_T^2 = w (alpha + tension)/rho; with gravity sound, dt <= h/(sqrt(3) (|V| + c_s)), c_s^2 = w g A rho.
+        """
+        surface, front = now.surface, now.front
+        smallest = smallest_spacing(surface)
+        pull = self._strongest_yet(percentile(self._rates(surface, acceleration)[front], limits.percentile))
+        stiffness, sound = now.alpha, 0.0
+        if gravity is not None:
+            stiffness += max(float(gravity.tension[front].max(initial=0.0)), 0.0)
+            sound = self.gravity * gravity.area * float(self.density[front].max(initial=0.0))
+        stiffness /= float(self.density[front].min(initial=self.rho))
+        if self.clock.at_rest:
+            dt = self.clock.first_dt(pull, max(stiffness, sound), smallest, limits.cfl)
+        else:
+            w = self.clock.next_weight()
+            rate = percentile(self._rates(surface, self.velocity)[front], limits.percentile)
+            fastest = percentile(np.linalg.norm(self.velocity[front], axis=1), limits.percentile)
+            dt = min(
+                travel_dt(rate, w * pull, limits.cfl),
+                wave_dt(surface, math.sqrt(w * stiffness)),
+                wave_dt(surface, fastest + math.sqrt(w * sound)) if sound > 0 else math.inf,
+            )
+        return self._bounded(dt, surface, limits)
+
+    @staticmethod
+    def _rates(surface: LevelSet, velocity: np.ndarray) -> np.ndarray:
+        """|V| (n,) in voxels per unit time."""
+        h = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx], np.float32)
+        return np.asarray(np.linalg.norm(velocity / h, axis=1))
+
+    @staticmethod
+    def _extended(surface: LevelSet, velocity: np.ndarray, front: np.ndarray) -> np.ndarray:
+        parts = [np.ascontiguousarray(velocity[:, c]) for c in range(3)]
+        for part in parts:
+            surface.extend_outwards(part, front)
+        return np.stack(parts, axis=1)
+
+    def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
+        """1/2 int rho V . V' dA."""
+        return 0.5 * float((area * self.density * (one.astype(np.float64) * other).sum(axis=1)).sum())
+
+    def _account(self, area: np.ndarray, stages: tuple[np.ndarray, ...], gravity: Gravity | None) -> Account:
+        """Energies from the velocities before, after diffusion, kick, noise and limiter."""
+        before, smoothed, kicked, noisy, after = stages
+        w = self.clock.weight()
+
+        def energy(velocity: np.ndarray) -> float:
+            return self._kinetic(area, velocity, velocity) / w
+
+        kinetic = self._kinetic(area, before, after)
+        return Account(
+            kinetic=kinetic,
+            weight=w,
+            mass_potential=0.0 if gravity is None else gravity.potential,
+            friction=self.clock.loss * kinetic / w,
+            smoothing=energy(before) - energy(smoothed) + energy(noisy) - energy(after),
+            noise=energy(noisy) - energy(kicked),
+            mass=float((area * self.density).sum()),
+            mass_correction=self._correction - 1.0,
+            clamped=0.0 if gravity is None else gravity.clamped,
+        )

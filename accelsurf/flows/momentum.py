@@ -1,0 +1,63 @@
+"""Gradient descent with the plain momentum of the literature: the second baseline."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from accelsurf.flows.base import Descent, Limits, Move, Now, finish, voxel_rates
+from accelsurf.flows.gradient import curvature_bound
+from accelsurf.levelset import LevelSet
+
+
+class Momentum(Descent):
+    """Step s_n = (1 - omega) dt f + omega s_(n-1), redistanced after each (Andersson, Läthén, Lenz, Borga 2013).
+
+    The last step is a field on the surface, extended by the march as all fields are. There is no mass, no time
+    but the number of steps, and no term for the motion of the surface itself.
+
+    Parameters
+    ----------
+    blend : float
+        omega, the part of the last step that is kept: 0 (plain descent) up to, not including, 1.
+    """
+
+    name = "momentum"
+
+    def __init__(self, blend: float = 0.8) -> None:
+        super().__init__()
+        self.blend = float(blend)
+        self._last = np.zeros(0, np.float32)
+
+    @property
+    def fields(self) -> list[np.ndarray]:
+        """The last step, mm along N."""
+        return [self._last]
+
+    def take(self, fields: list[np.ndarray]) -> None:
+        """The last step on the new band."""
+        (self._last,) = fields
+
+    def start(self, surface: LevelSet) -> None:
+        """No step yet."""
+        super().start(surface)
+        self._last = np.zeros(surface.size, np.float32)
+
+    def rest(self, area: np.ndarray) -> float:
+        """Forget the last step."""
+        self._last[:] = 0.0
+        return 0.0
+
+    def move(self, now: Now, limits: Limits) -> Move:
+        """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""
+        force = np.asarray(now.force, np.float32)
+        dt = self.travel_dt(voxel_rates(now.surface, now.front, force)[now.front], limits)
+        if now.alpha > 0:
+            dt = min(dt, curvature_bound(now.surface) / now.alpha)
+        if not math.isfinite(dt):
+            return Move.none(now.surface)
+        speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last
+        move = finish(now, speed, dt, limits)
+        self._last = move.speed * np.float32(dt)
+        return move

@@ -1,0 +1,78 @@
+"""Random acceleration: a seeded process, white in time and smooth in space."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from accelsurf.flows.base import axes_of
+from accelsurf.kernels import waves
+from accelsurf.levelset import LevelSet
+
+#: Plane waves per draw.
+WAVES = 64
+#: Correlation length unless one is given, in voxels of the largest spacing.
+LENGTH = 4.0
+
+
+class Noise:
+    """tau xi(x, t): over a step dt each velocity component gets tau sqrt(dt) xi(x).
+
+    xi is a stationary random field of unit variance with correlation exp(-|x|^2/(2 length^2)), a sum of `WAVES` plane
+    waves with normally distributed wave vectors, drawn anew at each step and independently for each component. It
+    lives in mm, so it depends neither on the grid nor on the band; sqrt(dt) makes the variance of the velocity
+    tau^2 t whatever the steps. There is none along an axis with one slice.
+
+    Parameters
+    ----------
+    strength : float
+        tau, mm per unit time^1.5.
+    length : float or None
+        Correlation length, mm; None is `LENGTH` voxels.
+    seed : int
+    until : float or None
+        Flow time at which the noise ends; None is at the first rest.
+    """
+
+    def __init__(self, strength: float, length: float | None = None, seed: int = 0, until: float | None = None) -> None:
+        self.strength, self.length, self.seed, self.until = float(strength), length, seed, until
+        self.start()
+
+    def start(self) -> None:
+        """Begin the same sequence again."""
+        self._random = np.random.default_rng(self.seed)
+        self._elapsed = 0.0
+        self._rested = False
+
+    def rest(self) -> None:
+        """The surface was put at rest."""
+        self._rested = True
+
+    @property
+    def acts(self) -> bool:
+        """Whether there is noise at present."""
+        over = self._rested if self.until is None else self._elapsed >= self.until
+        return self.strength > 0 and not over
+
+    def longest_dt(self, surface: LevelSet, cfl: float) -> float:
+        """Step in which the noise alone moves the surface by cfl voxels: tau dt^1.5 = cfl h."""
+        return (cfl * min(h for n, h in axes_of(surface) if n > 1) / self.strength) ** (2.0 / 3.0)
+
+    def kicks(self, surface: LevelSet, front: np.ndarray, dt: float, components: int) -> np.ndarray:
+        """Velocity (n, components) that the noise adds in ``dt`` at the feet of the front cells; time goes on by dt."""
+        length = self.length if self.length is not None else LENGTH * max(h for n, h in axes_of(surface) if n > 1)
+        flat = np.array([n > 1 for n, _ in axes_of(surface)])
+        out = np.zeros((surface.size, components), np.float32)
+        for c in range(components):
+            vectors = self._random.normal(size=(WAVES, 3)) * flat / length
+            phases = self._random.uniform(0.0, 2.0 * math.pi, WAVES)
+            if components == 3 and not flat[c]:
+                continue
+            xi = np.empty(surface.size, np.float32)
+            surface.workers.run(
+                waves.sum_of_waves, surface.size, surface.grid, surface.band, front, vectors, phases, xi
+            )
+            out[:, c] = np.float32(self.strength * math.sqrt(dt)) * xi
+        self._elapsed += dt
+        return out

@@ -1,0 +1,110 @@
+"""Sobolev descent: the force smoothed along the surface by a solve at each step. The dear baseline."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from accelsurf.flows.base import Descent, Limits, Move, Now, finish, smallest_spacing, voxel_rates
+from accelsurf.kernels import tube
+from accelsurf.levelset import LevelSet
+
+#: Length of the H1 gradient unless one is given, in voxels of the smallest spacing.
+LENGTH = 5.0
+#: Half width of the tube in which the equation is solved, voxels along the normal.
+TUBE = 2.0
+#: The solve ends when the residual is this part of the right hand side.
+TOLERANCE = 1e-3
+MAX_ITERATIONS = 200
+
+
+class Sobolev(Descent):
+    """psi_t = g |grad psi| with (1 - ell^2 Lap_S) g = f: descent in the H1 metric of the surface.
+
+    On a sphere of radius r a spherical harmonic of degree l comes out divided by 1 + ell^2 l (l + 1)/r^2. The step
+    is bound by the travel of g alone, also with an area weight.
+
+    Parameters
+    ----------
+    length : float or None
+        ell, mm; None is `LENGTH` voxels.
+    """
+
+    name = "sobolev"
+
+    def __init__(self, length: float | None = None) -> None:
+        super().__init__()
+        self.length = length
+        self._last = np.zeros(0, np.float32)
+
+    @property
+    def fields(self) -> list[np.ndarray]:
+        """The last g: the next solve starts from it."""
+        return [self._last]
+
+    def take(self, fields: list[np.ndarray]) -> None:
+        """The last g on the new band."""
+        (self._last,) = fields
+
+    def start(self, surface: LevelSet) -> None:
+        """Nothing to start a solve from yet."""
+        super().start(surface)
+        self._last = np.zeros(surface.size, np.float32)
+
+    def move(self, now: Now, limits: Limits) -> Move:
+        """Step with beta = g, dt <= cfl/|g|."""
+        surface = now.surface
+        length = LENGTH * smallest_spacing(surface) if self.length is None else self.length
+        speed = h1_gradient(surface, now.force, length, self._last)
+        inner = surface.front(1.0)
+        surface.extend_outwards(speed, inner)
+        dt = self.travel_dt(voxel_rates(surface, inner, speed)[inner], limits)
+        if not math.isfinite(dt):
+            return Move.none(surface)
+        move = finish(now, speed, dt, limits)
+        self._last = move.speed
+        return move
+
+
+def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.ndarray) -> np.ndarray:
+    """Solution g (n,) of (1 - length^2 Lap_S) g = force near the surface, by conjugate gradients from ``guess``.
+
+    Solved as the minimum of sum eta ((g - f)^2 + length^2 |grad g|^2) over a tube around the surface whose weight
+    eta fades to its edge; in a tube thin against the radius of curvature g is constant along the normal. Diagonal
+    preconditioner.
+    """
+    run, n = surface.workers.run, surface.size
+    slot, cells = surface.dense.slot, surface.band.cells
+    eta, diagonal = np.empty(n), np.empty(n)
+    run(tube.tube_weight, n, surface.grid, surface.band, TUBE, eta)
+    run(tube.tube_diagonal, n, slot, surface.grid, cells, eta, length, diagonal)
+
+    def product(field: np.ndarray) -> np.ndarray:
+        out = np.empty(n)
+        run(tube.tube_product, n, slot, surface.grid, cells, eta, length, field, out)
+        return out
+
+    right = eta * force
+    g = guess.astype(np.float64)
+    residue = right - product(g)
+    enough = TOLERANCE**2 * _dot(right, right / diagonal)
+    way = np.zeros(n)
+    last = 1.0
+    for _ in range(MAX_ITERATIONS):
+        scaled = residue / diagonal
+        size = _dot(residue, scaled)
+        if size <= enough:
+            break
+        way = scaled + (size / last) * way
+        last = size
+        image = product(way)
+        step = size / _dot(way, image)
+        g += step * way
+        residue -= step * image
+    return g.astype(np.float32)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> float:
+    # numpy's own sum: the library behind np.dot may split it by the number of its threads.
+    return float((a * b).sum())

@@ -1,0 +1,253 @@
+"""Carrying a surface and what lives on it along a velocity: departure points, and the stretch of its area."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.differences import gradient
+from accelsurf.kernels.grid import neighbours, unravel
+from accelsurf.kernels.interpolate import axis_weights, value_at
+
+#: Fixed-point iterations for a departure point; each gains a factor dt |grad V|, at most about 1/10.
+ITERATIONS = 3
+#: Longest way back to a departure point per axis, voxels: beyond it lies another part of the surface.
+FARTHEST = 2.0
+
+
+@kernel
+def band_vector_at(values, slot, grid, position, w, out):
+    """Interpolate band fields ``values`` (n, m) at ``position`` (index coordinates) into ``out`` (m,).
+
+    Cubic where all nodes are in the band, else linear over those of the eight surrounding cells that are.
+    Returns False when none of these is.
+    """
+    n, m = values.shape
+    for c in range(m):
+        out[c] = 0.0
+    bz, mz, _ = axis_weights(position[0], grid.nz, w, 0)
+    by, my, _ = axis_weights(position[1], grid.ny, w, 8)
+    bx, mx, _ = axis_weights(position[2], grid.nx, w, 16)
+    for i in range(mz):
+        for j in range(my):
+            at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
+            share = w[i] * w[8 + j]
+            for k in range(mx):
+                s = slot[at + k]
+                if s < 0 or s >= n:
+                    return linear_band_vector(values, slot, grid, position, out)
+                for c in range(m):
+                    out[c] += share * w[16 + k] * values[s, c]
+    return True
+
+
+@kernel
+def linear_band_vector(values, slot, grid, position, out):
+    """Linear interpolation of band fields over those of the eight surrounding cells that are in the band."""
+    n, m = values.shape
+    for c in range(m):
+        out[c] = 0.0
+    pz = min(max(position[0], 0.0), grid.nz - 1.0)
+    py = min(max(position[1], 0.0), grid.ny - 1.0)
+    px = min(max(position[2], 0.0), grid.nx - 1.0)
+    iz, iy, ix = int(np.floor(pz)), int(np.floor(py)), int(np.floor(px))
+    weight = 0.0
+    for corner in range(8):
+        i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+        share = (pz - iz if i == 1 else 1.0 - (pz - iz)) * (py - iy if j == 1 else 1.0 - (py - iy))
+        share *= px - ix if k == 1 else 1.0 - (px - ix)
+        if share <= 1e-6:
+            continue
+        s = slot[((iz + i) * grid.ny + iy + j) * grid.nx + ix + k]
+        if s >= 0 and s < n:
+            weight += share
+            for c in range(m):
+                out[c] += share * values[s, c]
+    if weight <= 0.0:
+        return False
+    for c in range(m):
+        out[c] /= weight
+    return True
+
+
+@kernel
+def depart(velocity, slot, grid, target, dt, scratch, at):
+    """Point ``at`` (index coordinates) that ``velocity`` (n, 3) takes to ``target`` in ``dt``: at + dt V(at) = target.
+
+    ``scratch`` = (w (24,), v (3,)). Where no velocity is known the point stays at the target.
+    """
+    w, v = scratch
+    for axis in range(3):
+        at[axis] = target[axis]
+    for _ in range(ITERATIONS):
+        if not band_vector_at(velocity, slot, grid, at, w, v):
+            return
+        for axis in range(3):
+            h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
+            back = min(max(dt * v[axis] / h, -FARTHEST), FARTHEST)
+            at[axis] = target[axis] - back
+
+
+@kernel
+def has_stencil(slot, grid, position, w):
+    """Whether all nodes of the cubic interpolation at ``position`` are in the band."""
+    bz, mz, _ = axis_weights(position[0], grid.nz, w, 0)
+    by, my, _ = axis_weights(position[1], grid.ny, w, 8)
+    bx, mx, _ = axis_weights(position[2], grid.nx, w, 16)
+    for i in range(mz):
+        for j in range(my):
+            at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
+            for k in range(mx):
+                if slot[at + k] < 0:
+                    return False
+    return True
+
+
+@kernel
+def carry_psi(start, stop, dense, grid, band, velocity, dt, out):
+    """Psi of every cell after ``dt`` of psi_t = -V . grad psi: psi at the departure point of the cell.
+
+    Near the band's edge, where the interpolation would reach beyond it, psi - dt V . n with the normal n of
+    the distance that psi was.
+    """
+    w = np.empty(24)
+    v = np.empty(3)
+    target = np.empty(3)
+    at = np.empty(3)
+    for s in range(start, stop):
+        cell = band.cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        target[0], target[1], target[2] = iz, iy, ix
+        depart(velocity, dense.slot, grid, target, dt, (w, v), at)
+        if has_stencil(dense.slot, grid, at, w):
+            out[s] = value_at(dense.psi, grid, at[0], at[1], at[2], w)
+            continue
+        d = band.psi[s]
+        nz, ny, nx = outward(dense.psi, band, s, cell, iz, iy, ix, grid)
+        out[s] = d - dt * (velocity[s, 0] * nz + velocity[s, 1] * ny + velocity[s, 2] * nx)
+
+
+@kernel
+def outward(psi, band, s, cell, iz, iy, ix, grid):
+    """Outward unit normal at the foot of slot ``s``: away from the foot where that is well off the cell."""
+    d = band.psi[s]
+    if abs(d) > 0.5 * min(grid.hz, min(grid.hy, grid.hx)):
+        return -band.foot[s, 0] / d, -band.foot[s, 1] / d, -band.foot[s, 2] / d
+    gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
+    norm = max(np.sqrt(gz * gz + gy * gy + gx * gx), 1e-12)
+    return gz / norm, gy / norm, gx / norm
+
+
+@kernel
+def normals(start, stop, psi, grid, band, front, out):
+    """Inward unit normal N (n, 3) at the foot of every front cell, 0 elsewhere."""
+    for s in range(start, stop):
+        out[s, 0], out[s, 1], out[s, 2] = 0.0, 0.0, 0.0
+        if front[s]:
+            cell = band.cells[s]
+            iz, iy, ix = unravel(cell, grid)
+            gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
+            norm = max(np.sqrt(gz * gz + gy * gy + gx * gx), 1e-12)
+            out[s, 0], out[s, 1], out[s, 2] = -gz / norm, -gy / norm, -gx / norm
+
+
+@kernel
+def slope(values, c, s, below, above, h):
+    """Difference quotient of field ``c`` at slot ``s``: centred, or one-sided where a neighbour (-1) is missing."""
+    if below >= 0 and above >= 0:
+        return (values[above, c] - values[below, c]) / (2.0 * h)
+    if above >= 0:
+        return (values[above, c] - values[s, c]) / h
+    if below >= 0:
+        return (values[s, c] - values[below, c]) / h
+    return 0.0
+
+
+@kernel
+def near_slots(slot, grid, cell, iz, iy, ix, near, out):
+    """Slots of the six neighbours of a cell, -1 where one is not in the band."""
+    neighbours(cell, iz, iy, ix, grid, near)
+    for side in range(6):
+        out[side] = slot[near[side]] if near[side] >= 0 else -1
+
+
+@kernel
+def area_stretch(start, stop, slot, grid, cells, velocity, normal, front, dt, out):
+    """Factor by which ``dt`` of motion stretches the surface at every front cell (1 elsewhere): J = |cof(F) n|.
+
+    F = I + dt grad V with the extended velocity (n, 3): exact for the map x + dt V, det F |F^-T n|.
+    """
+    near = np.empty(6, np.int64)
+    at = np.empty(6, np.int64)
+    f = np.empty((3, 3))
+    for s in range(start, stop):
+        out[s] = 1.0
+        if not front[s]:
+            continue
+        cell = cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        near_slots(slot, grid, cell, iz, iy, ix, near, at)
+        for c in range(3):
+            for axis in range(3):
+                h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
+                f[c, axis] = dt * slope(velocity, c, s, at[2 * axis], at[2 * axis + 1], h)
+            f[c, c] += 1.0
+        total = 0.0
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            part = 0.0
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                part += (f[b, j] * f[c, k] - f[b, k] * f[c, j]) * normal[s, i]
+            total += part * part
+        out[s] = np.sqrt(total)
+
+
+@kernel
+def surface_gradient(start, stop, slot, grid, cells, values, normal, front, out):
+    """Surface gradient (n, 3) of an extended field ``values`` (n, 1) at the front cells, tangential; 0 elsewhere."""
+    near = np.empty(6, np.int64)
+    at = np.empty(6, np.int64)
+    g = np.empty(3)
+    for s in range(start, stop):
+        out[s, 0], out[s, 1], out[s, 2] = 0.0, 0.0, 0.0
+        if not front[s]:
+            continue
+        cell = cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        near_slots(slot, grid, cell, iz, iy, ix, near, at)
+        for axis in range(3):
+            h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
+            g[axis] = slope(values, 0, s, at[2 * axis], at[2 * axis + 1], h)
+        along = g[0] * normal[s, 0] + g[1] * normal[s, 1] + g[2] * normal[s, 2]
+        for axis in range(3):
+            out[s, axis] = g[axis] - along * normal[s, axis]
+
+
+@kernel
+def carry_fields(start, stop, slot, grid, band, velocity, dt, values, out):
+    """Fields (n, m) of the new ``band`` carried from the old one, which ``slot`` still maps to.
+
+    Each cell gets the values at the point of the old surface that moved to its foot. A cell with nothing known
+    around that point keeps its own old values, or 0 when it was not in the band.
+    """
+    w = np.empty(24)
+    v = np.empty(3)
+    target = np.empty(3)
+    at = np.empty(3)
+    m = values.shape[1]
+    found = np.empty(m)
+    for s in range(start, stop):
+        cell = band.cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        target[0] = iz + band.foot[s, 0] / grid.hz
+        target[1] = iy + band.foot[s, 1] / grid.hy
+        target[2] = ix + band.foot[s, 2] / grid.hx
+        depart(velocity, slot, grid, target, dt, (w, v), at)
+        own = slot[cell]
+        known = band_vector_at(values, slot, grid, at, w, found)
+        for c in range(m):
+            if known:
+                out[s, c] = found[c]
+            else:
+                out[s, c] = values[own, c] if own >= 0 and own < values.shape[0] else 0.0
