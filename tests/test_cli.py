@@ -18,7 +18,7 @@ from accelsurf.config import RunConfig
 START = ("--start", "ball:3,-2,1,5")
 REPORT_KEYS = {
     *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
-    *("stop", "energy", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components", "touches_border"),
+    *("stop", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components", "touches_border"),
     *("warnings", "outputs"),
 }
 

@@ -21,7 +21,7 @@ from accelsurf.surface import extract
 
 KEYS = {
     *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
-    *("stop", "energy", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components", "touches_border"),
+    *("stop", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components", "touches_border"),
     *("warnings", "outputs"),
 }
 
@@ -30,13 +30,16 @@ def row(step, **changes):
     values = {
         **dict(step=step, t=0.1 * step, dt=0.1, potential=100.0 / (step + 1), kinetic=1.0 + step, volume_mm3=10.0),
         **dict(area_mm2=5.0, speed=1.0, motion_voxels=0.5, limited_fraction=0.05, diffusion=2.0, band_cells=99),
-        **dict(restarted=False, removed_components=0, seconds=0.01),
+        **dict(restarted=False, removed_components=0, seconds=0.01, cells_visited=500, clamped_fraction=0.0),
+        **dict(mass_potential=0.0, weight=4.0, friction_work=0.5, smoothing_work=0.25, noise_work=0.0),
+        **dict(mass=3.0, mass_correction=0.001),
     }
     return Row(**{**values, **changes})
 
 
 def finished(**changes):
     values = dict(
+        config=RunConfig(seed=4, threads=2),
         energy="chan-vese",
         ledger=[row(0), row(1), row(2, kinetic=0.25)],
         stop=Stop("converged", 2, 0.2, "it moved no more"),
@@ -67,7 +70,14 @@ def test_every_key_is_there_with_and_without_a_result():
         warnings=["from outside"],
     )
     assert KEYS <= set(full)
-    assert full["energy"] == {"name": "chan-vese", "first": 100.0, "last": 100.0 / 3, "kinetic_last": 0.25}
+    assert full["energy"] == {
+        **{"name": "chan-vese", "first": 100.0, "last": 100.0 / 3, "kinetic_last": 0.25, "mass_potential_last": 0.0},
+        **{"friction_work": 0.5, "smoothing_work": 0.25, "noise_work": 0.0},
+    }
+    assert full["mass"] is None  # constant density conserves none
+    flowable = report.build(status="ok", exit_code=0, result=finished(config=RunConfig(flow="flowable-mass", gravity=1)))
+    assert flowable["mass"]["first"] == flowable["mass"]["last"] == 3.0 and flowable["mass"]["correction"] == 0.001
+    assert "clamped" in flowable["mass"]["cure"]
     assert full["stop"] == {"reason": "converged", "steps": 2, "time": 0.2, "message": "it moved no more"}
     assert full["seconds"] == {"load": 0.5, "start": 0.1, "evolve": 2.0, "mesh": None, "write": None, "total": 3.0}
     assert full["warnings"] == ["from the run", "from outside"]
