@@ -110,9 +110,14 @@ def _flat_png(scene: Scene, axis: int) -> bytes:
     width, height = left + right + 2.7, high + 1.55
     figure = _figure(width, height, scene.title)
     grid = figure.add_gridspec(
-        *(1, 2),
-        **dict(left=0.8 / width, right=1 - 0.8 / width, top=1 - 0.9 / height, bottom=0.65 / height),
-        **dict(wspace=2.2 / (left + right), width_ratios=(left, right)),
+        1,
+        2,
+        left=0.8 / width,
+        right=1 - 0.8 / width,
+        top=1 - 0.9 / height,
+        bottom=0.65 / height,
+        wspace=2.2 / (left + right),
+        width_ratios=(left, right),
     )
     _draw_slice(figure.add_subplot(grid[0, 0]), scene, plane)
     energies = figure.add_subplot(grid[0, 1])
@@ -142,12 +147,11 @@ def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
     """
     count, axis = len(scenes), next(iter(scenes.values())).geometry.slice_axis
     ratios = (1, 1, 0.75) if axis is None else (1, 0.75)  # of one slice there is no surface
-    figure = _figure(max(4.1 * count, 8.2), 12.0 if axis is None else 8.2, title)
-    grid = figure.add_gridspec(
-        *(len(ratios), count),
-        **dict(left=0.09, right=0.965, top=0.905 if axis is None else 0.86, bottom=0.055 if axis is None else 0.08),
-        **dict(hspace=0.24, wspace=0.25, height_ratios=ratios),
-    )
+    height = 12.0 if axis is None else 8.2
+    figure = _figure(max(4.1 * count, 8.2), height, title)
+    place = {"left": 0.09, "right": 0.965, "top": 1 - 1.14 / height, "bottom": 0.66 / height}
+    grid = figure.add_gridspec(len(ratios), count, hspace=0.24, wspace=0.25, height_ratios=ratios)
+    grid.update(**place)
     everything = [scene.surface.vertices for scene in scenes.values() if scene.surface is not None]
     box = np.concatenate(everything) if everything else None
     for column, (name, scene) in enumerate(scenes.items()):

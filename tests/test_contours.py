@@ -22,7 +22,7 @@ def disc(geometry=GRID, centre=(20.0, 12.0), radius=8.0):
 
 
 def screen_area(loop):
-    """Twice the signed area with x to the right and y up: negative for a loop counter-clockwise on the screen (y down)."""
+    """Twice the signed area, negative for a loop that runs counter-clockwise on the screen, where y runs down."""
     x, y, _ = loop.T
     return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 

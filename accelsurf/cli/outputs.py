@@ -50,11 +50,11 @@ def names(config: RunConfig, labels: str, one_slice: bool | None) -> dict[str, s
     """
     chosen = {"labels": f"seg.{labels}"}
     if one_slice is not True:
-        formats = ("ply",) if config.mesh == "auto" else config.mesh
-        chosen |= {f"surface-{kind}": f"surface.{kind}" for kind in formats if kind in SURFACE_FORMATS}
+        kinds = ["ply"] if config.mesh == "auto" else [kind for kind in config.mesh if kind in SURFACE_FORMATS]
+        chosen |= {f"surface-{kind}": f"surface.{kind}" for kind in kinds}
     if one_slice is not False:
-        formats = CONTOUR_FORMATS if config.mesh == "auto" else config.mesh
-        chosen |= {f"contour-{kind}": f"contour.{kind}" for kind in formats if kind in CONTOUR_FORMATS}
+        wanted = CONTOUR_FORMATS if config.mesh == "auto" else config.mesh
+        chosen |= {f"contour-{kind}": f"contour.{kind}" for kind in CONTOUR_FORMATS if kind in wanted}
     if config.save_sdf:
         chosen["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG holds no distances
     return chosen | {"trace": "trace.csv", "preview": "preview.png"}
