@@ -1,7 +1,7 @@
 """TIFF: what the directories claim, whether it is all there, and how it is written. ITK reads the voxels.
 
-ITK returns something for every TIFF: the first page of several, the high bytes of 16-bit tiles, half floats as
-integers. So the directories are read here first, and what ITK would not give back unchanged is refused.
+ITK returns something for nearly every TIFF: the high bytes of 16-bit tiles, half floats as integers, grey values and
+opacity in turns. So the directories are read here first, and what ITK would not give back unchanged is refused.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def parse(file: BinaryIO) -> PictureHeader:
         if not pages:
             raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
         first = _sort(pages[0])
-        _check_sort(pages[0], len(pages))
+        _check_sort(pages[0])
         for number, page in enumerate(pages[1:], 2):
             if _sort(page) != first:
                 raise InputError(
@@ -165,7 +165,7 @@ def _strips(page: Page) -> list[tuple[int, int]]:
     return list(zip(page[offsets], page[lengths], strict=True))
 
 
-def _check_sort(page: Page, pages: int) -> None:
+def _check_sort(page: Page) -> None:
     """Refuse what ITK's reader changes on the way, or mixes up."""
     bits, form, colour = _bits(page), page.get(_FORMAT, (1,))[0], page.get(_PHOTOMETRIC, (1,))[0]
     tiled, packing = _TILES in page, page.get(_COMPRESSION, (1,))[0]
@@ -188,12 +188,10 @@ def _check_sort(page: Page, pages: int) -> None:
         wrong = "rows and columns turned by its orientation tag"
     elif page.get(_PLANAR, (1,))[0] != 1 and not grey:
         wrong = "colour channels one after the other"
-    elif tiled and (bits[0] != 8 or form != 1 or pages > 1):
+    elif tiled and (bits[0] != 8 or form != 1):
         wrong = "tiles"
     elif tiled and max(page[_TILE_WIDTH][0], page[_TILE_HEIGHT][0]) > _LARGEST_TILE:
         wrong = f"tiles of {page[_TILE_WIDTH][0]} x {page[_TILE_HEIGHT][0]}"
-    elif bits == (1,) and pages > 1:
-        wrong = "several pages of 1 bit"
     if wrong:
         raise InputError(f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_SAVE_PLAIN)
 

@@ -185,6 +185,16 @@ def test_a_stack_in_colour(tmp_path):
 def test_tiles_of_bytes(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", LARGE, tile=(16, 32), **GREY)
     np.testing.assert_array_equal(io.read(tmp_path / "a.tif").array[0], LARGE)
+    pages = np.stack([LARGE, LARGE[::-1], LARGE[:, ::-1]])
+    tifffile.imwrite(tmp_path / "b.tif", pages, tile=(16, 32), **GREY)
+    np.testing.assert_array_equal(io.read(tmp_path / "b.tif").array, pages)
+
+
+def test_a_stack_of_masks_of_one_bit(tmp_path):
+    masks = [LARGE > 100, LARGE > 200]
+    first, second = (Image.fromarray(mask) for mask in masks)
+    first.save(tmp_path / "a.tif", save_all=True, append_images=[second])
+    np.testing.assert_array_equal(io.read_labels(tmp_path / "a.tif").array > 0, masks)
 
 
 def test_thumbnails_are_not_slices(tmp_path):

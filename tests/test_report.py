@@ -75,7 +75,8 @@ def test_every_key_is_there_with_and_without_a_result():
         **{"friction_work": 0.5, "smoothing_work": 0.25, "noise_work": 0.0},
     }
     assert full["mass"] is None  # constant density conserves none
-    flowable = report.build(status="ok", exit_code=0, result=finished(config=RunConfig(flow="flowable-mass", gravity=1)))
+    heavy = finished(config=RunConfig(flow="flowable-mass", gravity=1))
+    flowable = report.build(status="ok", exit_code=0, result=heavy)
     assert flowable["mass"]["first"] == flowable["mass"]["last"] == 3.0 and flowable["mass"]["correction"] == 0.001
     assert "clamped" in flowable["mass"]["cure"]
     assert full["stop"] == {"reason": "converged", "steps": 2, "time": 0.2, "message": "it moved no more"}
