@@ -29,6 +29,7 @@ _HOMES = {
     "write": "accelsurf.io",
     "RunConfig": "accelsurf.config",
     "Surface": "accelsurf.surface",
+    "Contours": "accelsurf.contours",
     "Result": "accelsurf.segmentation",
     "segment": "accelsurf.segmentation",
     "evolve": "accelsurf.segmentation",
@@ -39,6 +40,7 @@ __all__ = ["__version__", *_HOMES]
 
 if TYPE_CHECKING:
     from accelsurf.config import RunConfig as RunConfig
+    from accelsurf.contours import Contours as Contours
     from accelsurf.errors import AccelsurfError as AccelsurfError
     from accelsurf.errors import EmptyResultError as EmptyResultError
     from accelsurf.errors import GeometryError as GeometryError

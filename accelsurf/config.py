@@ -18,8 +18,8 @@ from accelsurf.errors import UsageError
 
 EnergyName = Literal["chan-vese", "geodesic"]
 FlowName = Literal["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"]
-MeshFormat = Literal["ply", "stl", "obj", "vtp"]
-LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd"]
+MeshFormat = Literal["ply", "stl", "obj", "vtp", "csv"]
+LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
 
 
 #: Settings that are true or false.
@@ -44,6 +44,8 @@ def _one_or_many(value: Any) -> Any:
 
 def _split_commas(value: Any) -> Any:
     """Let ``"ply,stl"`` stand for ``("ply", "stl")``; names given twice count once."""
+    if value == "auto":
+        return value
     if isinstance(value, str):
         value = value.split(",")
     if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
@@ -180,15 +182,21 @@ class RunConfig(BaseModel):
     half_width: Annotated[int, Field(ge=3, le=32)] | Literal["auto"] = Field(
         "auto", description="Half width of the narrow band, in voxels; auto is 3, for flowable-mass 4."
     )
-    mesh: Annotated[tuple[MeshFormat, ...], BeforeValidator(_split_commas)] = Field(
-        ("ply",), min_length=1, description="Mesh formats to write, separated by commas: ply, stl, obj, vtp."
+    mesh: Annotated[
+        Annotated[tuple[MeshFormat, ...], Field(min_length=1)] | Literal["auto"], BeforeValidator(_split_commas)
+    ] = Field(
+        "auto",
+        description="Formats, separated by commas, of the surface: ply, stl, obj, vtp; of the contours of an image of "
+        "one slice: vtp, csv. auto is ply, or for one slice vtp,csv.",
     )
     mesh_space: Literal["lps", "ras"] = Field(
-        "lps", description="World axes of the mesh, in mm: lps as ITK, or ras as NIfTI."
+        "lps", description="World axes of the mesh or contours, in mm: lps as ITK, or ras as NIfTI."
     )
     save_sdf: bool = Field(False, description="Also write the signed distance (mm, negative inside) as a volume.")
     format: LabelFormat | None = Field(
-        None, description="Format of the label map: nii.gz, nii, nrrd, mha or mhd. Follows the input unless given."
+        None,
+        description="Format of the label map: nii.gz, nii, nrrd, mha, mhd, tif, or for one slice png. "
+        "Follows the input unless given.",
     )
     seed: Annotated[int, Field(ge=0)] | None = Field(
         None, description="Seed of everything random in the run; drawn and reported unless given."

@@ -88,6 +88,20 @@ class Geometry:
         return self.spacing[2], self.spacing[1], self.spacing[0]
 
     @property
+    def slice_axis(self) -> int | None:
+        """Array axis along which a 2D image has its one voxel; None for a volume, or a line of voxels."""
+        flat = [axis for axis, n in enumerate(self.shape) if n == 1]
+        return flat[0] if len(flat) == 1 else None
+
+    @property
+    def steps(self) -> tuple[float, ...]:
+        """Spacing along the axes with more than one voxel, mm; of a single voxel, all three.
+
+        Nothing happens along an axis of one voxel: its spacing is a thickness, not a step.
+        """
+        return tuple(h for n, h in zip(self.shape, self.spacing, strict=True) if n > 1) or self.spacing
+
+    @property
     def voxel_volume(self) -> float:
         """Volume of one voxel, mm3."""
         return self.spacing[0] * self.spacing[1] * self.spacing[2]

@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from accelsurf import nifti
+from accelsurf import nifti, pictures, png, tiff
 from accelsurf.errors import GeometryError, InputError
 
 NRRD_KEY = "nrrd_space"
@@ -62,7 +62,7 @@ class RawHeader:
     offset : int
         Bytes in it before the (possibly compressed) voxels.
     encoding : str
-        "raw", "deflate" (gzip or zlib) or "other" (text, bzip2: left to the reader to check).
+        "raw", "deflate" (gzip or zlib), "png", "tiff" or "other" (text, bzip2: left to the reader to check).
     claimed_bytes : int
         Bytes expected from there on, after decompression.
     stored_bytes : int or None
@@ -71,6 +71,8 @@ class RawHeader:
         Header fields to give back on writing.
     nifti : NiftiHeader or None
         The parsed header of a NIfTI file.
+    picture : PictureHeader or None
+        The parsed header of a PNG or TIFF.
     """
 
     data: Path
@@ -80,6 +82,7 @@ class RawHeader:
     stored_bytes: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)
     nifti: nifti.NiftiHeader | None = None
+    picture: pictures.PictureHeader | None = None
 
 
 def parse(path: Path, suffix: str) -> RawHeader:
@@ -94,7 +97,16 @@ def parse(path: Path, suffix: str) -> RawHeader:
         raise InputError("the file is empty", hint="copy or export it again")
     if suffix in (".nii", ".nii.gz"):
         return _parse_nifti(path, compressed=suffix == ".nii.gz")
+    if suffix in pictures.SUFFIXES:
+        return _parse_picture(path, suffix)
     return _parse_nrrd(path) if suffix == ".nrrd" else _parse_meta(path)
+
+
+def _parse_picture(path: Path, suffix: str) -> RawHeader:
+    kind = "png" if suffix == ".png" else "tiff"
+    with path.open("rb") as file:
+        picture = png.parse(file) if kind == "png" else tiff.parse(file)
+    return RawHeader(path, 0, kind, picture.unpacked_bytes, picture=picture)
 
 
 def check_complete(header: RawHeader) -> None:
@@ -108,6 +120,9 @@ def check_complete(header: RawHeader) -> None:
         With both numbers of bytes.
     """
     if header.encoding == "other":
+        return
+    if header.picture is not None:
+        (png if header.encoding == "png" else tiff).check_complete(header.data, header.picture)
         return
     with header.data.open("rb") as file:
         if header.encoding == "raw":

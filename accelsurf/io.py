@@ -1,4 +1,4 @@
-"""Read and write volumes: NIfTI, NRRD, MetaImage. The only place that imports SimpleITK.
+"""Read and write volumes: NIfTI, NRRD, MetaImage, PNG, TIFF. The only place that imports SimpleITK.
 
 What is read is checked before it is believed: the header is parsed first (`accelsurf.headers`), then the memory that
 the volume needs is compared with what there is, then the voxels are counted, and only then are they read. What is
@@ -8,11 +8,9 @@ written appears whole or not at all, on exactly the grid it was read with.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
-import re
-import shutil
-import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,8 +19,9 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from accelsurf import headers, nifti
-from accelsurf.errors import AccelsurfError, InputError, OutputError, UsageError
+from accelsurf import headers, nifti, pictures, png, tiff
+from accelsurf.errors import InputError, UsageError
+from accelsurf.files import naming, staging
 from accelsurf.geometry import Geometry
 from accelsurf.volume import Volume
 
@@ -32,6 +31,9 @@ _READERS = {
     ".nrrd": "NrrdImageIO",
     ".mha": "MetaImageIO",
     ".mhd": "MetaImageIO",
+    ".png": "PNGImageIO",
+    ".tif": "TIFFImageIO",
+    ".tiff": "TIFFImageIO",
 }
 SUFFIXES: tuple[str, ...] = tuple(_READERS)
 """File name endings that can be read and written."""
@@ -45,7 +47,7 @@ _GIB = 2.0**30
 
 
 def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Volume:
-    """Read a 3D image.
+    """Read a 3D image, or a 2D one as a volume of one slice.
 
     Parameters
     ----------
@@ -71,14 +73,22 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Vo
     NIfTI places an image twice, by qform and sform. As in ITK-SNAP and 3D Slicer, the sform is used when it refers to
     the scanner (code 1) or is the only one, else the qform, and with neither the image starts at the world's origin; a
     sheared sform is refused rather than straightened. Metres and micrometres are converted to mm.
+
+    A PNG is one slice; so is each page of a TIFF. They start at the world's origin. A pixel is 1 mm, unless a TIFF
+    gives its resolution per cm or in the words of ImageJ or OME, or a PNG its scale as ITK writes it; dots per inch
+    are a printer's and not used. Colours become their luminance, with a warning; grey saved as colour is grey again.
     """
     path = Path(path)
-    with _named(path):
+    with naming(path):
         suffix = _input_suffix(path)
         header = headers.parse(path, suffix)
+        available = available_memory() if memory_bytes is None else memory_bytes
+        if header.picture is not None:
+            return _read_picture(path, suffix, header, available)
         reader = _reader(path, suffix)
         _check_sort(reader)
-        _check_memory(reader, available_memory() if memory_bytes is None else memory_bytes)
+        item = sitk.GetArrayFromImage(sitk.Image(1, 1, reader.GetPixelIDValue())).itemsize
+        _check_memory(reader.GetSize(), item, available)
         headers.check_complete(header)
         with _quiet():
             image = reader.Execute()
@@ -100,7 +110,7 @@ def read_labels(path: str | os.PathLike[str], *, memory_bytes: int | None = None
         As `read`, and when a value is not a whole number.
     """
     volume = read(path, memory_bytes=memory_bytes)
-    with _named(Path(path)):
+    with naming(Path(path)):
         return Volume(_whole(volume.array), volume.geometry, volume.metadata, volume.source)
 
 
@@ -109,7 +119,8 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
 
     The file is written under a temporary name in the same folder and then renamed, so that a file of this name is
     never half written; an existing one is replaced. The grid is the volume's; from NIfTI to NIfTI and from NRRD to
-    NRRD also the numbers and codes of the header that place it. The same volume gives the same bytes.
+    NRRD also the numbers and codes of the header that place it. A PNG holds one slice, a TIFF one or more; of the grid
+    they keep the size of a voxel (a PNG not the slice's thickness), no place. The same volume gives the same bytes.
 
     Parameters
     ----------
@@ -121,7 +132,7 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     UsageError
-        When the suffix is none of them.
+        When the suffix is none of them, or a PNG or TIFF cannot hold the volume.
     OutputError
         When the file cannot be written there.
     """
@@ -129,11 +140,13 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
     stem, suffix = split_name(path)
     if not suffix:
         raise UsageError(f"{path}: unknown file type, one of {', '.join(SUFFIXES)} expected")
-    image = _to_sitk(volume)
-    with _staging(path) as folder:
+    volume = volume.with_array(_storable(volume.array))
+    if suffix in pictures.SUFFIXES:
+        pictures.check_writable(volume.array, suffix)
+    with staging(path) as folder:
         whole = folder / (stem + suffix)  # in lower case, as ITK insists on
         draft = whole.with_name(stem + ".nii") if suffix == ".nii.gz" else whole
-        _save(image, draft, suffix)
+        _save(volume, draft, suffix)
         _restore_grid(draft, suffix, volume)
         if suffix == ".nii.gz":
             headers.gzip_file(draft, whole)
@@ -147,6 +160,8 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
 def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     """Write a label map: as `write`, with values as uint8, or uint16 when they go past 255.
 
+    In a PNG or TIFF a map of 0 and 1 is written as 0 and 255, which is black and white in every viewer.
+
     Raises
     ------
     InputError
@@ -156,7 +171,10 @@ def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     low, high = int(values.min()), int(values.max())
     if low < 0 or high > 65535:
         raise InputError(f"labels from {low} to {high} given, 0 to 65535 expected", hint="renumber the labels")
-    write(volume.with_array(values.astype(np.uint8 if high <= 255 else np.uint16)), path)
+    values = values.astype(np.uint8 if high <= 255 else np.uint16)
+    if high == 1 and split_name(path)[1] in pictures.SUFFIXES:
+        values *= 255
+    write(volume.with_array(values), path)
 
 
 def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:
@@ -164,7 +182,7 @@ def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:
 
     Examples
     --------
-    >>> split_name("scans/head.v2.nii.gz"), split_name("photo.png")
+    >>> split_name("scans/head.v2.nii.gz"), split_name("photo.jpg")
     (('head.v2', '.nii.gz'), ('photo', ''))
     """
     name = Path(path).name
@@ -182,7 +200,7 @@ def sha256(path: str | os.PathLike[str]) -> str:
     InputError
         When the file cannot be read.
     """
-    with _named(Path(path)), Path(path).open("rb") as file:
+    with naming(Path(path)), Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -243,12 +261,10 @@ def _check_sort(reader: sitk.ImageFileReader) -> None:
         )
 
 
-def _check_memory(reader: sitk.ImageFileReader, available: int) -> None:
-    voxels = int(np.prod(reader.GetSize(), dtype=object))
-    item = sitk.GetArrayFromImage(sitk.Image(1, 1, reader.GetPixelIDValue())).itemsize
-    needed = voxels * (item + _SOLVER_BYTES_PER_VOXEL)
+def _check_memory(size_xyz: Sequence[int], voxel_bytes: int, available: int) -> None:
+    needed = math.prod(size_xyz) * (voxel_bytes + _SOLVER_BYTES_PER_VOXEL)
     if needed > available:
-        size = " x ".join(map(str, reader.GetSize()))
+        size = " x ".join(map(str, size_xyz))
         raise InputError(
             f"an image of {size} voxels needs about {needed / _GIB:.2f} GiB of memory, "
             f"{available / _GIB:.2f} GiB are available",
@@ -256,31 +272,62 @@ def _check_memory(reader: sitk.ImageFileReader, available: int) -> None:
         )
 
 
+def _read_picture(path: Path, suffix: str, raw: headers.RawHeader, available: int) -> Volume:
+    """Read a PNG or TIFF. ITK opens it last: it prints about damaged ones."""
+    header = raw.picture
+    assert header is not None
+    _check_memory(header.shape[::-1], header.pixel_bytes, available)
+    headers.check_complete(raw)
+    reader = _reader(path, suffix)
+    with _quiet():
+        image = reader.Execute()
+    array = sitk.GetArrayFromImage(image)
+    note = ""
+    if image.GetNumberOfComponentsPerPixel() > 1:
+        array, note = pictures.to_grey(array)
+    if array.size != np.prod(header.shape):
+        size = " x ".join(map(str, reversed(header.shape)))
+        raise InputError(
+            f"the header announces {size} pixels, ITK reads {image.GetSize()}", hint="save it as a plain TIFF or PNG"
+        )
+    spacing = header.spacing or (1.0, *image.GetSpacing()[1::-1])
+    metadata = {WARNING_KEY: note} if note else {}
+    return Volume(array.reshape(header.shape), Geometry(header.shape, spacing), metadata, path)
+
+
 def _geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:
     direction = np.array(image.GetDirection()).reshape(3, 3)
     return Geometry(image.GetSize()[::-1], image.GetSpacing()[::-1], image.GetOrigin(), direction)
 
 
-def _to_sitk(volume: Volume) -> sitk.Image:
-    array = volume.array
+def _storable(array: NDArray[Any]) -> NDArray[Any]:
+    """The same values in a type that file formats know, in this machine's byte order."""
     if array.dtype.kind == "b":
         array = array.astype(np.uint8)
     elif array.dtype.kind == "f" and array.dtype.itemsize not in (4, 8):
         array = array.astype(np.float32 if array.dtype.itemsize < 4 else np.float64)
-    image = sitk.GetImageFromArray(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("=")))
+    return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
+
+
+def _to_sitk(volume: Volume) -> sitk.Image:
+    image = sitk.GetImageFromArray(volume.array)
     image.SetSpacing(volume.geometry.spacing_xyz)
     image.SetOrigin(volume.geometry.origin)
     image.SetDirection(volume.geometry.direction.ravel().tolist())
     return image
 
 
-def _save(image: sitk.Image, path: Path, suffix: str) -> None:
+def _save(volume: Volume, path: Path, suffix: str) -> None:
+    if suffix in pictures.SUFFIXES:
+        encode = png.encode if suffix == ".png" else tiff.encode
+        path.write_bytes(encode(volume.array, volume.geometry.spacing))
+        return
     writer = sitk.ImageFileWriter()
     writer.SetImageIO(_READERS[suffix])
     writer.SetFileName(str(path))
     writer.SetUseCompression(not suffix.startswith(".nii"))
     with _quiet():
-        writer.Execute(image)
+        writer.Execute(_to_sitk(volume))
 
 
 def _restore_grid(path: Path, suffix: str, volume: Volume) -> None:
@@ -314,59 +361,6 @@ def _whole(array: NDArray[Any]) -> NDArray[Any]:
             hint="is this an image, or a label map resampled with interpolation? resample with nearest neighbour",
         )
     return array.astype(np.int32)
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Turn whatever goes wrong while reading a file into one line that starts with its name."""
-    try:
-        yield
-    except AccelsurfError as error:
-        raise type(error)(f"{path}: {error.message}", hint=error.hint) from error.__cause__
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror or error})", hint="check the path and its permissions"
-        ) from error
-    except RuntimeError as error:
-        raise InputError(
-            f"{path}: cannot be read as an image ({_last_words(error)})",
-            hint="the file may be damaged: export it again",
-        ) from error
-    except MemoryError as error:
-        raise InputError(f"{path}: does not fit into memory", hint="crop or downsample the image") from error
-
-
-def _last_words(error: RuntimeError) -> str:
-    """What happened, out of ITK's many lines of where."""
-    text = " ".join(str(error).split())
-    for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls says it best
-        text = text.rpartition(mark)[2] or text
-    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
-
-
-@contextmanager
-def _staging(path: Path) -> Iterator[Path]:
-    """A temporary folder beside the target, gone afterwards whatever happens.
-
-    A folder rather than a temporary name: inside it files have their final names, which an .mhd header repeats.
-    """
-    try:
-        if path.is_dir():
-            raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:100]}.", dir=path.parent))
-        try:
-            yield folder
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-    except OSError as error:
-        raise OutputError(
-            f"{path}: cannot be written ({error.strerror or error})",
-            hint=f"does the folder {path.parent} exist, is it writable, is there space on the disk?",
-        ) from error
-    except RuntimeError as error:
-        raise OutputError(
-            f"{path}: cannot be written ({_last_words(error)})", hint="is there space on the disk?"
-        ) from error
 
 
 @contextmanager

@@ -33,6 +33,7 @@ _INK, _GRID = "#222222", "#D9D9D9"
 _RUN_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
 _RUN_DASHES = ("solid", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1, 2)))
 _LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))  # low and high end of the world's x, y, z axes in LPS
+_IN_PLANE = ((1, 2), (0, 2), (0, 1))  # vertical and horizontal axis of a slice across z, y, x
 _DPI = 110
 
 
@@ -58,6 +59,8 @@ class Scene:
         Whether the world axes are known to be a patient's, so that letters (R L A P I S) may be written.
     reference : ndarray, shape (nz, ny, nx), optional
         Labels to compare with (> 0 is the object), drawn as a second contour.
+    start : ndarray, shape (nz, ny, nx), optional
+        psi of the start, drawn for an image of one slice.
     """
 
     image: NDArray[Any]
@@ -68,10 +71,13 @@ class Scene:
     title: str
     anatomical: bool = False
     reference: NDArray[Any] | None = None
+    start: NDArray[Any] | None = None
 
 
 def preview_png(scene: Scene) -> bytes:
     """Draw one run: three slices with the contour, energies against step, the surface in 3D.
+
+    Of an image of one slice: the image with the contour and the start, and the energies.
 
     Parameters
     ----------
@@ -83,6 +89,8 @@ def preview_png(scene: Scene) -> bytes:
     bytes
         A PNG file.
     """
+    if scene.geometry.slice_axis is not None:
+        return _flat_png(scene, scene.geometry.slice_axis)
     figure = _figure(12.6, 8.6, scene.title)
     grid = figure.add_gridspec(2, 3, left=0.06, right=0.965, top=0.89, bottom=0.075, hspace=0.27, wspace=0.26)
     for plane in range(3):
@@ -90,6 +98,36 @@ def preview_png(scene: Scene) -> bytes:
     _draw_energies(figure.add_subplot(grid[1, :2]), scene.ledger)
     _draw_surface(figure.add_subplot(grid[1, 2]), scene)
     return _png(figure)
+
+
+def _flat_png(scene: Scene, axis: int) -> bytes:
+    """Draw a run on an image of one slice; the picture is as wide and high as suits the image."""
+    order = _upright(scene.geometry).order
+    plane = order.index(axis)
+    tall, wide = (_extent(scene.geometry, order[i]) for i in _IN_PLANE[plane])
+    inch = min(6.8 / wide, 8.0 / tall)  # per mm
+    left, high, right = max(wide * inch, 2.5), max(tall * inch, 4.0), 4.6
+    width, height = left + right + 2.7, high + 1.55
+    figure = _figure(width, height, scene.title)
+    grid = figure.add_gridspec(
+        1,
+        2,
+        left=0.8 / width,
+        right=1 - 0.8 / width,
+        top=1 - 0.9 / height,
+        bottom=0.65 / height,
+        wspace=2.2 / (left + right),
+        width_ratios=(left, right),
+    )
+    _draw_slice(figure.add_subplot(grid[0, 0]), scene, plane)
+    energies = figure.add_subplot(grid[0, 1])
+    _draw_energies(energies, scene.ledger)
+    energies.set_box_aspect(min(0.9, high / right))
+    return _png(figure)
+
+
+def _extent(geometry: Geometry, axis: int) -> float:
+    return geometry.shape[axis] * geometry.spacing[axis]
 
 
 def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
@@ -107,20 +145,23 @@ def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
     bytes
         A PNG file.
     """
-    count = len(scenes)
-    figure = _figure(max(4.1 * count, 8.2), 12.0, title)
-    grid = figure.add_gridspec(
-        3, count, left=0.09, right=0.965, top=0.905, bottom=0.055, hspace=0.24, wspace=0.25, height_ratios=(1, 1, 0.75)
-    )
+    count, axis = len(scenes), next(iter(scenes.values())).geometry.slice_axis
+    ratios = (1, 1, 0.75) if axis is None else (1, 0.75)  # of one slice there is no surface
+    height = 12.0 if axis is None else 8.2
+    figure = _figure(max(4.1 * count, 8.2), height, title)
+    place = {"left": 0.09, "right": 0.965, "top": 1 - 1.14 / height, "bottom": 0.66 / height}
+    grid = figure.add_gridspec(len(ratios), count, hspace=0.24, wspace=0.25, height_ratios=ratios)
+    grid.update(**place)
     everything = [scene.surface.vertices for scene in scenes.values() if scene.surface is not None]
     box = np.concatenate(everything) if everything else None
     for column, (name, scene) in enumerate(scenes.items()):
         top = figure.add_subplot(grid[0, column])
-        _draw_slice(top, scene, 0)
+        _draw_slice(top, scene, 0 if axis is None else _upright(scene.geometry).order.index(axis))
         top.set_title(f"{name}\n{scene.title}", fontsize=10, color=_INK)
         color = _RUN_COLORS[column % len(_RUN_COLORS)]
-        _draw_surface(figure.add_subplot(grid[1, column]), scene, box=box, color=color)
-    below = figure.add_subplot(grid[2, :])
+        if axis is None:
+            _draw_surface(figure.add_subplot(grid[1, column]), scene, box=box, color=color)
+    below = figure.add_subplot(grid[-1, :])
     for number, (name, scene) in enumerate(scenes.items()):
         steps = [row.step for row in scene.ledger]
         below.plot(
@@ -191,7 +232,7 @@ def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
     up = _upright(scene.geometry)
     image, psi = up.turn(scene.image), up.turn(scene.psi)
     place = _centroid(psi)
-    vertical, horizontal = ((1, 2), (0, 2), (0, 1))[plane]
+    vertical, horizontal = _IN_PLANE[plane]
     cut = tuple(place[axis] if axis == plane else slice(None) for axis in range(3))
     values = np.asarray(image[cut], dtype=np.float64)
     low, high = np.percentile(values, (1, 99))
@@ -212,12 +253,16 @@ def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
         interpolation="nearest",
         aspect="equal",
     )
-    _contour(axes, np.asarray(psi[cut]), up, vertical, horizontal, ORANGE, "solid")
+    lines: list[tuple[str, NDArray[Any], str, Any]] = [("result", np.asarray(psi[cut]), ORANGE, "solid")]
     if scene.reference is not None:
         mask = np.where(up.turn(scene.reference)[cut] > 0, -0.5, 0.5)
-        _contour(axes, mask, up, vertical, horizontal, SKY, (0, (2, 1.5)))
-        axes.plot([], [], color=ORANGE, label="result")
-        axes.plot([], [], color=SKY, linestyle=(0, (2, 1.5)), label="reference")
+        lines.append(("reference", mask, SKY, (0, (2, 1.5))))
+    if scene.start is not None:
+        lines.append(("start", np.asarray(up.turn(scene.start)[cut]), GREEN, (0, (4, 2))))
+    for name, level, color, dashes in lines:
+        _contour(axes, level, up, vertical, horizontal, color, dashes)
+        axes.plot([], [], color=color, linestyle=dashes, label=name)
+    if len(lines) > 1:
         axes.legend(fontsize=8, loc="lower right", framealpha=0.75, borderpad=0.3, labelcolor=_INK)
     where = f"{up.names[plane]} = {up.coordinate(plane, place[plane]):.4g} mm"
     kind = ("Axial", "Coronal", "Sagittal")[plane] if scene.anatomical else "Slice"

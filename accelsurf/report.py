@@ -143,7 +143,8 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         With None every value is null.
     """
     if result is None:
-        return dict.fromkeys(("stop", "energy", "mass", "volume_mm3", "area_mm2", "components", "touches_border"))
+        keys = ("stop", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
+        return dict.fromkeys((*keys, "touches_border"))
     first, last = (result.ledger[0], result.ledger[-1]) if result.ledger else (None, None)
     return {
         "stop": {
@@ -165,6 +166,8 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "mass": describe_mass(result),
         "volume_mm3": result.volume_mm3,
         "area_mm2": result.area_mm2,
+        "enclosed_mm2": result.enclosed_mm2,
+        "length_mm": result.length_mm,
         "components": result.components,
         "touches_border": result.touches_border,
     }
@@ -244,7 +247,7 @@ def describe_output(path: str | Path, kind: str) -> dict[str, str]:
     path : str or Path
         The file.
     kind : str
-        What it is: labels, surface, trace, preview, sdf, ...
+        What it is: labels, surface, contour, trace, preview, sdf, ...
     """
     return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(path)}
 

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf import report, starts
+from accelsurf import contours, report, starts
 from accelsurf.config import RunConfig
+from accelsurf.contours import Contours
 from accelsurf.energies import Energy
 from accelsurf.errors import InputError
 from accelsurf.evolution import Evolution, Restart, Row, Step, Stop, StopRule
@@ -57,6 +58,8 @@ class Result:
     warnings : list of str
     volume : Volume
         The input.
+    start : ndarray or None
+        psi of the start, for an image of one slice; None for volumes, where it would cost memory.
     """
 
     labels: NDArray[np.uint8]
@@ -70,11 +73,23 @@ class Result:
     seconds: dict[str, float]
     volume: Volume
     warnings: list[str] = field(default_factory=list)
+    start: NDArray[np.float32] | None = None
 
     @cached_property
     def surface(self) -> Surface:
         """The surface as a closed mesh in world mm (LPS), normals outward; extracted once."""
         return extract(self.psi, self.geometry)
+
+    @cached_property
+    def contours(self) -> Contours:
+        """The contours of an image of one slice, in world mm (LPS), the object on their left; extracted once.
+
+        Raises
+        ------
+        InputError
+            For a volume: it has a `surface`.
+        """
+        return contours.extract(self.psi, self.geometry)
 
     def labels_volume(self) -> Volume:
         """The labels on the input's grid with its header."""
@@ -93,11 +108,26 @@ class Result:
         """
         if not self.labels.any():
             return 0.0
-        area = self.surface.area
-        for n, h in zip(self.labels.shape, self.geometry.spacing, strict=True):
-            if n == 1:  # the caps of the prism: twice its volume over its thickness
-                area -= 2.0 * self.surface.volume / h
-        return area
+        if self.length_mm is not None and self._thickness is not None:
+            return self.length_mm * self._thickness
+        return self.surface.area
+
+    @property
+    def length_mm(self) -> float | None:
+        """Length of the contours of an image of one slice, mm, with what runs along its border; None for a volume."""
+        if self._thickness is None:
+            return None
+        return self.contours.length if self.labels.any() else 0.0
+
+    @property
+    def enclosed_mm2(self) -> float | None:
+        """Area of the object in an image of one slice, mm2, sub-pixel; None for a volume."""
+        return None if self._thickness is None else self.volume_mm3 / self._thickness
+
+    @property
+    def _thickness(self) -> float | None:
+        axis = self.geometry.slice_axis
+        return None if axis is None else self.geometry.spacing[axis]
 
     @cached_property
     def components(self) -> int:
@@ -253,6 +283,7 @@ class Run:
         self.volume, self.config = volume, config
         smoothed = presmoothed(volume, config.presmooth)
         psi = starts.build(config.start, volume, smoothed)
+        self.start = psi if volume.geometry.slice_axis is not None else None
         self.image = scaled(smoothed)
         self.workers = Workers(config.threads)
         spacing = volume.geometry.spacing
@@ -286,6 +317,7 @@ class Run:
             stop=stop,
             seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
             volume=self.volume,
+            start=self.start,
             warnings=[
                 f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.energy_name}"
                 for key in self.config.unused()

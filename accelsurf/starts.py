@@ -168,7 +168,7 @@ def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> 
         return _ball(geometry, centre, radius)
     if start.kind == "ball":
         if start.vox:
-            return _ball(geometry, start.numbers[:3], start.numbers[3] * min(geometry.spacing))
+            return _ball(geometry, start.numbers[:3], start.numbers[3] * min(geometry.steps))
         z, y, x = geometry.world_to_index(start.numbers[:3])
         return _ball(geometry, (x, y, z), start.numbers[3])
     return _box(geometry, start)
@@ -185,7 +185,7 @@ def _read_mask(file: str, geometry: Geometry) -> NDArray[np.bool_]:
 
 
 def _from_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:
-    half = np.float32(0.5 * min(geometry.spacing))
+    half = np.float32(0.5 * min(geometry.steps))
     return np.where(mask, -half, half)
 
 

@@ -125,7 +125,7 @@ class Surface:
         if space not in SPACES:
             raise UsageError(f"mesh space {space!r} given, one of {', '.join(SPACES)} expected")
         flip = np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)
-        _write_atomically(target, writer(self.vertices * flip, self.faces, space.upper()))
+        write_atomically(target, writer(self.vertices * flip, self.faces, space.upper()))
 
 
 def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
@@ -267,8 +267,30 @@ def _obj(vertices: Floats, faces: Ints, space: str) -> bytes:
 
 
 def _vtp(vertices: Floats, faces: Ints, space: str) -> bytes:
-    """VTK's XML PolyData with raw appended arrays; written here so that saving a mesh does not load VTK."""
-    arrays = [vertices.astype("<f8"), faces.astype("<i8"), np.arange(3, 3 * len(faces) + 1, 3, dtype="<i8")]
+    return polydata(vertices, faces.ravel(), np.arange(3, 3 * len(faces) + 1, 3), "Polys", space)
+
+
+def polydata(
+    points: Floats, numbers: NDArray[np.integer], ends: NDArray[np.integer], kind: str, space: str
+) -> bytes:
+    """VTK's XML PolyData with raw appended arrays; written here so that saving a mesh does not load VTK.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        mm.
+    numbers : ndarray, shape (m,)
+        Point numbers of the cells, one cell after the other.
+    ends : ndarray
+        Where each cell ends in them.
+    kind : {"Polys", "Lines"}
+        What the cells are.
+    space : str
+        "LPS" or "RAS".
+    """
+    arrays = [points.astype("<f8"), numbers.astype("<i8"), ends.astype("<i8")]
+    sorts = {"Verts": 0, "Lines": 0, "Strips": 0, "Polys": 0, kind: len(ends)}
+    counts = " ".join(f'NumberOf{name}="{count}"' for name, count in sorts.items())
     blocks = [np.uint64(array.nbytes).astype("<u8").tobytes() + array.tobytes() for array in arrays]
     at = [0, len(blocks[0]), len(blocks[0]) + len(blocks[1])]
     field = "".join(
@@ -278,11 +300,10 @@ def _vtp(vertices: Floats, faces: Ints, space: str) -> bytes:
     header = (
         '<?xml version="1.0"?>\n'
         '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
-        f'<PolyData><FieldData>{field}</FieldData>\n<Piece NumberOfPoints="{len(vertices)}" NumberOfVerts="0" '
-        f'NumberOfLines="0" NumberOfStrips="0" NumberOfPolys="{len(faces)}">\n'
+        f'<PolyData><FieldData>{field}</FieldData>\n<Piece NumberOfPoints="{len(points)}" {counts}>\n'
         f'<Points><DataArray type="Float64" Name="Points" NumberOfComponents="3" format="appended" offset="{at[0]}"/>'
-        f'</Points>\n<Polys><DataArray type="Int64" Name="connectivity" format="appended" offset="{at[1]}"/>'
-        f'<DataArray type="Int64" Name="offsets" format="appended" offset="{at[2]}"/></Polys>\n'
+        f'</Points>\n<{kind}><DataArray type="Int64" Name="connectivity" format="appended" offset="{at[1]}"/>'
+        f'<DataArray type="Int64" Name="offsets" format="appended" offset="{at[2]}"/></{kind}>\n'
         '</Piece></PolyData>\n<AppendedData encoding="raw">_'
     )
     return header.encode() + b"".join(blocks) + b"</AppendedData></VTKFile>\n"
@@ -297,7 +318,14 @@ WRITERS: dict[str, Callable[[Floats, Ints, str], bytes]] = {".ply": _ply, ".stl"
 """Mesh formats by suffix: vertices, faces and the space's name in capitals to the bytes of the file."""
 
 
-def _write_atomically(target: Path, content: bytes) -> None:
+def write_atomically(target: Path, content: bytes) -> None:
+    """Write a mesh file whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
     # The process number keeps two runs that write the same name from sharing one temporary file.
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:

@@ -47,6 +47,8 @@ def finished(**changes):
         warnings=["from the run"],
         volume_mm3=1.5,
         area_mm2=2.5,
+        enclosed_mm2=None,
+        length_mm=None,
         components=1,
         touches_border=False,
     )

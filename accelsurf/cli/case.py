@@ -15,11 +15,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 from accelsurf import preview, report
 from accelsurf.cli import INTERRUPTED
-from accelsurf.config import LabelFormat, RunConfig
+from accelsurf.cli import outputs as files
+from accelsurf.config import RunConfig
 from accelsurf.errors import AccelsurfError, EmptyResultError, OutputError
 
 if TYPE_CHECKING:
@@ -80,11 +81,20 @@ class Case:
         self.begin()
         stem, suffix = split_name(self.source)
         self.name = self.name or stem
-        self._follow = suffix.removeprefix(".")
+        self._suffix = suffix
 
     def begin(self) -> None:
         """Start the clock of the total time."""
         self._began = time.perf_counter()
+
+    @property
+    def one_slice(self) -> bool:
+        """Whether the image that was read has one slice."""
+        return self.volume is not None and self.volume.geometry.slice_axis is not None
+
+    def label_format(self, config: RunConfig) -> str:
+        """Return the format of the label map."""
+        return files.label_format(config, self._suffix)
 
     @property
     def report_path(self) -> Path:
@@ -92,14 +102,8 @@ class Case:
         return self.folder / f"{self.name}_report.json"
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
-        """Return every output of the run by kind, the report last."""
-        follow = self._follow if self._follow in get_args(LabelFormat) else "nii.gz"
-        suffix = config.format or follow
-        names = {"labels": f"seg.{suffix}"}
-        names |= {f"surface-{kind}": f"surface.{kind}" for kind in config.mesh}
-        if config.save_sdf:
-            names["sdf"] = f"sdf.{suffix}"
-        names |= {"trace": "trace.csv", "preview": "preview.png"}
+        """Return every output of the run by kind, the report last; before the image is read, all that there may be."""
+        names = files.names(config, self.label_format(config), None if self.volume is None else self.one_slice)
         return {kind: self.folder / f"{self.name}_{name}" for kind, name in names.items()} | {
             "report": self.report_path
         }
@@ -204,7 +208,7 @@ def run_case(case: Case, watcher: Watcher) -> int:
 
 
 def _compute(case: Case, watcher: Watcher) -> None:
-    from accelsurf import io
+    from accelsurf import io, pictures
     from accelsurf.segmentation import segment
 
     assert case.config is not None
@@ -212,6 +216,10 @@ def _compute(case: Case, watcher: Watcher) -> None:
     case.checksum = _timed(case, "load", lambda: io.sha256(case.source))
     if note := case.volume.metadata.get(io.WARNING_KEY):
         case.warnings.append(note)
+    labels = case.label_format(case.config)
+    files.check(case.config, labels, case.volume.geometry)
+    if not pictures.keeps(case.volume.geometry, f".{labels}"):
+        case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     with watcher.watch(case.name, case.config.max_steps):
         case.result = segment(case.volume, config=case.config, on_step=watcher.on_step)
     case.warnings.extend(case.result.warnings)
@@ -233,13 +241,13 @@ def _write(case: Case, config: RunConfig) -> None:
     assert case.result is not None
     result, paths = case.result, case.paths(config)
     empty = result.stop.reason in ("vanished", "filled")
-    surface = None if empty else _timed(case, "mesh", lambda: result.surface)
     writers: dict[str, Callable[[Path], None]] = {}
-    if surface is not None:
-        mesh = surface
+    if not empty:
+        mesh = _timed(case, "mesh", lambda: result.contours if case.one_slice else result.surface)
         writers["labels"] = lambda path: io.write_labels(result.labels_volume(), path)
-        for mesh_format in config.mesh:
-            writers[f"surface-{mesh_format}"] = lambda path: mesh.write(path, config.mesh_space)
+        for kind in paths:
+            if kind.startswith(("surface-", "contour-")):
+                writers[kind] = lambda path: mesh.write(path, config.mesh_space)
         if config.save_sdf:
             writers["sdf"] = lambda path: io.write(result.labels_volume().with_array(result.psi), path)
     writers["trace"] = lambda path: write_bytes(path, report.trace_csv(result.ledger).encode())
@@ -268,7 +276,8 @@ def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
         psi=result.psi,
         geometry=result.geometry,
         ledger=result.ledger,
-        surface=None if result.stop.reason in ("vanished", "filled") else result.surface,
+        surface=None if case.one_slice or result.stop.reason in ("vanished", "filled") else result.surface,
+        start=result.start,
         title=title or f"{case.name}: {case.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}",
         anatomical=_is_patient(volume),
         reference=reference,

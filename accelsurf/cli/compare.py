@@ -37,7 +37,7 @@ def compare(
     Parameters
     ----------
     input
-        The image: .nii, .nii.gz, .nrrd, .mha or .mhd.
+        The image: .nii, .nii.gz, .nrrd, .mha, .mhd, .png or .tif.
     output
         Folder for the outputs; made when missing.
     flows

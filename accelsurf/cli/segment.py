@@ -24,13 +24,13 @@ def segment(
 ) -> int:
     """Segment one object in a volume.
 
-    Writes NAME_seg (label map on the input's grid), NAME_surface (mesh in mm), NAME_report.json, NAME_trace.csv and
-    NAME_preview.png.
+    Writes NAME_seg (label map on the input's grid), NAME_surface (mesh in mm; for an image of one slice NAME_contour),
+    NAME_report.json, NAME_trace.csv and NAME_preview.png.
 
     Parameters
     ----------
     input
-        The image: .nii, .nii.gz, .nrrd, .mha or .mhd.
+        The image: .nii, .nii.gz, .nrrd, .mha, .mhd, .png or .tif.
     output
         Folder for the outputs; made when missing.
     config
@@ -68,10 +68,13 @@ def _tell(case: Case) -> None:  # type: ignore[name-defined]  # noqa: F821
     result = case.result
     seconds = case.seconds["total"]
     print(f"{case.name}: {result.stop.reason} after {result.stop.steps} steps, {seconds:.1f} s ({result.stop.message})")
-    if any(output["kind"] == "surface" for output in case.outputs):
+    if any(output["kind"] in ("surface", "contour") for output in case.outputs):
         parts = f"{result.components} component{'' if result.components == 1 else 's'}"
-        border = ", touches the volume's border" if result.touches_border else ""
-        print(f"volume {result.volume_mm3:.6g} mm3, area {result.area_mm2:.6g} mm2, {parts}{border}")
+        sizes = f"volume {result.volume_mm3:.6g} mm3, area {result.area_mm2:.6g} mm2"
+        if case.one_slice:
+            sizes = f"area {result.enclosed_mm2:.6g} mm2, length {result.length_mm:.6g} mm"
+        border = f", touches the {'image' if case.one_slice else 'volume'}'s border" if result.touches_border else ""
+        print(f"{sizes}, {parts}{border}")
     for output in case.outputs:
         print(f"  {output['kind']:8} {output['path']}")
     print(f"  {'report':8} {case.report_path.absolute()}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -64,13 +65,17 @@ class LevelSet:
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
-        self.grid = Grid(*self.shape, *(float(h) for h in spacing))
+        steps = [float(h) for n, h in zip(self.shape, spacing, strict=True) if n > 1] or [1.0]
+        # Nothing happens along an axis of one voxel: for the kernels it is as fine as the others, and the thickness
+        # of the slice only scales volumes and areas.
+        own = [float(h) if n > 1 else min(steps) for n, h in zip(self.shape, spacing, strict=True)]
+        self.grid = Grid(*self.shape, *own)
+        self._thickness = math.prod(spacing) / math.prod(own)
         # A stencil across a slanted surface reaches further, in voxels along the normal, the less the spacings are
         # alike: at most by |n/h| |h n| <= (ratio + 1/ratio)/2 (Kantorovich).
-        steps = [float(h) for n, h in zip(self.shape, spacing, strict=True) if n > 1] or [1.0]
         self._slant = 0.5 * (max(steps) / min(steps) + min(steps) / max(steps))
         self.half_width = float(half_width) * self._slant
-        self.gamma = np.float32(self.half_width * max(spacing))
+        self.gamma = np.float32(self.half_width * max(steps))
         self.workers = workers or Workers(1)
         dense = np.array(psi, dtype=np.float32, order="C", copy=True).ravel()
         self.dense = Lattice(dense, np.full(dense.size, -1, np.int32))
@@ -109,7 +114,7 @@ class LevelSet:
     @property
     def voxel_volume(self) -> float:
         """Volume of a voxel, mm3."""
-        return self.grid.hz * self.grid.hy * self.grid.hx
+        return self.grid.hz * self.grid.hy * self.grid.hx * self._thickness
 
     def front(self, width: float = FRONT_WIDTH) -> np.ndarray:
         """Mask (n,) of the band cells within ``width`` voxels of the surface."""
@@ -135,6 +140,7 @@ class LevelSet:
         """
         part, area = np.empty(self.size), np.empty(self.size)
         self.workers.run(region.cut_band, self.size, self.dense.psi, self.grid, self.band, part, area)
+        area *= self._thickness
         return part, area
 
     def slopes(self) -> np.ndarray:

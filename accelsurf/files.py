@@ -1,0 +1,65 @@
+"""Files as such: errors that name them, and writing that leaves them whole or not at all."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from accelsurf.errors import AccelsurfError, InputError, OutputError
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong while reading a file into one line that starts with its name."""
+    try:
+        yield
+    except AccelsurfError as error:
+        raise type(error)(f"{path}: {error.message}", hint=error.hint) from error.__cause__
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or error})", hint="check the path and its permissions"
+        ) from error
+    except RuntimeError as error:
+        raise InputError(
+            f"{path}: cannot be read as an image ({_last_words(error)})",
+            hint="the file may be damaged: export it again",
+        ) from error
+    except MemoryError as error:
+        raise InputError(f"{path}: does not fit into memory", hint="crop or downsample the image") from error
+
+
+def _last_words(error: RuntimeError) -> str:
+    """What happened, out of ITK's many lines of where."""
+    text = " ".join(str(error).split())
+    for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls says it best
+        text = text.rpartition(mark)[2] or text
+    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
+
+
+@contextmanager
+def staging(path: Path) -> Iterator[Path]:
+    """A temporary folder beside the target, gone afterwards whatever happens.
+
+    A folder rather than a temporary name: inside it files have their final names, which an .mhd header repeats.
+    """
+    try:
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:100]}.", dir=path.parent))
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror or error})",
+            hint=f"does the folder {path.parent} exist, is it writable, is there space on the disk?",
+        ) from error
+    except RuntimeError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({_last_words(error)})", hint="is there space on the disk?"
+        ) from error
