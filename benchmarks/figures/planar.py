@@ -29,7 +29,7 @@ def square(output: Path) -> None:
     """Gradient (stuck), gradient with an area weight (round corners), Sobolev, from around the square."""
     rows: dict[str, dict[str, Any]] = {
         "gradient": {"flow": "gradient"},
-        "gradient, area weight 3 mm": {"flow": "gradient", "smoothness": 3.0},
+        "gradient, area weight 0.2 mm": {"flow": "gradient", "smoothness": 0.2, "max_steps": 3000},
         "Sobolev, 10 mm": {"flow": "sobolev", "sobolev_length": 10.0},
         "constant density": {"flow": "constant-density"},
     }
@@ -97,7 +97,7 @@ def show(axis: Any, image: np.ndarray, truth: np.ndarray, labels: list[np.ndarra
 
 def save(figure: Any, output: Path, name: str, title: str) -> None:
     """Save a picture as PNG."""
+    figure.set_layout_engine("constrained")
     figure.suptitle(title, fontsize=10)
-    figure.tight_layout()
     figure.savefig(output / f"{name}.png", dpi=110)
     plt.close(figure)

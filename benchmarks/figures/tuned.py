@@ -19,13 +19,13 @@ from benchmarks.figures.common import COLOURS, Task, agreement, box, run_all, wr
 from benchmarks.figures.planar import STARTS, STEPS, save
 
 SEEDS, LEVELS = (0, 1, 2), (0.5, 1.0, 2.0)
-SMOOTH: dict[str, list[Any]] = {"smoothness": [0.0, 1.0, 3.0], "presmooth": [0.0, 1.0, 2.0]}
+SMOOTH: dict[str, list[Any]] = {"smoothness": [0.0, 0.1, 0.3], "presmooth": [0.0, 1.0]}
 GRIDS: dict[str, tuple[dict[str, Any], dict[str, list[Any]]]] = {
     "gradient": ({"flow": "gradient"}, {**SMOOTH, "diffusion": [0.0, "free"]}),
-    "sobolev": ({"flow": "sobolev"}, {"sobolev_length": [5.0, 10.0, 20.0], "presmooth": [0.0, 1.0, 2.0]}),
-    "momentum": ({"flow": "momentum"}, {**SMOOTH, "blend": [0.8, 0.95]}),
+    "sobolev": ({"flow": "sobolev"}, {"sobolev_length": [5.0, 10.0, 20.0], "presmooth": [0.0, 1.0]}),
+    "momentum": ({"flow": "momentum", "blend": 0.9}, SMOOTH),
     "constant density": ({"flow": "constant-density"}, SMOOTH),
-    "flowable mass": ({"flow": "flowable-mass"}, {"smoothness": [0.0, 1.0], "presmooth": [0.0, 1.0, 2.0]}),
+    "flowable mass": ({"flow": "flowable-mass"}, {"smoothness": [0.0, 0.1], "presmooth": [0.0, 1.0]}),
 }
 
 
