@@ -9,7 +9,8 @@ from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel
 from accelsurf.kernels.interpolate import axis_weights, value_at
 
-#: Fixed-point iterations for a departure point; each gains a factor dt |grad V|, at most about 1/10.
+#: Fixed-point iterations for a departure point; each gains a factor dt |grad V|, at most about 1/10. The first needs
+#: no more than linear interpolation.
 ITERATIONS = 3
 #: Longest way back to a departure point per axis, voxels: beyond it lies another part of the surface.
 FARTHEST = 2.0
@@ -79,8 +80,11 @@ def depart(velocity, slot, grid, target, dt, scratch, at):
     w, v = scratch
     for axis in range(3):
         at[axis] = target[axis]
-    for _ in range(ITERATIONS):
-        if not band_vector_at(velocity, slot, grid, at, w, v):
+    for iteration in range(ITERATIONS):
+        if iteration == 0:
+            if not linear_band_vector(velocity, slot, grid, at, v):
+                return
+        elif not band_vector_at(velocity, slot, grid, at, w, v):
             return
         for axis in range(3):
             h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
