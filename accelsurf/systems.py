@@ -92,7 +92,7 @@ def _number(value: float | str) -> float | None:
 #: How to make each flow from a configuration.
 FLOWS: dict[str, Callable[[RunConfig], Flow]] = {
     "constant-density": lambda config: ConstantDensity(**_common(config)),
-    "flowable-mass": lambda config: FlowableMass(config.gravity, **_common(config)),
+    "flowable-mass": lambda config: FlowableMass(config.gravity, config.smoothness, **_common(config)),
     "gradient": _gradient,
     "sobolev": lambda config: Sobolev(_number(config.sobolev_length)),
     "momentum": lambda config: Momentum(config.blend),

@@ -46,7 +46,7 @@ FLOWS: dict[str, ConstantDensity | FlowableMass] = {
     "constant density, noise": ConstantDensity(diffusion=0.0, noise=Noise(0.02, 0.8, seed=3, until=9.0)),
     "flowable mass": FlowableMass(diffusion=0.0),
     "flowable mass, k = 3": FlowableMass(k=3.0, diffusion=0.0),
-    "flowable mass, gravity": FlowableMass(0.02, diffusion=0.0, clamp=False),
+    "flowable mass, gravity": FlowableMass(0.02, diffusion=0.0, support=None),
     "flowable mass, diffusion": FlowableMass(diffusion=0.1),
 }
 

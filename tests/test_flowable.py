@@ -177,7 +177,7 @@ def density_mode(n: int, degree: int, amplitude: float, flow: Given) -> float:
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_density_modes_of_a_sphere(degree: int) -> None:
     """omega_l = c_s sqrt(l(l+1) + 4)/r0, c_s^2 = w g M; fading as 2 J1(omega t)/(omega t) with friction 3/t."""
-    worst = density_mode(32, degree, 0.02, Given(gravity=0.05, clamp=False, diffusion=0.0))
+    worst = density_mode(32, degree, 0.02, Given(gravity=0.05, support=None, diffusion=0.0))
     print(f"\nmode {degree}: {worst:.4f}")
     assert worst < 0.004 * degree
 
@@ -210,7 +210,7 @@ def test_negative_tension_is_clamped_and_told() -> None:
     rough = {}
     for clamp in (True, False):
         surface = LevelSet(on.radius - 1.0, on.spacing, 4.0)
-        flow = Given(gravity=0.2, clamp=clamp, diffusion=0.0)
+        flow = Given(gravity=0.2, support=0.0 if clamp else None, diffusion=0.0)
         flow.on, flow.density_at = on, bumpy
         rows = [s.row for s in Evolution(surface, RegionField(np.zeros_like(on.radius)), flow, Limits(0.5, 100.0), 60)]
         rough[clamp] = float(np.linalg.norm(surface_points(surface, on), axis=1).std())
@@ -218,7 +218,7 @@ def test_negative_tension_is_clamped_and_told() -> None:
     assert rough[True] < rough[False]
     # With enough area weight the tension is positive everywhere: nothing is clamped.
     surface = LevelSet(on.radius - 1.0, on.spacing, 4.0)
-    flow = Given(gravity=0.01, diffusion=0.0)
+    flow = Given(gravity=0.01, support=0.1, diffusion=0.0)
     flow.on, flow.density_at = on, bumpy
     rows = [s.row for s in Evolution(surface, RegionField(np.zeros_like(on.radius), 0.1), flow, Limits(), 5)]
     assert all(row.clamped_fraction == 0.0 for row in rows)
@@ -304,7 +304,7 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         surface = spheroid(on)
         surface = LevelSet(surface.psi, on.spacing, 4.0)
         energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, 0.05)
-        flow = FlowableMass(0.125 / rho**2, lambda_=lambda_, rho=rho)
+        flow = FlowableMass(0.125 / rho**2, 0.05, lambda_=lambda_, rho=rho)
         times = [step.row.t for step in Evolution(surface, energy, flow, Limits(0.5, 95.0, dt), 30)]
         return times, surface.psi.copy()
 

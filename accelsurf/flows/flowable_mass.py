@@ -51,15 +51,15 @@ class FlowableMass(Accelerated):
 
     With ``gravity`` g the mass potential U_mass = g A int 1/2 rho^2 dA acts as well,
     V_t -= w g [A grad_S rho + (1/2 A rho - P/rho) H N]. Its tension g (P - 1/2 A rho^2) is negative where
-    rho > rms(rho), and the system ill-posed where that exceeds alpha: there the tension is clamped to -alpha (its
-    normal part only; ``clamp=False`` leaves it), and the share of the surface where it is clamped is reported.
+    rho > rms(rho), and the system ill-posed where that outweighs the tension of the energy itself: there it is
+    clamped to -``support`` (in its normal part only), and the share of the surface where it is clamped is reported.
 
     Parameters
     ----------
     gravity : float
         g.
-    clamp : bool
-        Whether the tension is clamped.
+    support : float or None
+        Tension that the energy has everywhere on the surface: its area weight. None clamps nothing.
     **common
         As `Accelerated`.
     """
@@ -68,9 +68,9 @@ class FlowableMass(Accelerated):
     velocity = np.zeros((0, 3), np.float32)
     density = np.zeros(0, np.float32)
 
-    def __init__(self, gravity: float = 0.0, clamp: bool = True, **common: object) -> None:
+    def __init__(self, gravity: float = 0.0, support: float | None = 0.0, **common: object) -> None:
         super().__init__(**common)  # type: ignore[arg-type]
-        self.gravity, self.clamp = float(gravity), clamp
+        self.gravity, self.support = float(gravity), support
         self.mass = 0.0
         self._correction = 1.0
 
@@ -168,10 +168,10 @@ class FlowableMass(Accelerated):
         squares = 0.5 * float((now.area * self.density.astype(np.float64) ** 2).sum())
         tension = g * (squares - 0.5 * area * self.density.astype(np.float64) ** 2)
         clamped = 0.0
-        if self.clamp:
-            low = tension < -now.alpha
+        if self.support is not None:
+            low = tension < -self.support
             clamped = float((now.area * low).sum()) / area
-            tension[low] = -now.alpha
+            tension[low] = -self.support
         return Gravity(g * area * squares, tension.astype(np.float32), area, clamped)
 
     def _acceleration(self, now: Now, normal: np.ndarray, gravity: Gravity | None) -> np.ndarray:
