@@ -16,8 +16,8 @@ from benchmarks.figures.planar import save, show, tell
 SIZE = 32
 CUBE = box((SIZE,) * 3, (8,) * 3, (24,) * 3, 1.0, 5)
 STARTS, START_SEED = 20, 2024
-#: A run has found the object when its Dice against the truth is at least this.
-FOUND = 0.9
+#: A run has found the object when its Dice against the truth is at least this; the higher figure counts good ones.
+FOUND, GOOD = 0.8, 0.9
 FLOWS: dict[str, dict[str, Any]] = {
     "gradient": {"flow": "gradient"},
     "gradient, same diffusion": {"flow": "gradient", "diffusion": "free"},
@@ -51,7 +51,7 @@ def starts() -> list[str]:
 def cube(output: Path) -> None:
     """Run every flow from every start; a table, and a picture of what four of them leave."""
     balls = starts()
-    settings = {"max_steps": 250, **FINE}
+    settings = {"max_steps": 200, **FINE}
     tasks = [
         Task((name, start), CUBE, {"start": start, **settings, **changes})
         for name, changes in FLOWS.items()
@@ -63,12 +63,9 @@ def cube(output: Path) -> None:
         runs = [facts for facts in results if facts["name"][0] == name]
         table.append(summary(name, runs))
         print(row(table[-1]))
+    limits = {"found_from_dice": FOUND, "good_from_dice": GOOD}
+    write(output, "cube", {"shape": CUBE, "start_seed": START_SEED, **limits, "table": table, "runs": results})
     draw(output, results)
-    write(
-        output,
-        "cube",
-        {"shape": CUBE, "start_seed": START_SEED, "found_from_dice": FOUND, "table": table, "runs": results},
-    )
 
 
 def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
@@ -77,6 +74,7 @@ def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "flow": name,
         "found": sum(value >= FOUND for value in dices),
+        "good": sum(value >= GOOD for value in dices),
         "of": len(runs),
         "dice_median": float(np.median(dices)),
         "dice_least": min(dices),
@@ -92,9 +90,10 @@ def summary(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 def row(line: dict[str, Any]) -> str:
     """The line as text."""
     return (
-        f"{line['flow']:34s} found {line['found']:2d}/{line['of']}  Dice median {line['dice_median']:.3f} "
-        f"least {line['dice_least']:.3f}  corners {line['corner_dice_median']:.3f}  "
-        f"energy {line['energy_median']:.1f}  steps {line['steps_median']:.0f}  converged {line['converged']}"
+        f"{line['flow']:34s} found {line['found']:2d}, good {line['good']:2d} of {line['of']}  "
+        f"Dice median {line['dice_median']:.3f} least {line['dice_least']:.3f}  "
+        f"corners {line['corner_dice_median']:.3f}  energy {line['energy_median']:.1f}  "
+        f"steps {line['steps_median']:.0f}  converged {line['converged']}"
     )
 
 
@@ -119,7 +118,7 @@ def surface_plot(axis: Any, facts: dict[str, Any]) -> None:
     if labels.any():
         psi = 0.5 - labels.astype(np.float32)
         mesh = extract(psi, Volume.from_array(labels.astype(np.uint8), 1.0).geometry)
-        points = mesh.points
+        points = mesh.vertices
         axis.plot_trisurf(points[:, 0], points[:, 1], points[:, 2], triangles=mesh.faces, color="#E69F00", linewidth=0)
     axis.set_box_aspect((1, 1, 1))
     for bounds in (axis.set_xlim, axis.set_ylim, axis.set_zlim):

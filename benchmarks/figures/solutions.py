@@ -14,7 +14,7 @@ from benchmarks.figures.planar import save
 from tests import exact
 from tests.follow import STEP, WIDTH, Misfit, follow, lattice, order
 
-SIZES = (32, 48, 64, 96)
+SIZES = (32, 48, 64)
 MODELS = {
     "A": "sphere, area only",
     "B": "sphere in a well",

@@ -65,11 +65,10 @@ def history(flow: Flow, n: int, dim: int, steps: int) -> dict[str, np.ndarray]:
 
 
 def settled(energies: list[float]) -> bool:
-    """Whether 200 steps won less than a thousandth of all that was won."""
-    if len(energies) < 400:
-        return False
+    """Whether the last half of the steps, 30 at least, won less than a thousandth of all that was won."""
+    half = len(energies) // 2
     won = energies[0] - min(energies)
-    return won > 0 and min(energies[:-200]) - min(energies) < 1e-3 * won
+    return half >= 30 and won > 0 and min(energies[:half]) - min(energies) < 1e-3 * won
 
 
 def speed(output: Path) -> None:
