@@ -18,7 +18,7 @@ from accelsurf.evolution import Evolution, Row
 from accelsurf.flows import FlowableMass, Limits, Move, Now
 from accelsurf.levelset import LevelSet
 from tests import exact
-from tests.follow import WIDTH, Lattice, energy_of, lattice, surface_points
+from tests.follow import WIDTH, Lattice, energy_of, follow, lattice, surface_points
 from tests.test_exact import spheroid
 
 AXES = np.array((0.6, 0.8, 1.0))  # z, y, x
@@ -314,3 +314,9 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         other_times, other_psi = run(lambda_, rho, 0.5 * h)
         assert [2.0 * t for t in other_times] == times
         np.testing.assert_array_equal(other_psi, psi)
+
+
+def test_diffusion_does_not_brake_a_sphere_that_shrinks_evenly() -> None:
+    """Case D with diffusion: the speed is the same everywhere. Each component of V would decay, as exp(-2 D t/r^2)."""
+    h, on = WIDTH / 31, lattice(32)
+    assert follow(exact.D, on, 0.5 * h, FlowableMass(diffusion=0.1)).point < 0.02 * h

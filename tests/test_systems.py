@@ -33,7 +33,8 @@ def test_every_flow_takes_every_energy(flow: str, energy: str, shape: tuple[int,
     found = dice(result.labels, truth)
     print(f"\n{flow}, {energy}, {shape}: Dice {found:.3f}, {result.stop}")
     assert result.ledger[-1].potential < result.ledger[0].potential
-    assert found > 0.9
+    # The geodesic energy alone lies about 2 sigma^2/r inside a small ball's edge.
+    assert found > (0.88 if energy == "geodesic" else 0.95)
     assert result.warnings == []
 
 

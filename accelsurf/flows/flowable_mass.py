@@ -107,14 +107,14 @@ class FlowableMass(Accelerated):
         """Kick the velocity by the forces over the step around the present time."""
         surface, front, clock = now.surface, now.front, self.clock
         self._settle_density(now.area)
-        normal = surface.normals(front)
+        normal = surface.normals()
         gravity = self._gravity_now(now)
         acceleration = self._acceleration(now, normal, gravity)
         dt = self.stable_dt(now, acceleration, gravity, limits)
         if not math.isfinite(dt):
             return Move.none(surface)
         before, dm = self.velocity, 0.5 * (dt + clock.last_dt)
-        smoothed, diffusion = self._diffused(now, acceleration, dt, limits)
+        smoothed, diffusion = self._diffused(now, normal, acceleration, dt, limits)
         damping, pull = (0.0, clock.first_kick(dt)) if clock.at_rest else (clock.gamma * dm, clock.weight() * dm)
         gain = np.float32(pull) * acceleration
         kicked = (smoothed * np.float32(1.0 - 0.5 * damping) + gain) / np.float32(1.0 + 0.5 * damping)
@@ -190,9 +190,13 @@ class FlowableMass(Accelerated):
         return np.asarray(along[:, None] * normal - np.float32(self.gravity * gravity.area) * slope)
 
     def _diffused(
-        self, now: Now, acceleration: np.ndarray, dt: float, limits: Limits
+        self, now: Now, normal: np.ndarray, acceleration: np.ndarray, dt: float, limits: Limits
     ) -> tuple[np.ndarray, float]:
-        """The velocity after diffusion over the time of the kick, and the coefficient used."""
+        """The velocity after diffusion over the time of the kick, and the coefficient used.
+
+        The speed along the normal and the tangential part diffuse each by itself. Component by component, a sphere
+        that grows or shrinks evenly would be braked, at the rate 2 D/r^2.
+        """
         if self.clock.at_rest:
             return self.velocity, 0.0
         front, dm = now.front, 0.5 * (dt + self.clock.last_dt)
@@ -201,11 +205,16 @@ class FlowableMass(Accelerated):
         diffusion = self._diffusion_now(now.surface, dm, speed)
         if diffusion <= 0:
             return self.velocity, 0.0
-        parts = [np.ascontiguousarray(self.velocity[:, c]) for c in range(3)]
-        for part in parts:
+        along = (self.velocity * normal).sum(axis=1)
+        tangential = self.velocity - along[:, None] * normal
+        diffuse(now.surface, front, along, diffusion * dm)
+        for c in range(3):
+            part = np.ascontiguousarray(tangential[:, c])
             if part.any():
                 diffuse(now.surface, front, part, diffusion * dm)
-        return np.stack(parts, axis=1), diffusion
+                tangential[:, c] = part
+        tangential -= (tangential * normal).sum(axis=1)[:, None] * normal
+        return along[:, None] * normal + tangential, diffusion
 
     # -- step and account ----------------------------------------------------------------------------------
 

@@ -143,16 +143,13 @@ def outward(psi, band, s, cell, iz, iy, ix, grid):
 
 
 @kernel
-def normals(start, stop, psi, grid, band, front, out):
-    """Inward unit normal N (n, 3) at the foot of every front cell, 0 elsewhere."""
+def normals(start, stop, psi, grid, band, out):
+    """Inward unit normal N (n, 3) at the foot of every cell."""
     for s in range(start, stop):
-        out[s, 0], out[s, 1], out[s, 2] = 0.0, 0.0, 0.0
-        if front[s]:
-            cell = band.cells[s]
-            iz, iy, ix = unravel(cell, grid)
-            gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
-            norm = max(np.sqrt(gz * gz + gy * gy + gx * gx), 1e-12)
-            out[s, 0], out[s, 1], out[s, 2] = -gz / norm, -gy / norm, -gx / norm
+        cell = band.cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        nz, ny, nx = outward(psi, band, s, cell, iz, iy, ix, grid)
+        out[s, 0], out[s, 1], out[s, 2] = -nz, -ny, -nx
 
 
 @kernel

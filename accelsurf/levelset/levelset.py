@@ -210,10 +210,10 @@ class LevelSet:
         self.workers.run(transport.carry_psi, self.size, self.dense, self.grid, self.band, velocity, dt, out)
         self.dense.psi[self.band.cells] = out
 
-    def normals(self, front: np.ndarray) -> np.ndarray:
-        """Inward unit normal N (n, 3), z y x, of the surface at the foot of every front cell, 0 elsewhere."""
+    def normals(self) -> np.ndarray:
+        """Inward unit normal N (n, 3), z y x, of the surface at the foot of every cell."""
         out = np.empty((self.size, 3), np.float32)
-        self.workers.run(transport.normals, self.size, self.dense.psi, self.grid, self.band, front, out)
+        self.workers.run(transport.normals, self.size, self.dense.psi, self.grid, self.band, out)
         return out
 
     def remove_small(self) -> int:
