@@ -93,6 +93,22 @@ def known_linear(values, known, position):
     return (total / weight, True) if weight > 0 else (0.0, False)
 
 
+def has_stencil(present, position):
+    """Whether all nodes of the cubic interpolation at ``position`` are among the ``present`` voxels."""
+    axes = [axis_weights(np.array([p], float), n) for p, n in zip(position, present.shape, strict=True)]
+    return bool(present[tuple(slice(b[0], b[0] + w.shape[1]) for b, w, _, _ in axes)].all())
+
+
+def band_vector(values, present, position):
+    """(vector, found): (z, y, x, m) ``values`` at ``position``, cubic where the stencil is ``present``, else linear."""
+    held = np.clip(position, 0, np.array(present.shape) - 1.0)
+    parts = np.moveaxis(np.asarray(values, float), -1, 0)
+    if has_stencil(present, position):
+        return np.array([interpolate(part, held)[0][0] for part in parts]), True
+    found = [known_linear(part, present, position) for part in parts]
+    return np.array([value for value, _ in found]), found[0][1]
+
+
 # ------------------------------------------------------------------------------------------- closest points, distance
 
 
@@ -252,6 +268,20 @@ def godunov_norm(psi, spacing, shrinking):
     return np.sqrt(total)
 
 
+def known_slopes(values, present, spacing):
+    """Derivatives (z, y, x, 3) of ``values`` by their ``present`` voxels: the mean of what the two sides say."""
+    out = np.zeros((*present.shape, 3))
+    for cell in np.argwhere(present):
+        for a, h in enumerate(spacing):
+            sides = []
+            for step in (-1, 1):
+                other = cell + step * np.eye(3, dtype=int)[a]
+                if 0 <= other[a] < present.shape[a] and present[tuple(other)]:
+                    sides.append((float(values[tuple(other)]) - float(values[tuple(cell)])) / (step * h))
+            out[(*cell, a)] = np.mean(sides) if sides else 0.0
+    return out
+
+
 # ----------------------------------------------------------------------------------------------- regions and motion
 
 
@@ -297,9 +327,41 @@ def laplacian(values, present, spacing):
     return out
 
 
-def kick(beta, force, curvature, damping, dm):
-    """beta+ solves beta+ - beta = dm force - damping (beta + beta+)/2 + dm beta beta+ H/2."""
-    return (beta - damping * beta / 2 + dm * force) / np.maximum(1 + damping / 2 - dm * beta * curvature / 2, 0.2)
+def kick(beta, gain, curvature, damping, dm):
+    """beta+ solves beta+ - beta = gain - damping (beta + beta+)/2 + dm beta beta+ H/2."""
+    return (beta - damping * beta / 2 + gain) / np.maximum(1 + damping / 2 - dm * beta * curvature / 2, 0.2)
+
+
+def departure(velocity, present, spacing, target, dt, rounds=3, farthest=2.0):
+    """Index position after ``rounds`` of at = target - dt V(at), (z, y, x, 3) velocity, at most ``farthest`` voxels."""
+    at = np.array(target, float)
+    for _ in range(rounds):
+        v, found = band_vector(velocity, present, at)
+        if not found:
+            break
+        at = target - np.clip(dt * v / np.asarray(spacing), -farthest, farthest)
+    return at
+
+
+def area_stretch(f, normal):
+    """Area of the image under the matrix ``f`` of a unit square normal to ``normal``: of two tangents' images."""
+    one, other = np.linalg.svd(np.asarray(normal, float)[None])[2][1:]
+    return np.linalg.norm(np.cross(f @ one, f @ other))
+
+
+def tube_matrix(eta, spacing, length):
+    """Matrix of eta - length^2 div(eta grad) on the (z, y, x) voxels with ``eta`` > 0, edge by edge."""
+    eta = np.asarray(eta, float)
+    index = np.arange(eta.size).reshape(eta.shape)
+    out = np.diag(eta.ravel())
+    for a, h in enumerate(spacing):
+        low, high = np.moveaxis(index, a, 0)[:-1].ravel(), np.moveaxis(index, a, 0)[1:].ravel()
+        for i, j in zip(low, high, strict=True):
+            if eta.flat[i] > 0 and eta.flat[j] > 0:
+                edge = np.zeros(eta.size)
+                edge[i], edge[j] = 1 / h, -1 / h
+                out += length**2 * (eta.flat[i] + eta.flat[j]) / 2 * np.outer(edge, edge)
+    return out
 
 
 def small_components(psi, most):

@@ -85,22 +85,41 @@ def test_mean_across_a_linear_image_is_its_value_at_the_foot():
 
 
 def test_kick_solves_the_centred_scheme():
+    """The gain is dm times weight, force and 1/density of every cell, and no factor is applied to it again."""
     rng = np.random.default_rng(3)
     n = 200
     beta, force, curvature = (rng.standard_normal(n).astype(np.float32) for _ in range(3))
+    density = rng.uniform(0.5, 2, n)
     front = rng.random(n) < 0.7
-    damping, dm = 0.3, 0.4
-    before = beta.copy()
-    motion.kick(0, n, beta, force, curvature, front, (damping, dm))
-    want = reference.kick(before.astype(float), force, curvature, damping, dm)
+    gamma, weight, dm = 0.75, 1.7, 0.4
+    gain = (dm * weight * force / density).astype(np.float32)
+    before, given = beta.copy(), gain.copy()
+    motion.kick(0, n, beta, gain, curvature, front, (gamma * dm, dm))
+    want = reference.kick(before.astype(float), given.astype(float), curvature, gamma * dm, dm)
     np.testing.assert_allclose(beta[front], want[front], rtol=2e-5, atol=1e-6)
     np.testing.assert_array_equal(beta[~front], before[~front])
-    # As the equation: (b+ - b)/dm = f - gamma (b + b+)/2 + b b+ H/2, where the denominator was not held.
-    b, new, f, h = (a.astype(float)[front] for a in (before, beta, force, curvature))
-    free = 1 + 0.5 * damping - 0.5 * dm * b * h > 0.2
-    residue = new - b - dm * f + 0.5 * damping * (b + new) - 0.5 * dm * b * new * h
+    np.testing.assert_array_equal(gain, given)
+    # As the equation: (b+ - b)/dm = w f/rho - gamma (b + b+)/2 + b b+ H/2, where the denominator was not held.
+    b, new, f, h, rho = (a.astype(float)[front] for a in (before, beta, force, curvature, density))
+    free = 1 + 0.5 * gamma * dm - 0.5 * dm * b * h > 0.2
+    residue = (new - b) / dm - weight * f / rho + gamma * (b + new) / 2 - b * new * h / 2
     assert free.any()
-    assert np.abs(residue[free]).max() < 1e-5
+    assert np.abs(residue[free]).max() < 5e-5
+
+
+def test_kick_from_rest_adds_the_gain_and_bends_nothing():
+    """The first kick: no friction and no transport yet, however curved."""
+    beta = np.array([0.0, 1.5, -2.0, 0.5], np.float32)
+    gain = np.array([0.25, -1.0, 4.0, 8.0], np.float32)
+    front = np.array([True, True, True, False])
+    motion.kick(0, 4, beta, gain, np.full(4, 30.0, np.float32), front, (0.0, 0.0))
+    np.testing.assert_array_equal(beta, np.array([0.25, 0.5, 2.0, 0.5], np.float32))
+
+
+def test_kick_only_in_its_range():
+    beta, ones = np.zeros(6, np.float32), np.ones(6, np.float32)
+    motion.kick(2, 5, beta, ones, np.zeros(6, np.float32), np.ones(6, bool), (0.0, 0.0))
+    np.testing.assert_array_equal(beta, np.array([0, 0, 1, 1, 1, 0], np.float32))
 
 
 def test_kick_holds_its_denominator():

@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel
-from accelsurf.kernels.interpolate import axis_weights, value_at
+from accelsurf.kernels.interpolate import axis_weights, value_and_gradient
 
 #: Fixed-point iterations for a departure point; each gains a factor dt |grad V|, at most about 1/10. The first needs
 #: no more than linear interpolation.
@@ -111,8 +111,9 @@ def has_stencil(slot, grid, position, w):
 def carry_psi(start, stop, dense, grid, band, velocity, dt, out):
     """Psi of every cell after ``dt`` of psi_t = -V . grad psi: psi at the departure point of the cell.
 
-    Near the band's edge, where the interpolation would reach beyond it, psi - dt V . n with the normal n of
-    the distance that psi was.
+    Beyond the border psi goes on straight: held there, it would hold back a surface that moves inwards. Near the
+    band's edge, where the interpolation would reach beyond it, psi - dt V . n with the normal n of the distance
+    that psi was.
     """
     w = np.empty(24)
     v = np.empty(3)
@@ -124,7 +125,7 @@ def carry_psi(start, stop, dense, grid, band, velocity, dt, out):
         target[0], target[1], target[2] = iz, iy, ix
         depart(velocity, dense.slot, grid, target, dt, (w, v), at)
         if has_stencil(dense.slot, grid, at, w):
-            out[s] = value_at(dense.psi, grid, at[0], at[1], at[2], w)
+            out[s], _, _, _ = value_and_gradient(dense.psi, grid, at[0], at[1], at[2], w)
             continue
         d = band.psi[s]
         nz, ny, nx = outward(dense.psi, band, s, cell, iz, iy, ix, grid)
