@@ -333,10 +333,17 @@ def kick(beta, gain, curvature, damping, dm):
 
 
 def departure(velocity, present, spacing, target, dt, rounds=3, farthest=2.0):
-    """Index position after ``rounds`` of at = target - dt V(at), (z, y, x, 3) velocity, at most ``farthest`` voxels."""
+    """Index position after ``rounds`` of at = target - dt V(at), (z, y, x, 3) velocity, at most ``farthest`` voxels.
+
+    In the first round V is interpolated linearly.
+    """
     at = np.array(target, float)
-    for _ in range(rounds):
-        v, found = band_vector(velocity, present, at)
+    for turn in range(rounds):
+        if turn == 0:
+            parts = [known_linear(velocity[..., c], present, at) for c in range(3)]
+            v, found = np.array([value for value, _ in parts]), parts[0][1]
+        else:
+            v, found = band_vector(velocity, present, at)
         if not found:
             break
         at = target - np.clip(dt * v / np.asarray(spacing), -farthest, farthest)
@@ -349,15 +356,15 @@ def area_stretch(f, normal):
     return np.linalg.norm(np.cross(f @ one, f @ other))
 
 
-def tube_matrix(eta, spacing, length):
-    """Matrix of eta - length^2 div(eta grad) on the (z, y, x) voxels with ``eta`` > 0, edge by edge."""
+def tube_matrix(eta, present, spacing, length):
+    """Matrix of eta - length^2 div(eta grad) on the ``present`` (z, y, x) voxels, edge by edge."""
     eta = np.asarray(eta, float)
     index = np.arange(eta.size).reshape(eta.shape)
     out = np.diag(eta.ravel())
     for a, h in enumerate(spacing):
         low, high = np.moveaxis(index, a, 0)[:-1].ravel(), np.moveaxis(index, a, 0)[1:].ravel()
         for i, j in zip(low, high, strict=True):
-            if eta.flat[i] > 0 and eta.flat[j] > 0:
+            if present.flat[i] and present.flat[j]:
                 edge = np.zeros(eta.size)
                 edge[i], edge[j] = 1 / h, -1 / h
                 out += length**2 * (eta.flat[i] + eta.flat[j]) / 2 * np.outer(edge, edge)
