@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import find_contours
 
-from accelsurf.errors import EmptyResultError, InputError, UsageError
+from accelsurf.errors import EmptyResultError, InputError
 from accelsurf.geometry import Geometry
-from accelsurf.surface import NODE_MARGIN, SPACES, polydata, write_atomically
+from accelsurf.surface import NODE_MARGIN, polydata, write_atomically, writer_for
 
 Floats = NDArray[np.float64]
 
@@ -80,15 +80,8 @@ class Contours:
         OutputError
             When the file cannot be written.
         """
-        target = Path(path)
-        writer = WRITERS.get(target.suffix.lower())
-        if writer is None:
-            known = ", ".join(WRITERS)
-            raise UsageError(f"{target.name}: contour format {target.suffix!r} given, one of {known} expected")
-        if space not in SPACES:
-            raise UsageError(f"contour space {space!r} given, one of {', '.join(SPACES)} expected")
-        flip = np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)
-        write_atomically(target, writer(tuple(loop * flip for loop in self.loops), space.upper()))
+        writer, flip = writer_for(path, space, WRITERS, "contour")
+        write_atomically(Path(path), writer(tuple(loop * flip for loop in self.loops), space.upper()))
 
 
 def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:

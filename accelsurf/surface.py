@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageErr
 from accelsurf.geometry import Geometry
 
 Floats = NDArray[np.float64]
+Writer = TypeVar("Writer")
 Ints = NDArray[np.int32]
 
 NODE_MARGIN = 1e-4
@@ -117,15 +119,8 @@ class Surface:
         OutputError
             When the file cannot be written.
         """
-        target = Path(path)
-        writer = WRITERS.get(target.suffix.lower())
-        if writer is None:
-            known = ", ".join(WRITERS)
-            raise UsageError(f"{target.name}: mesh format {target.suffix!r} given, one of {known} expected")
-        if space not in SPACES:
-            raise UsageError(f"mesh space {space!r} given, one of {', '.join(SPACES)} expected")
-        flip = np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)
-        write_atomically(target, writer(self.vertices * flip, self.faces, space.upper()))
+        writer, flip = writer_for(path, space, WRITERS, "mesh")
+        write_atomically(Path(path), writer(self.vertices * flip, self.faces, space.upper()))
 
 
 def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
@@ -316,6 +311,35 @@ def _codes(text: str) -> str:
 
 WRITERS: dict[str, Callable[[Floats, Ints, str], bytes]] = {".ply": _ply, ".stl": _stl, ".obj": _obj, ".vtp": _vtp}
 """Mesh formats by suffix: vertices, faces and the space's name in capitals to the bytes of the file."""
+
+
+def writer_for(path: str | Path, space: str, writers: dict[str, Writer], kind: str) -> tuple[Writer, Floats]:
+    """Choose a writer by a file's suffix, and the factors that bring LPS points to the space asked for.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to be written.
+    space : {"lps", "ras"}
+        Its coordinates.
+    writers : dict
+        Writers by suffix.
+    kind : str
+        What is written, as errors say it.
+
+    Raises
+    ------
+    UsageError
+        For another suffix or space.
+    """
+    target = Path(path)
+    writer = writers.get(target.suffix.lower())
+    if writer is None:
+        known = ", ".join(writers)
+        raise UsageError(f"{target.name}: {kind} format {target.suffix!r} given, one of {known} expected")
+    if space not in SPACES:
+        raise UsageError(f"{kind} space {space!r} given, one of {', '.join(SPACES)} expected")
+    return writer, np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)
 
 
 def write_atomically(target: Path, content: bytes) -> None:

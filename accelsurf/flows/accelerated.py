@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from accelsurf.flows.base import (
+    Account,
     Limits,
     Now,
     diffusion_reach,
@@ -160,6 +161,27 @@ class Accelerated:
         self.clock.rest()
         if self.noise is not None:
             self.noise.rest()
+
+    def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
+        """The paper's T of two velocities half a step before and after."""
+        raise NotImplementedError
+
+    def _account(self, area: np.ndarray, stages: tuple[np.ndarray, ...]) -> Account:
+        """Energies from the velocities before, after diffusion, kick, noise and limiter."""
+        before, smoothed, kicked, noisy, after = stages
+        w = self.clock.weight()
+
+        def energy(velocity: np.ndarray) -> float:
+            return self._kinetic(area, velocity, velocity) / w
+
+        kinetic = self._kinetic(area, before, after)
+        return Account(
+            kinetic=kinetic,
+            weight=w,
+            friction=self.clock.loss * kinetic / w,
+            smoothing=energy(before) - energy(smoothed) + energy(noisy) - energy(after),
+            noise=energy(noisy) - energy(kicked),
+        )
 
     def _strongest_yet(self, pull: float) -> float:
         # Near the minimum forces fade, but the wells keep their steepness.

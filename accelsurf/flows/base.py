@@ -162,6 +162,28 @@ class Descent:
         return min(limits.dt_max, limits.cfl / fastest if fastest > 0 else math.inf)
 
 
+class Remembering(Descent):
+    """A descent that carries one field from step to step on the surface."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._last = np.zeros(0, np.float32)
+
+    @property
+    def fields(self) -> list[np.ndarray]:
+        """What the last step left."""
+        return [self._last]
+
+    def take(self, fields: list[np.ndarray]) -> None:
+        """The same on the new band."""
+        (self._last,) = fields
+
+    def start(self, surface: LevelSet) -> None:
+        """Nothing to remember yet."""
+        super().start(surface)
+        self._last = np.zeros(surface.size, np.float32)
+
+
 def finish(now: Now, speed: np.ndarray, dt: float, limits: Limits, diffusion: float = 0.0) -> Move:
     """The move of a descent: ``speed`` (n,) at the front, held to the limit and extended (in place)."""
     rates = voxel_rates(now.surface, now.front, speed)

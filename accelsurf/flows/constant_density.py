@@ -8,7 +8,6 @@ import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated, travel_dt, wave_dt
 from accelsurf.flows.base import (
-    Account,
     Limits,
     Move,
     Now,
@@ -86,28 +85,11 @@ class ConstantDensity(Accelerated):
         noisy = self.beta.copy()
         held = hold_back(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
         account = self._account(now.area, (before, smoothed, kicked, noisy, self.beta))
+        account = account._replace(mass=self.rho * float(now.area.sum()))
         rate = percentile(np.abs(self.beta[front]), limits.percentile)
         surface.extend_outwards(self.beta, front)
         clock.tick(dt)
         return Move(dt, self.beta, None, rate, held / max(1, int(front.sum())), diffusion, account)
-
-    def _account(self, area: np.ndarray, stages: tuple[np.ndarray, ...]) -> Account:
-        """Energies from the speeds before, after diffusion, kick, noise and limiter."""
-        before, smoothed, kicked, noisy, after = stages
-        w = self.clock.weight()
-
-        def energy(speed: np.ndarray) -> float:
-            return self._kinetic(area, speed, speed) / w
-
-        kinetic = self._kinetic(area, before, after)
-        return Account(
-            kinetic=kinetic,
-            weight=w,
-            friction=self.clock.loss * kinetic / w,
-            smoothing=energy(before) - energy(smoothed) + energy(noisy) - energy(after),
-            noise=energy(noisy) - energy(kicked),
-            mass=self.rho * float(area.sum()),
-        )
 
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 rho int beta beta' dA."""

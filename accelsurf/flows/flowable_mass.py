@@ -9,7 +9,6 @@ import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated, travel_dt, wave_dt
 from accelsurf.flows.base import (
-    Account,
     Limits,
     Move,
     Now,
@@ -124,7 +123,12 @@ class FlowableMass(Accelerated):
         rates = self._rates(surface, velocity)
         rates[~front] = 0.0
         held = hold_back(velocity, rates, dt, limits.cfl)
-        account = self._account(now.area, (before, smoothed, kicked, noisy, velocity), gravity)
+        account = self._account(now.area, (before, smoothed, kicked, noisy, velocity))._replace(
+            mass_potential=0.0 if gravity is None else gravity.potential,
+            mass=float((now.area * self.density).sum()),
+            mass_correction=self._correction - 1.0,
+            clamped=0.0 if gravity is None else gravity.clamped,
+        )
         self.velocity = self._extended(surface, velocity, front)
         speed = (velocity * normal).sum(axis=1)
         rate = percentile(np.linalg.norm(velocity[front], axis=1), limits.percentile)
@@ -261,24 +265,3 @@ class FlowableMass(Accelerated):
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 int rho V . V' dA."""
         return 0.5 * float((area * self.density * (one.astype(np.float64) * other).sum(axis=1)).sum())
-
-    def _account(self, area: np.ndarray, stages: tuple[np.ndarray, ...], gravity: Gravity | None) -> Account:
-        """Energies from the velocities before, after diffusion, kick, noise and limiter."""
-        before, smoothed, kicked, noisy, after = stages
-        w = self.clock.weight()
-
-        def energy(velocity: np.ndarray) -> float:
-            return self._kinetic(area, velocity, velocity) / w
-
-        kinetic = self._kinetic(area, before, after)
-        return Account(
-            kinetic=kinetic,
-            weight=w,
-            mass_potential=0.0 if gravity is None else gravity.potential,
-            friction=self.clock.loss * kinetic / w,
-            smoothing=energy(before) - energy(smoothed) + energy(noisy) - energy(after),
-            noise=energy(noisy) - energy(kicked),
-            mass=float((area * self.density).sum()),
-            mass_correction=self._correction - 1.0,
-            clamped=0.0 if gravity is None else gravity.clamped,
-        )

@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.base import Descent, Limits, Move, Now, finish, voxel_rates
+from accelsurf.flows.base import Limits, Move, Now, Remembering, finish, voxel_rates
 from accelsurf.flows.gradient import curvature_bound
-from accelsurf.levelset import LevelSet
 
 
-class Momentum(Descent):
+class Momentum(Remembering):
     """Step s_n = (1 - omega) dt f + omega s_(n-1), redistanced after each (Andersson, Läthén, Lenz, Borga 2013).
 
     The last step is a field on the surface, extended by the march as all fields are. There is no mass, no time
@@ -28,21 +27,6 @@ class Momentum(Descent):
     def __init__(self, blend: float = 0.8) -> None:
         super().__init__()
         self.blend = float(blend)
-        self._last = np.zeros(0, np.float32)
-
-    @property
-    def fields(self) -> list[np.ndarray]:
-        """The last step, mm along N."""
-        return [self._last]
-
-    def take(self, fields: list[np.ndarray]) -> None:
-        """The last step on the new band."""
-        (self._last,) = fields
-
-    def start(self, surface: LevelSet) -> None:
-        """No step yet."""
-        super().start(surface)
-        self._last = np.zeros(surface.size, np.float32)
 
     def rest(self, area: np.ndarray) -> float:
         """Forget the last step."""

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.base import axes_of
+from accelsurf.flows.base import axes_of, smallest_spacing
 from accelsurf.kernels import waves
 from accelsurf.levelset import LevelSet
 
@@ -57,7 +57,7 @@ class Noise:
 
     def longest_dt(self, surface: LevelSet, cfl: float) -> float:
         """Step in which the noise alone moves the surface by cfl voxels: tau dt^1.5 = cfl h."""
-        return (cfl * min(h for n, h in axes_of(surface) if n > 1) / self.strength) ** (2.0 / 3.0)
+        return (cfl * smallest_spacing(surface) / self.strength) ** (2.0 / 3.0)
 
     def kicks(self, surface: LevelSet, front: np.ndarray, dt: float, components: int) -> np.ndarray:
         """Velocity (n, components) that the noise adds in ``dt`` at the feet of the front cells; time goes on by dt."""

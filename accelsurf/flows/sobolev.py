@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.base import Descent, Limits, Move, Now, finish, smallest_spacing, voxel_rates
+from accelsurf.flows.base import Limits, Move, Now, Remembering, finish, smallest_spacing, voxel_rates
 from accelsurf.kernels import tube
 from accelsurf.levelset import LevelSet
 
@@ -19,7 +19,7 @@ TOLERANCE = 1e-3
 MAX_ITERATIONS = 200
 
 
-class Sobolev(Descent):
+class Sobolev(Remembering):
     """psi_t = g |grad psi| with (1 - ell^2 Lap_S) g = f: descent in the H1 metric of the surface.
 
     On a sphere of radius r a spherical harmonic of degree l comes out divided by 1 + ell^2 l (l + 1)/r^2. The step
@@ -36,21 +36,6 @@ class Sobolev(Descent):
     def __init__(self, length: float | None = None) -> None:
         super().__init__()
         self.length = length
-        self._last = np.zeros(0, np.float32)
-
-    @property
-    def fields(self) -> list[np.ndarray]:
-        """The last g: the next solve starts from it."""
-        return [self._last]
-
-    def take(self, fields: list[np.ndarray]) -> None:
-        """The last g on the new band."""
-        (self._last,) = fields
-
-    def start(self, surface: LevelSet) -> None:
-        """Nothing to start a solve from yet."""
-        super().start(surface)
-        self._last = np.zeros(surface.size, np.float32)
 
     def move(self, now: Now, limits: Limits) -> Move:
         """Step with beta = g, dt <= cfl/|g|."""
