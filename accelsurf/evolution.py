@@ -253,7 +253,7 @@ class Evolution:
             return self._still(state, began)
         entries = self._books.enter(move.account, move.dt)
         rates = voxel_rates(surface, area > 0, move.speed)
-        motion = move.dt * float(np.dot(area, rates)) / max(float(area.sum()), 1e-300)
+        motion = move.dt * float((area * rates).sum()) / max(state["area_mm2"], 1e-300)
         removed = self._drift(move)
         self._time += move.dt
         return Row(

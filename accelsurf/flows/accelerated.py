@@ -170,9 +170,11 @@ class Accelerated:
         """Energies from the velocities before, after diffusion, kick, noise and limiter."""
         before, smoothed, kicked, noisy, after = stages
         w = self.clock.weight()
+        # Where nothing happened two stages are one array.
+        energies = {id(stage): self._kinetic(area, stage, stage) / w for stage in stages}
 
         def energy(velocity: np.ndarray) -> float:
-            return self._kinetic(area, velocity, velocity) / w
+            return energies[id(velocity)]
 
         kinetic = self._kinetic(area, before, after)
         return Account(

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from accelsurf.kernels import motion
+from accelsurf.kernels import motion, statistics
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Most stages of a diffusion step. The free bound is what these reach explicitly: (s^2 + s)/2 times one stage.
@@ -188,7 +188,7 @@ def finish(now: Now, speed: np.ndarray, dt: float, limits: Limits, diffusion: fl
     """The move of a descent: ``speed`` (n,) at the front, held to the limit and extended (in place)."""
     rates = voxel_rates(now.surface, now.front, speed)
     held = hold_back(speed, rates, dt, limits.cfl)
-    rate = percentile(np.abs(speed[now.front]), limits.percentile)
+    rate = percentile(speed, limits.percentile, now.front)
     now.surface.extend_outwards(speed, now.front)
     return Move(dt, speed, None, rate, held / max(1, int(now.front.sum())), diffusion)
 
@@ -202,12 +202,26 @@ def voxel_rates(surface: LevelSet, front: np.ndarray, speed: np.ndarray) -> np.n
     return out
 
 
-def percentile(values: np.ndarray, percent: float) -> float:
-    """The ``percent`` percentile of ``values`` (the value at its rank, no interpolation); 0 for none."""
-    if values.size == 0:
+def front_percentiles(now: Now, field: np.ndarray, percent: float) -> tuple[float, float]:
+    """Percentile of |field| at the front, per mm and in voxels along the normal."""
+    per_mm = percentile(field, percent, now.front)
+    spacings = {h for n, h in axes_of(now.surface) if n > 1}
+    if len(spacings) == 1:
+        return per_mm, per_mm / spacings.pop()
+    return per_mm, percentile(voxel_rates(now.surface, now.front, field), percent, now.front)
+
+
+def percentile(values: np.ndarray, percent: float, where: np.ndarray | None = None) -> float:
+    """The ``percent`` percentile of |values| (the value at its rank, no interpolation); 0 for none.
+
+    Of all of them, or ``where`` a mask is set.
+    """
+    where = np.ones(values.size, np.bool_) if where is None else where
+    count = int(np.count_nonzero(where))
+    if count == 0:
         return 0.0
-    rank = min(values.size - 1, int(values.size * percent / 100.0))
-    return float(np.partition(values, rank)[rank])
+    rank = min(count - 1, int(count * percent / 100.0))
+    return float(statistics.size_at_rank(np.ascontiguousarray(values, np.float32), where, rank))
 
 
 def hold_back(speed: np.ndarray, rates: np.ndarray, dt: float, cfl: float) -> int:
@@ -217,15 +231,6 @@ def hold_back(speed: np.ndarray, rates: np.ndarray, dt: float, cfl: float) -> in
     share = np.float32(most) / rates[fast]
     speed[fast] *= share if speed.ndim == 1 else share[:, None]
     return int(fast.sum())
-
-
-def laplacian(surface: LevelSet, front: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """Surface Laplacian (n,) of an extended field at the front."""
-    out = np.empty(surface.size, np.float32)
-    surface.workers.run(
-        motion.surface_laplacian, surface.size, surface.dense.slot, surface.grid, surface.band.cells, field, front, out
-    )
-    return out
 
 
 def diffusion_bound(surface: LevelSet) -> float:
@@ -259,14 +264,17 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     s = 1
     while s < STAGES and 0.5 * (s * s + s) * bound < amount:
         s += 1
-    share = 2.0 / (s * s + s)
-    older, old = field.copy(), field.copy()
-    old += np.float32(share * amount) * laplacian(surface, front, field)
-    surface.extend_outwards(old, front)
-    for j in range(2, s + 1):
+    share = 2.0 / (s * s + s) * amount
+    older, old = field, field
+    on = np.flatnonzero(front).astype(np.int32)
+    table = np.empty((on.size, 6), np.int32)
+    run = surface.workers.run
+    run(motion.neighbour_slots, on.size, surface.dense.slot, surface.grid, surface.band.cells, on, table)
+    for j in range(1, s + 1):
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
-        new = np.float32(mu) * (old + np.float32(share * amount) * laplacian(surface, front, old))
-        new += np.float32(nu) * older
+        new = np.empty_like(field)
+        weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
+        run(motion.diffusion_stage, on.size, on, table, surface.grid, old, older, weights, new)
         surface.extend_outwards(new, front)
         older, old = old, new
     field[:] = old

@@ -12,12 +12,13 @@ from accelsurf.flows.base import (
     Move,
     Now,
     diffuse,
+    front_percentiles,
     hold_back,
     percentile,
     smallest_spacing,
     voxel_rates,
 )
-from accelsurf.kernels import motion
+from accelsurf.kernels import motion, statistics
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 
@@ -43,6 +44,7 @@ class ConstantDensity(Accelerated):
     def start(self, surface: LevelSet) -> None:
         """At rest on ``surface``."""
         self.beta = np.zeros(surface.size, np.float32)
+        self._workers = surface.workers
         self._begin()
 
     def rest(self, area: np.ndarray) -> float:
@@ -59,7 +61,9 @@ class ConstantDensity(Accelerated):
     def move(self, now: Now, limits: Limits) -> Move:
         """Kick the speeds by the force over the step around the present time; the centred leap-frog."""
         surface, front, clock = now.surface, now.front, self.clock
-        dt = self.stable_dt(now, limits)
+        force = front_percentiles(now, now.force, limits.percentile)
+        speed = (0.0, 0.0) if clock.at_rest else front_percentiles(now, self.beta, limits.percentile)
+        dt = self.stable_dt(now, limits, force, speed)
         if not math.isfinite(dt):
             return Move.none(surface)
         before = self.beta
@@ -68,9 +72,7 @@ class ConstantDensity(Accelerated):
         dm = 0.5 * (dt + clock.last_dt)
         if not clock.at_rest:
             damping, pull = clock.gamma * dm, clock.weight() * dm
-            speed = percentile(np.abs(before[front]), limits.percentile)
-            speed += dt * pull / (self.rho * dm) * percentile(np.abs(now.force[front]), limits.percentile)
-            diffusion = self._diffusion_now(surface, dm, speed)
+            diffusion = self._diffusion_now(surface, dm, speed[0] + dt * pull / (self.rho * dm) * force[0])
             if diffusion > 0:
                 diffuse(surface, front, self.beta, diffusion * dm)
                 smoothed = self.beta.copy()
@@ -86,33 +88,32 @@ class ConstantDensity(Accelerated):
         held = hold_back(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
         account = self._account(now.area, (before, smoothed, kicked, noisy, self.beta))
         account = account._replace(mass=self.rho * float(now.area.sum()))
-        rate = percentile(np.abs(self.beta[front]), limits.percentile)
+        rate = percentile(self.beta, limits.percentile, front)
         surface.extend_outwards(self.beta, front)
         clock.tick(dt)
         return Move(dt, self.beta, None, rate, held / max(1, int(front.sum())), diffusion, account)
 
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 rho int beta beta' dA."""
-        return 0.5 * self.rho * float((area * one * other).sum())
+        return 0.5 * self.rho * float(self._workers.sums(statistics.products, area.size, 1, area, one, other)[0])
 
-    def stable_dt(self, now: Now, limits: Limits) -> float:
-        """Largest stable time step.
+    def stable_dt(
+        self, now: Now, limits: Limits, force: tuple[float, float], speed: tuple[float, float]
+    ) -> float:
+        """Largest stable time step; ``force`` and ``speed`` are percentiles, each per mm and in voxels.
 
         Travel, b dt + A dt^2/2 <= cfl with b and A the percentiles of speed and acceleration in voxels;
         transverse waves, dt <= h/(sqrt(3) c_T) with c_T = sqrt(beta^2/2 + w alpha/rho); diffusion and noise.
         """
-        surface, front = now.surface, now.front
-        pull = percentile(voxel_rates(surface, front, now.force)[front], limits.percentile)
-        pull = self._strongest_yet(pull) / self.rho
+        surface = now.surface
+        pull = self._strongest_yet(force[1]) / self.rho
         stiffness = now.alpha / self.rho
         if self.clock.at_rest:
             dt = self.clock.first_dt(pull, stiffness, smallest_spacing(surface), limits.cfl)
         else:
             w = self.clock.next_weight()
-            rate = percentile(voxel_rates(surface, front, self.beta)[front], limits.percentile)
-            fastest = percentile(np.abs(self.beta[front]), limits.percentile)
             dt = min(
-                travel_dt(rate, w * pull, limits.cfl),
-                wave_dt(surface, math.sqrt(0.5 * fastest**2 + w * stiffness)),
+                travel_dt(speed[1], w * pull, limits.cfl),
+                wave_dt(surface, math.sqrt(0.5 * speed[0] ** 2 + w * stiffness)),
             )
         return self._bounded(dt, surface, limits)

@@ -131,7 +131,7 @@ class FlowableMass(Accelerated):
         )
         self.velocity = self._extended(surface, velocity, front)
         speed = (velocity * normal).sum(axis=1)
-        rate = percentile(np.linalg.norm(velocity[front], axis=1), limits.percentile)
+        rate = percentile(np.linalg.norm(velocity, axis=1), limits.percentile, front)
         surface.extend_outwards(speed, front)
         self._stretch(now, normal, dt)
         clock.tick(dt)
@@ -204,8 +204,8 @@ class FlowableMass(Accelerated):
         if self.clock.at_rest:
             return self.velocity, 0.0
         front, dm = now.front, 0.5 * (dt + self.clock.last_dt)
-        speed = percentile(np.linalg.norm(self.velocity[front], axis=1), limits.percentile)
-        speed += dt * self.weight * percentile(np.linalg.norm(acceleration[front], axis=1), limits.percentile)
+        speed = percentile(np.linalg.norm(self.velocity, axis=1), limits.percentile, front)
+        speed += dt * self.weight * percentile(np.linalg.norm(acceleration, axis=1), limits.percentile, front)
         diffusion = self._diffusion_now(now.surface, dm, speed)
         if diffusion <= 0:
             return self.velocity, 0.0
@@ -230,7 +230,7 @@ class FlowableMass(Accelerated):
         """
         surface, front = now.surface, now.front
         smallest = smallest_spacing(surface)
-        pull = self._strongest_yet(percentile(self._rates(surface, acceleration)[front], limits.percentile))
+        pull = self._strongest_yet(percentile(self._rates(surface, acceleration), limits.percentile, front))
         stiffness, sound = now.alpha, 0.0
         if gravity is not None:
             stiffness += max(float(gravity.tension[front].max(initial=0.0)), 0.0)
@@ -240,8 +240,8 @@ class FlowableMass(Accelerated):
             dt = self.clock.first_dt(pull, max(stiffness, sound), smallest, limits.cfl)
         else:
             w = self.clock.next_weight()
-            rate = percentile(self._rates(surface, self.velocity)[front], limits.percentile)
-            fastest = percentile(np.linalg.norm(self.velocity[front], axis=1), limits.percentile)
+            rate = percentile(self._rates(surface, self.velocity), limits.percentile, front)
+            fastest = percentile(np.linalg.norm(self.velocity, axis=1), limits.percentile, front)
             dt = min(
                 travel_dt(rate, w * pull, limits.cfl),
                 wave_dt(surface, math.sqrt(w * stiffness)),

@@ -51,7 +51,7 @@ class Gradient(Descent):
             return Move.none(surface)
         diffusion = self.diffusion
         if diffusion is None:
-            diffusion = free_diffusion(surface, dt, percentile(np.abs(speed[front]), limits.percentile))
+            diffusion = free_diffusion(surface, dt, percentile(speed, limits.percentile, front))
         if diffusion > 0:
             surface.extend_outwards(speed, front)
             diffuse(surface, front, speed, diffusion * dt)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.cubic import cubic_rows
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
-from accelsurf.kernels.interpolate import band_value_at, linear_band_value
+from accelsurf.kernels.interpolate import band_rows, band_value_at, linear_band_value
 from accelsurf.kernels.march import OPEN, length
 
 #: The smallest distance that a cell may be given, as a part of the smallest spacing: the sign must survive.
@@ -64,41 +65,90 @@ def gather_band(start, stop, dense_psi, grid, order, old, new):
 
 
 @kernel
-def sample_at_feet(start, stop, slot, grid, band, n_old, known, values, out):
-    """Extend a field to the new ``band``: its value at each foot, interpolated from the old slots.
+def sample_at_feet(start, stop, slot, grid, band, values, out):
+    """Extend fields to the new ``band``: their values at each foot, interpolated from the old slots.
 
-    ``values`` (n_old,) belongs to the old band and ``slot`` still maps to it. A cell with nothing known
-    around its foot keeps its own old value, or 0 when it was not in the band.
+    ``values`` (m, n_old) float32 belong to the old band and ``slot`` still maps to it; ``out`` is (m, n). A cell with
+    nothing known around its foot keeps its own old values, or 0 when it was not in the band.
     """
+    m, n_old = values.shape
+    flat = values.reshape(m * n_old)
     w = np.empty(24)
+    rows = np.empty(16, np.int64)
     position = np.empty(3)
+    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
     for s in range(start, stop):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        position[0] = iz + band.foot[s, 0] / grid.hz
-        position[1] = iy + band.foot[s, 1] / grid.hy
-        position[2] = ix + band.foot[s, 2] / grid.hx
-        value, found = band_value_at(values, slot, n_old, grid, position, w, known)
-        if not found:
-            own = slot[cell]
-            value = values[own] if own >= 0 and own < n_old and known[own] else 0.0
-        out[s] = value
+        pz, py, px = iz + band.foot[s, 0] * hz, iy + band.foot[s, 1] * hy, ix + band.foot[s, 2] * hx
+        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+        inside = 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4
+        if inside:
+            at = (bz * grid.ny + by) * grid.nx + bx
+            if band_rows(slot, n_old, at, grid.nx, grid.ny * grid.nx, rows):
+                uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+                for field in range(m):
+                    out[field, s] = cubic_rows(flat, rows, uz, uy, ux)
+                    for k in range(16):
+                        rows[k] += n_old
+                continue
+        position[0], position[1], position[2] = pz, py, px
+        own = slot[cell]
+        for field in range(m):
+            if inside:
+                value, found = linear_band_value(values[field], slot, n_old, grid, position)
+            else:
+                value, found = band_value_at(values[field], slot, n_old, grid, position, w)
+            if not found:
+                value = values[field, own] if own >= 0 and own < n_old else 0.0
+            out[field, s] = value
 
 
 @kernel
-def extend_outwards(start, stop, slot, grid, band, front, values):
-    """Overwrite ``values`` off the front by the linear interpolation of the front's values at the foot."""
-    position = np.empty(3)
-    n = band.cells.shape[0]
-    for s in range(start, stop):
-        if front[s]:
-            continue
+def outward_table(start, stop, slot, grid, band, front, off, slots, shares):
+    """Where the cells ``off`` the front (slots, int32) read the front's values: what `extend_outwards` needs.
+
+    Row i of ``slots`` (m, 8) int32 and ``shares`` (m, 8) float32 gets the slots of the cells around the foot of cell
+    ``off[i]`` that are on the front, and their weights in the linear interpolation there, with sum 1 (all 0 where none
+    is). A cell that does not count is the cell itself, with weight 0.
+    """
+    for row in range(start, stop):
+        s = off[row]
         iz, iy, ix = unravel(band.cells[s], grid)
-        position[0] = iz + band.foot[s, 0] / grid.hz
-        position[1] = iy + band.foot[s, 1] / grid.hy
-        position[2] = ix + band.foot[s, 2] / grid.hx
-        value, found = linear_band_value(values, slot, n, grid, position, front)
-        values[s] = value if found else 0.0
+        pz = min(max(iz + band.foot[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
+        py = min(max(iy + band.foot[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
+        px = min(max(ix + band.foot[s, 2] / grid.hx, 0.0), grid.nx - 1.0)
+        iz, iy, ix = int(pz), int(py), int(px)
+        tz, ty, tx = pz - iz, py - iy, px - ix
+        total = 0.0
+        for corner in range(8):
+            i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+            share = (tz if i == 1 else 1.0 - tz) * (ty if j == 1 else 1.0 - ty) * (tx if k == 1 else 1.0 - tx)
+            at = -1
+            if share > 1e-6:
+                at = slot[((iz + i) * grid.ny + iy + j) * grid.nx + ix + k]
+            if at >= 0 and front[at]:
+                slots[row, corner] = at
+                shares[row, corner] = share
+                total += share
+            else:
+                slots[row, corner] = s
+                shares[row, corner] = 0.0
+        scale = 1.0 / total if total > 0.0 else 0.0
+        for corner in range(8):
+            shares[row, corner] *= scale
+
+
+@kernel
+def extend_outwards(start, stop, off, slots, shares, values):
+    """Overwrite ``values`` at the cells ``off`` the front by what `outward_table` says of the front's."""
+    for row in range(start, stop):
+        value = np.float32(0.0)
+        for corner in range(8):
+            share = shares[row, corner]
+            if share > 0.0:
+                value += share * values[slots[row, corner]]
+        values[off[row]] = value
 
 
 @kernel

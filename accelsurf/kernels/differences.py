@@ -6,6 +6,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import unravel
+from accelsurf.kernels.stencils import TOGETHER, gather_cross, godunov_norms
 
 
 @kernel
@@ -79,24 +80,15 @@ def curvatures(psi, cell, iz, iy, ix, grid):
 
 
 @kernel
-def surface_curvature(start, stop, psi, grid, band, front, out):
-    """Curvature H of the surface at the foot of every front cell, clipped to what the grid resolves.
+def curvature_at_foot(mean, gauss, d, most):
+    """Curvature H of the surface at the foot of a cell at distance ``d`` whose level has H = ``mean``, K = ``gauss``.
 
-    The level through the cell is the surface moved by d = psi along its normal, so its principal curvatures
-    are k/(1 + d k); undone here: H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Limit: |H| <= 2/min(h).
+    The level through the cell is the surface moved by d along its normal, so its principal curvatures are
+    k/(1 + d k); undone here: H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Held to |H| <= ``most``.
     """
-    most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
-    for s in range(start, stop):
-        if not front[s]:
-            out[s] = 0.0
-            continue
-        cell = band.cells[s]
-        iz, iy, ix = unravel(cell, grid)
-        mean, gauss = curvatures(psi, cell, iz, iy, ix, grid)
-        d = band.psi[s]
-        denominator = 1.0 - d * mean + d * d * gauss
-        h = (mean - 2.0 * d * gauss) / denominator if denominator > 0.2 else mean
-        out[s] = min(max(h, -most), most)
+    denominator = 1.0 - d * mean + d * d * gauss
+    h = (mean - 2.0 * d * gauss) / denominator if denominator > 0.2 else mean
+    return min(max(h, -most), most)
 
 
 @kernel
@@ -149,9 +141,22 @@ def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
 @kernel
 def upwind_norms(start, stop, psi, grid, band, beta, front, out):
     """Godunov's |grad psi| at every front cell of the range, upwind for the speed ``beta`` (n,); 1 elsewhere."""
-    for s in range(start, stop):
-        out[s] = 1.0
-        if front[s]:
-            cell = band.cells[s]
-            iz, iy, ix = unravel(cell, grid)
-            out[s] = godunov_norm(psi, cell, iz, iy, ix, grid, beta[s] > 0.0)
+    rows = np.empty((15, TOGETHER), np.float32)
+    norms = np.empty(TOGETHER, np.float32)
+    way = np.empty(TOGETHER, np.float32)
+    well_inside = np.empty(TOGETHER, np.bool_)
+    for first in range(start, stop, TOGETHER):
+        count = min(TOGETHER, stop - first)
+        gather_cross(first, count, psi, grid, band.cells, front, rows, well_inside)
+        for i in range(count):
+            way[i] = 1.0 if beta[first + i] > 0.0 else -1.0
+        godunov_norms(count, grid, rows, way, norms)
+        for i in range(count):
+            s = first + i
+            if well_inside[i]:
+                out[s] = norms[i]
+            elif front[s]:
+                iz, iy, ix = unravel(band.cells[s], grid)
+                out[s] = godunov_norm(psi, band.cells[s], iz, iy, ix, grid, beta[s] > 0.0)
+            else:
+                out[s] = 1.0

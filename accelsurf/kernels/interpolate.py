@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.cubic import cubic
 
 
 @kernel
@@ -54,17 +55,49 @@ def axis_weights(p, n, w, o):
 
 
 @kernel
+def has_cubes(grid):
+    """Whether every axis has the four nodes that `cubic` reads, or is a single slice (not along x)."""
+    return grid.nx >= 4 and (grid.ny >= 4 or grid.ny == 1) and (grid.nz >= 4 or grid.nz == 1)
+
+
+@kernel
+def nodes_of(p, n, stride):
+    """First of the four nodes around position ``p`` of an axis, the place among them, what lies beyond, the stride.
+
+    Returns (base, u, beyond, stride); a single slice counts four times, at stride 0.
+    """
+    if n == 1:
+        return 0, np.float32(1.0), 0.0, 0
+    held = min(max(p, 0.0), n - 1.0)
+    base = min(max(int(held) - 1, 0), n - 4)
+    return base, np.float32(held - base), p - held, stride
+
+
+@kernel
 def value_and_gradient(array, grid, pz, py, px, w):
     """Interpolate the raveled dense ``array`` at an index position; ``w`` is (24,) scratch.
 
-    Returns (value, d/dz, d/dy, d/dx) with the gradient per mm.
+    Returns (value, d/dz, d/dy, d/dx) with the gradient per mm. Beyond the border it goes on straight.
     """
+    if not has_cubes(grid):
+        return thin_value_and_gradient(array, grid, pz, py, px, w)
+    bz, uz, ez, sz = nodes_of(pz, grid.nz, grid.ny * grid.nx)
+    by, uy, ey, sy = nodes_of(py, grid.ny, grid.nx)
+    bx, ux, ex, _ = nodes_of(px, grid.nx, 1)
+    value, gz, gy, gx = cubic(array, (bz * grid.ny + by) * grid.nx + bx, sy, sz, uz, uy, ux)
+    if sz == 0:
+        gz = np.float32(0.0)
+    if sy == 0:
+        gy = np.float32(0.0)
+    return value + gz * ez + gy * ey + gx * ex, gz / grid.hz, gy / grid.hy, gx / grid.hx
+
+
+@kernel
+def thin_value_and_gradient(array, grid, pz, py, px, w):
+    """`value_and_gradient` on a volume that is thinner than four nodes somewhere."""
     bz, mz, ez = axis_weights(pz, grid.nz, w, 0)
     by, my, ey = axis_weights(py, grid.ny, w, 8)
     bx, mx, ex = axis_weights(px, grid.nx, w, 16)
-    # Weights along x in registers: the compiler cannot know that writing nothing leaves w as it was.
-    a0, a1, a2, a3 = w[16], w[17], w[18], w[19]
-    b0, b1, b2, b3 = w[20], w[21], w[22], w[23]
     value = 0.0
     gz = 0.0
     gy = 0.0
@@ -75,16 +108,11 @@ def value_and_gradient(array, grid, pz, py, px, w):
         plane_gx = 0.0
         for j in range(my):
             at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
-            if mx == 4:
-                v0, v1, v2, v3 = array[at], array[at + 1], array[at + 2], array[at + 3]
-                row = a0 * v0 + a1 * v1 + a2 * v2 + a3 * v3
-                slope = b0 * v0 + b1 * v1 + b2 * v2 + b3 * v3
-            else:
-                row = 0.0
-                slope = 0.0
-                for k in range(mx):
-                    row += w[16 + k] * array[at + k]
-                    slope += w[20 + k] * array[at + k]
+            row = 0.0
+            slope = 0.0
+            for k in range(mx):
+                row += w[16 + k] * array[at + k]
+                slope += w[20 + k] * array[at + k]
             plane_value += w[8 + j] * row
             plane_gy += w[12 + j] * row
             plane_gx += w[8 + j] * slope
@@ -99,18 +127,20 @@ def value_and_gradient(array, grid, pz, py, px, w):
 @kernel
 def value_at(array, grid, pz, py, px, w):
     """Interpolate the raveled dense ``array`` at an index position, held at the border (no continuation)."""
-    bz, mz, _ = axis_weights(pz, grid.nz, w, 0)
-    by, my, _ = axis_weights(py, grid.ny, w, 8)
-    bx, mx, _ = axis_weights(px, grid.nx, w, 16)
-    value = 0.0
-    for i in range(mz):
-        for j in range(my):
-            at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
-            row = 0.0
-            for k in range(mx):
-                row += w[16 + k] * array[at + k]
-            value += w[i] * w[8 + j] * row
-    return value
+    pz = min(max(pz, 0.0), grid.nz - 1.0)
+    py = min(max(py, 0.0), grid.ny - 1.0)
+    px = min(max(px, 0.0), grid.nx - 1.0)
+    return value_and_gradient(array, grid, pz, py, px, w)[0]
+
+
+@kernel
+def linear_cell(array, at, dy, dz, tz, ty, tx):
+    """Linear interpolation among node ``at`` and the next along z, y (strides ``dz``, ``dy``) and x."""
+    a, b = array[at] + tx * (array[at + 1] - array[at]), array[at + dy] + tx * (array[at + dy + 1] - array[at + dy])
+    near = a + ty * (b - a)
+    at += dz
+    a, b = array[at] + tx * (array[at + 1] - array[at]), array[at + dy] + tx * (array[at + dy + 1] - array[at + dy])
+    return near + tz * (a + ty * (b - a) - near)
 
 
 @kernel
@@ -134,12 +164,32 @@ def linear_at(array, grid, pz, py, px):
 
 
 @kernel
-def band_value_at(values, slot, n_slots, grid, position, w, known):
+def band_rows(slot, n_slots, at, sy, sz, rows):
+    """Slots where the sixteen rows of four nodes from cell ``at`` on begin, into ``rows`` (16,) int64.
+
+    Rows of cells have consecutive slots. False where a node is not in the band. Nothing is branched upon: nearly all are.
+    """
+    odd = np.int32(0)
+    for i in range(4):
+        a = at + i * sz
+        b, c, d = a + sy, a + 2 * sy, a + 3 * sy
+        first_a, first_b, first_c, first_d = slot[a], slot[b], slot[c], slot[d]
+        last_a, last_b, last_c, last_d = slot[a + 3], slot[b + 3], slot[c + 3], slot[d + 3]
+        # -1 is no slot: a negative first or a last that is not three further leaves bits.
+        odd |= (first_a | first_b | first_c | first_d) & np.int32(-0x80000000)
+        odd |= ((last_a - first_a) ^ 3) | ((last_b - first_b) ^ 3) | ((last_c - first_c) ^ 3) | ((last_d - first_d) ^ 3)
+        odd |= np.int32(max(max(last_a, last_b), max(last_c, last_d)) >= n_slots)
+        rows[4 * i], rows[4 * i + 1], rows[4 * i + 2], rows[4 * i + 3] = first_a, first_b, first_c, first_d
+    return odd == 0
+
+
+@kernel
+def band_value_at(values, slot, n_slots, grid, position, w):
     """Interpolate a band field (values per slot) at ``position`` (index coordinates z, y, x).
 
     Cubic where all nodes are in the band; otherwise linear over those of the eight surrounding cells that
-    are, by their weights (a front that just met or left another has no full stencil). ``known`` marks the
-    slots that count. Returns (value, found); ``found`` is False when none of the eight is in the band.
+    are, by their weights (a front that just met or left another has no full stencil). ``w`` (24,) is scratch.
+    Returns (value, found); ``found`` is False when none of the eight is in the band.
     """
     bz, mz, _ = axis_weights(position[0], grid.nz, w, 0)
     by, my, _ = axis_weights(position[1], grid.ny, w, 8)
@@ -151,20 +201,20 @@ def band_value_at(values, slot, n_slots, grid, position, w, known):
             row = 0.0
             for k in range(mx):
                 s = slot[at + k]
-                if s < 0 or s >= n_slots or not known[s]:
-                    return linear_band_value(values, slot, n_slots, grid, position, known)
+                if s < 0 or s >= n_slots:
+                    return linear_band_value(values, slot, n_slots, grid, position)
                 row += w[16 + k] * values[s]
             value += w[i] * w[8 + j] * row
     return value, True
 
 
 @kernel
-def linear_band_value(values, slot, n_slots, grid, position, known):
-    """Linear interpolation of a band field over those of the eight surrounding cells that are known."""
+def linear_band_value(values, slot, n_slots, grid, position):
+    """Linear interpolation of a band field over those of the eight surrounding cells that are in the band."""
     pz = min(max(position[0], 0.0), grid.nz - 1.0)
     py = min(max(position[1], 0.0), grid.ny - 1.0)
     px = min(max(position[2], 0.0), grid.nx - 1.0)
-    iz, iy, ix = int(np.floor(pz)), int(np.floor(py)), int(np.floor(px))
+    iz, iy, ix = int(pz), int(py), int(px)
     total = 0.0
     weight = 0.0
     for i in range(2):
@@ -177,7 +227,7 @@ def linear_band_value(values, slot, n_slots, grid, position, known):
                 if share <= 1e-6:
                     continue
                 s = slot[((iz + i) * grid.ny + iy + j) * grid.nx + ix + k]
-                if s >= 0 and s < n_slots and known[s]:
+                if s >= 0 and s < n_slots:
                     total += share * values[s]
                     weight += share
     if weight <= 0.0:

@@ -10,15 +10,17 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.closest import closest_point, crossing_point
+from accelsurf.kernels.closest import closest_point, correct_once, crossing_point, refine
+from accelsurf.kernels.cubic import cubic
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
+from accelsurf.kernels.interpolate import value_and_gradient
 
 #: What is known of a slot's foot.
 OPEN, FROZEN, EDGE = 0, 1, 2
 #: A cell whose neighbour knows a closer surface by this many voxels is marched again.
 CLOSER = 0.02
-#: Key of the march overestimates the polished distance by less than this, voxels.
-SLACK = 0.3
+#: A cell is met when its neighbour's tangent plane says that it is at most this much beyond the band, voxels.
+SLACK = 0.1
 #: Width of the march's buckets, voxels.
 BUCKET = 0.25
 
@@ -70,39 +72,117 @@ def is_near_volume(grid, iz, iy, ix, foot):
     return -1.0 <= pz <= grid.nz and -1.0 <= py <= grid.ny and -1.0 <= px <= grid.nx
 
 
+#: Cells whose first correction is done together: independent of each other, they overlap in the processor.
+TOGETHER = 128
+
+
 @kernel
-def find_feet(start, stop, dense, grid, cells, foot, state):
+def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, beside):
+    """First guesses of ``count`` feet from slot ``first`` on, as rows z, y, x of ``guesses``; 0 where there is none.
+
+    ``beside`` marks the cells with a neighbour on the other side of the surface. Where |psi| was above ``inner`` mm
+    before the surface moved, centred differences would reach beyond the band: the guess is the old foot, drawn out or
+    in by what psi has changed.
+    """
+    psi = dense.psi
+    for i in range(count):
+        s = first + i
+        cell = band.cells[s]
+        iz, iy, ix = unravel(cell, grid)
+        neighbours(cell, iz, iy, ix, grid, near)
+        value = psi[cell]
+        inside = value < 0.0
+        crossed = False
+        for side in range(6):
+            if near[side] >= 0 and (psi[near[side]] < 0.0) != inside:
+                crossed = True
+        beside[i] = crossed
+        ratio = value / band.psi[s] if abs(band.psi[s]) > inner else 0.0
+        for axis in range(3):
+            guess[axis] = ratio * band.foot[s, axis]
+        if guess[0] == 0.0 and guess[1] == 0.0 and guess[2] == 0.0:
+            if not first_guess(psi, grid, cell, iz, iy, ix, near, guess):
+                guess[0], guess[1], guess[2] = 0.0, 0.0, 0.0
+        guesses[0, i], guesses[1, i], guesses[2, i] = guess[0], guess[1], guess[2]
+
+
+@kernel
+def levels_at(first, count, psi, grid, cells, w, feet, levels):
+    """Psi and its gradient at ``count`` feet from slot ``first`` on, as rows of ``levels``."""
+    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    sy, sz = grid.nx, grid.ny * grid.nx
+    for i in range(count):
+        iz, iy, ix = unravel(cells[first + i], grid)
+        pz, py, px = iz + feet[0, i] * hz, iy + feet[1, i] * hy, ix + feet[2, i] * hx
+        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+        # Well inside the volume, without what value_and_gradient does for the others.
+        if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
+            uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+            level, gz, gy, gx = cubic(psi, (bz * grid.ny + by) * grid.nx + bx, sy, sz, uz, uy, ux)
+            levels[0, i], levels[1, i], levels[2, i], levels[3, i] = level, gz * hz, gy * hy, gx * hx
+        else:
+            levels[0, i], levels[1, i], levels[2, i], levels[3, i] = value_and_gradient(psi, grid, pz, py, px, w)
+
+
+@kernel
+def find_feet(start, stop, dense, grid, band, inner, foot, state):
     """Foot of every cell of the range from psi as it is; ``state`` becomes OPEN where it is not found.
 
     Cells beside the front always find one: the closest point of the interpolant, or, where that fails or
     lies beyond the nearest edge crossing (voxel-sized features), the linear plane through the crossings.
+    ``band`` is the band when psi was last a distance; see `guess_feet` for ``inner``.
     """
     psi = dense.psi
     w = np.empty(24)
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     plane = np.empty(3)
+    guesses = np.empty((3, TOGETHER), np.float32)
+    feet = np.empty((3, TOGETHER), np.float32)
+    levels = np.empty((4, TOGETHER), np.float32)
+    beside = np.empty(TOGETHER, np.bool_)
+    done = np.empty(TOGETHER, np.bool_)
+    for first in range(start, stop, TOGETHER):
+        count = min(TOGETHER, stop - first)
+        guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, beside)
+        levels_at(first, count, psi, grid, band.cells, w, guesses, levels)
+        correct_once(count, grid, guesses, levels, feet, done)
+        for i in range(count):
+            s = first + i
+            cell = band.cells[s]
+            iz, iy, ix = unravel(cell, grid)
+            found = done[i]
+            if found:
+                guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
+            else:
+                guess[0], guess[1], guess[2] = guesses[0, i], guesses[1, i], guesses[2, i]
+                level = (levels[0, i], levels[1, i], levels[2, i], levels[3, i])
+                found = refine(psi, grid, iz, iy, ix, guess, w, level)
+            found = found and is_near_volume(grid, iz, iy, ix, guess)
+            bound = -1.0
+            if beside[i]:
+                neighbours(cell, iz, iy, ix, grid, near)
+                bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
+            state[s] = settle(psi[cell], grid, plane, bound, guess, found)
+            foot[s, 0], foot[s, 1], foot[s, 2] = guess[0], guess[1], guess[2]
+
+
+@kernel
+def settle(value, grid, plane, bound, guess, found):
+    """Whether a foot, ``found`` at ``guess``, holds for a cell with psi = ``value``: FROZEN or OPEN.
+
+    Where an edge crossing, ``bound`` mm off (-1: there is none), lies closer, the foot of its ``plane`` is put there.
+    """
     h = min(grid.hz, min(grid.hy, grid.hx))
-    for s in range(start, stop):
-        cell = cells[s]
-        iz, iy, ix = unravel(cell, grid)
-        neighbours(cell, iz, iy, ix, grid, near)
-        bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
-        found = first_guess(psi, grid, cell, iz, iy, ix, near, guess)
-        if found:
-            found = closest_point(psi, grid, iz, iy, ix, guess, w) and is_near_volume(grid, iz, iy, ix, guess)
-        distance = np.sqrt(guess[0] ** 2 + guess[1] ** 2 + guess[2] ** 2)
-        if bound >= 0.0 and (not found or distance > bound + 0.1 * h):
-            for axis in range(3):
-                foot[s, axis] = plane[axis]
-            state[s] = FROZEN
-        elif found and (bound >= 0.0 or 0.5 * abs(psi[cell]) <= distance <= abs(psi[cell]) + 2.0 * h):
-            # Much closer than psi said is no surface: the interpolant beyond the border, from the jump to +-gamma.
-            for axis in range(3):
-                foot[s, axis] = guess[axis]
-            state[s] = FROZEN
-        else:
-            state[s] = OPEN
+    distance = np.sqrt(guess[0] * guess[0] + guess[1] * guess[1] + guess[2] * guess[2])
+    if bound >= 0.0 and (not found or distance > bound + 0.1 * h):
+        for axis in range(3):
+            guess[axis] = plane[axis]
+        return FROZEN
+    # Much closer than psi said is no surface: the interpolant beyond the border, from the jump to +-gamma.
+    if found and (bound >= 0.0 or 0.5 * abs(value) <= distance <= abs(value) + 2.0 * h):
+        return FROZEN
+    return OPEN
 
 
 @kernel
@@ -155,10 +235,10 @@ def step_of(side, grid):
 
 @kernel
 def grown(array, size):
-    """``array`` with room for at least one entry more than ``size``, doubled when full."""
+    """``array`` with room for at least one entry more than ``size``, half as long again when full."""
     if size < array.shape[0]:
         return array
-    larger = np.empty(2 * array.shape[0] + 1024, array.dtype)
+    larger = np.empty(array.shape[0] + array.shape[0] // 2 + 1024, array.dtype)
     larger[: array.shape[0]] = array
     return larger
 
@@ -168,49 +248,84 @@ def grown_rows(array, size):
     """As ``grown``, for rows of three."""
     if size < array.shape[0]:
         return array
-    larger = np.empty((2 * array.shape[0] + 1024, 3), array.dtype)
+    larger = np.empty((array.shape[0] + array.shape[0] // 2 + 1024, 3), array.dtype)
     larger[: array.shape[0]] = array
     return larger
 
 
 @kernel
-def march(dense, grid, cells, foot, state, half_width):
+def flattened(foot, via, grid, cz, cy, cx, out):
+    """Foot (into ``out``) of a cell whose neighbour ``via`` has the foot (cz, cy, cx) from the cell.
+
+    The point where the neighbour's tangent plane is closest: right on a plane, and as good a guess as psi's slope
+    gives. The neighbour's own foot where that neighbour is too close to the surface to tell its normal.
+    Returns its length in voxels.
+    """
+    fz, fy, fx = foot[via, 0], foot[via, 1], foot[via, 2]
+    length2 = fz * fz + fy * fy + fx * fx
+    h = min(grid.hz, min(grid.hy, grid.hx))
+    if length2 > 0.1 * h * h:
+        along = (cz * fz + cy * fy + cx * fx) / length2
+        cz, cy, cx = along * fz, along * fy, along * fx
+    out[0], out[1], out[2] = cz, cy, cx
+    return voxels_along(cz, cy, cx, grid)
+
+
+@kernel
+def freeze(psi, grid, cell, foot, via, best, source, guess, w):
+    """Polish the foot of slot ``source``, found through its neighbour ``via``, where that converges.
+
+    A cell further off than the radius of curvature keeps the neighbour's foot.
+    """
+    iz, iy, ix = unravel(cell, grid)
+    flattened(foot, via, grid, foot[source, 0], foot[source, 1], foot[source, 2], guess)
+    if closest_point(psi, grid, iz, iy, ix, guess, w) and is_near_volume(grid, iz, iy, ix, guess):
+        d = np.sqrt(guess[0] * guess[0] + guess[1] * guess[1] + guess[2] * guess[2])
+        if d <= best * (1.0 + 1e-3):
+            foot[source, 0], foot[source, 1], foot[source, 2] = guess[0], guess[1], guess[2]
+
+
+@kernel
+def march(dense, grid, cells, n_old, foot, state, half_width):
     """Freeze the OPEN cells, and the cells beyond the EDGE ones, in order of distance up to ``half_width`` voxels.
 
-    ``dense.slot`` is extended with the cells that enter. Returns (cells, foot, state, n) with room to spare;
-    slots from the old length on are new, in the order in which the march met them.
+    ``cells``, ``foot`` and ``state`` hold ``n_old`` slots and may have room for more; they are changed in place while
+    the room lasts. ``dense.slot`` is extended with the cells that enter. Returns (cells, foot, state, n) with room to
+    spare; slots from ``n_old`` on are new, in the order in which the march met them.
     """
-    n_old = cells.shape[0]
     n = n_old
     psi, slot = dense.psi, dense.slot
-    best = np.full(n, 1e30)
-    lowest = np.full(n, 1 << 30)
+    room = cells.shape[0]
+    best = np.full(room, np.float32(1e30))
+    lowest = np.full(room, np.int32(1 << 30))
+    via = np.empty(room, np.int32)
     # Untidy queue: linked lists of slots, one per bucket of distance. A slot whose distance falls is entered
     # again in the lower bucket; what is left of it in the higher one is passed over, being frozen by then.
     width = BUCKET * min(grid.hz, min(grid.hy, grid.hx))
-    buckets = int((half_width + SLACK) * max(grid.hz, max(grid.hy, grid.hx)) / width) + 2
+    reach = half_width + SLACK
+    buckets = int((reach + 2.0) * max(grid.hz, max(grid.hy, grid.hx)) / width) + 2
     head = np.full(buckets, -1, np.int64)
     entry_slot = np.empty(1024, np.int64)
     entry_next = np.empty(1024, np.int64)
     entries = 0
     bucket = 0
     near = np.empty(6, np.int64)
+    steps = np.empty((6, 3))
+    for side in range(6):
+        steps[side, 0], steps[side, 1], steps[side, 2] = step_of(side, grid)
     guess = np.empty(3)
     w = np.empty(24)
-    reach = half_width + SLACK
     # Sources: for an OPEN cell its frozen neighbours; for a cell not in the band its EDGE neighbours.
     cursor = 0
     source = -1
     while True:
+        pull = False
         if cursor < n_old:
             source = cursor
             cursor += 1
             if state[source] == FROZEN:
                 continue
-            if state[source] == OPEN:
-                pull = True
-            else:
-                pull = False
+            pull = state[source] == OPEN
         else:
             while bucket < buckets and head[bucket] < 0:
                 bucket += 1
@@ -220,19 +335,8 @@ def march(dense, grid, cells, foot, state, half_width):
             head[bucket] = entry_next[head[bucket]]
             if state[source] != OPEN:
                 continue
-            cell = cells[source]
-            iz, iy, ix = unravel(cell, grid)
-            for axis in range(3):
-                guess[axis] = foot[source, axis]
+            freeze(psi, grid, cells[source], foot, via[source], best[source], source, guess, w)
             state[source] = FROZEN
-            # Polished where that converges; a cell further off than the radius of curvature keeps the
-            # neighbour's foot.
-            if closest_point(psi, grid, iz, iy, ix, guess, w) and is_near_volume(grid, iz, iy, ix, guess):
-                d = np.sqrt(guess[0] ** 2 + guess[1] ** 2 + guess[2] ** 2)
-                if d <= best[source] * (1.0 + 1e-3):
-                    for axis in range(3):
-                        foot[source, axis] = guess[axis]
-            pull = False
             if voxels_along(foot[source, 0], foot[source, 1], foot[source, 2], grid) > half_width:
                 continue
         cell = cells[source]
@@ -243,22 +347,18 @@ def march(dense, grid, cells, foot, state, half_width):
             if other_cell < 0:
                 continue
             other = slot[other_cell]
-            oz, oy, ox = step_of(side, grid)
             if pull:
                 if other < 0 or other >= n_old or state[other] == OPEN:
                     continue
-                target = source
-                cz = foot[other, 0] + oz
-                cy = foot[other, 1] + oy
-                cx = foot[other, 2] + ox
+                target, through, sign = source, other, 1.0
             else:
                 if other >= 0 and state[other] != OPEN:
                     continue
-                target = other
-                cz = foot[source, 0] - oz
-                cy = foot[source, 1] - oy
-                cx = foot[source, 2] - ox
-            if voxels_along(cz, cy, cx, grid) > reach:
+                target, through, sign = other, source, -1.0
+            cz = foot[through, 0] + sign * steps[side, 0]
+            cy = foot[through, 1] + sign * steps[side, 1]
+            cx = foot[through, 2] + sign * steps[side, 2]
+            if flattened(foot, through, grid, cz, cy, cx, guess) > reach:
                 continue
             if target < 0:
                 target = n
@@ -267,6 +367,7 @@ def march(dense, grid, cells, foot, state, half_width):
                 state = grown(state, n)
                 best = grown(best, n)
                 lowest = grown(lowest, n)
+                via = grown(via, n)
                 cells[n] = other_cell
                 state[n] = OPEN
                 best[n] = 1e30
@@ -276,10 +377,11 @@ def march(dense, grid, cells, foot, state, half_width):
             d = np.sqrt(cz * cz + cy * cy + cx * cx)
             if d < best[target]:
                 best[target] = d
+                via[target] = through
                 foot[target, 0] = cz
                 foot[target, 1] = cy
                 foot[target, 2] = cx
-                into = max(int(d / width), bucket)
+                into = min(max(int(d / width), bucket), buckets - 1)
                 if into < lowest[target]:
                     lowest[target] = into
                     entry_slot = grown(entry_slot, entries)

@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
-from accelsurf.kernels.interpolate import linear_at, value_at
+from accelsurf.kernels.interpolate import linear_at, linear_cell, value_at
 
 
 @kernel
@@ -35,32 +35,43 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
     """
     grid, epsilon, polynomial, curvature = settings
     a, b, c = polynomial
+    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    row, plane = grid.nx, grid.ny * grid.nx
+    reach = 2.0 / 3.0 * epsilon
     for s in range(start, stop):
         out[s] = 0.0
         if not front[s]:
             continue
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        fz, fy, fx = band.foot[s, 0] / grid.hz, band.foot[s, 1] / grid.hy, band.foot[s, 2] / grid.hx
-        nz, ny, nx = fz, fy, fx
+        nz, ny, nx = band.foot[s, 0] * hz, band.foot[s, 1] * hy, band.foot[s, 2] * hx
+        pz, py, px = iz + nz, iy + ny, ix + nx
         norm = np.sqrt(nz * nz + ny * ny + nx * nx)
+        outward = -1.0 if band.psi[s] > 0.0 else 1.0
         if norm < 0.01:
             gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
-            nz, ny, nx = gz / grid.hz, gy / grid.hy, gx / grid.hx
+            nz, ny, nx = gz * hz, gy * hy, gx * hx
             norm = max(np.sqrt(nz * nz + ny * ny + nx * nx), 1e-12)
             outward = 1.0
-        else:
-            outward = -1.0 if band.psi[s] > 0.0 else 1.0
         # Voxels along the normal to mm, times the curvature.
-        mm = np.sqrt((nz * grid.hz) ** 2 + (ny * grid.hy) ** 2 + (nx * grid.hx) ** 2) / norm
+        unit = 1.0 / norm
+        nz, ny, nx = nz * unit, ny * unit, nx * unit
+        mm = np.sqrt((nz * grid.hz) ** 2 + (ny * grid.hy) ** 2 + (nx * grid.hx) ** 2)
         bend = outward * mm * curvature[s]
+        inside = reach <= pz < grid.nz - 1 - reach and reach <= py < grid.ny - 1 - reach
+        inside = inside and reach <= px < grid.nx - 1 - reach
         total = 0.0
         for m in range(-2, 3):
-            offset = m * epsilon / 3.0
-            u = offset / norm
+            u = m * epsilon / 3.0
             share = 1.0 / 3.0 if m == 0 else (0.25 if abs(m) == 1 else 1.0 / 12.0)
-            share *= 1.0 + min(max(offset * bend, -0.5), 0.5)
-            value = linear_at(image, grid, iz + fz + u * nz, iy + fy + u * ny, ix + fx + u * nx)
+            share *= 1.0 + min(max(u * bend, -0.5), 0.5)
+            qz, qy, qx = pz + u * nz, py + u * ny, px + u * nx
+            if inside:
+                jz, jy, jx = int(qz), int(qy), int(qx)
+                at = (jz * grid.ny + jy) * row + jx
+                value = linear_cell(image, at, row, plane, np.float32(qz - jz), np.float32(qy - jy), np.float32(qx - jx))
+            else:
+                value = linear_at(image, grid, qz, qy, qx)
             total += share * ((a * value + b) * value + c)
         out[s] = total
 
@@ -82,28 +93,36 @@ def kick(start, stop, beta, gain, curvature, front, rates):
 
 
 @kernel
-def surface_laplacian(start, stop, slot, grid, cells, beta, front, out):
-    """7-point Laplacian of an extended field at the front cells: the surface Laplacian, since grad F.grad psi = 0.
+def neighbour_slots(start, stop, slot, grid, cells, on, table):
+    """Slots of the 6-neighbours (m, 6) of the cells of the slots ``on`` (m,): for `diffusion_stage`.
 
-    A neighbour that is not in the band or beyond the border passes no flux.
+    A neighbour that is not in the band or beyond the border is the cell itself, so that no flux passes.
     """
     near = np.empty(6, np.int64)
-    for s in range(start, stop):
-        out[s] = 0.0
-        if not front[s]:
-            continue
-        cell = cells[s]
-        iz, iy, ix = unravel(cell, grid)
-        neighbours(cell, iz, iy, ix, grid, near)
-        total = 0.0
+    for row in range(start, stop):
+        s = on[row]
+        iz, iy, ix = unravel(cells[s], grid)
+        neighbours(cells[s], iz, iy, ix, grid, near)
         for side in range(6):
-            if near[side] < 0:
-                continue
-            other = slot[near[side]]
-            if other >= 0:
-                h = grid.hz if side < 2 else (grid.hy if side < 4 else grid.hx)
-                total += (beta[other] - beta[s]) / (h * h)
-        out[s] = total
+            other = slot[near[side]] if near[side] >= 0 else -1
+            table[row, side] = other if other >= 0 else s
+
+
+@kernel
+def diffusion_stage(start, stop, on, table, grid, old, older, weights, out):
+    """A stage of Runge-Kutta-Legendre at the cells ``on``: mu old + mu' Lap old + nu older, ``weights`` = (mu, mu', nu).
+
+    Lap is the 7-point Laplacian of an extended field, the surface Laplacian since grad F.grad psi = 0.
+    """
+    mu, rate, nu = weights
+    pz, py, px = np.float32(1.0 / grid.hz**2), np.float32(1.0 / grid.hy**2), np.float32(1.0 / grid.hx**2)
+    for row in range(start, stop):
+        s = on[row]
+        here = old[s]
+        lap = pz * ((old[table[row, 0]] - here) + (old[table[row, 1]] - here))
+        lap += py * ((old[table[row, 2]] - here) + (old[table[row, 3]] - here))
+        lap += px * ((old[table[row, 4]] - here) + (old[table[row, 5]] - here))
+        out[s] = mu * here + rate * lap + nu * older[s]
 
 
 @kernel

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.differences import curvatures, gradient
+from accelsurf.kernels.differences import curvature_at_foot, curvatures, gradient
 from accelsurf.kernels.grid import BLOCK, unravel, voxels_along
+from accelsurf.kernels.stencils import TOGETHER, block_curvatures, gather_block
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane
 #: along an axis add up to 1 exactly.
@@ -48,7 +49,7 @@ def cut_voxel(psi, gz, gy, gx, grid):
 
 
 @kernel
-def smeared_area(psi, d, voxels, cell, iz, iy, ix, grid):
+def smeared_area(d, voxels, gz, gy, gx, gauss, grid):
     """Area (mm2) that a voxel at distance ``d`` mm, ``voxels`` in voxels along the normal, has of the surface.
 
     The delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the distance, epsilon = `AREA_WIDTH`: smooth as the
@@ -57,31 +58,63 @@ def smeared_area(psi, d, voxels, cell, iz, iy, ix, grid):
     """
     if voxels >= AREA_WIDTH:
         return 0.0
-    _, gauss = curvatures(psi, cell, iz, iy, ix, grid)
     if voxels > 0.01:
         mm = abs(d) / voxels
     else:
-        gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
         mm = np.sqrt(gz * gz + gy * gy + gx * gx) / max(voxels_along(gz, gy, gx, grid), 1e-12)
     delta = (1.0 + np.cos(np.pi * voxels / AREA_WIDTH)) / (2.0 * AREA_WIDTH * mm)
     return delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
 
 
 @kernel
-def cut_band(start, stop, psi, grid, band, part, area):
-    """Fill ``part`` (share of the voxel inside) and ``area`` (mm2 of surface that it has) for the range of slots."""
-    reach = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
-    for s in range(start, stop):
-        d = band.psi[s]
-        cell = band.cells[s]
-        iz, iy, ix = unravel(cell, grid)
-        voxels = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid)
-        area[s] = smeared_area(psi, d, voxels, cell, iz, iy, ix, grid)
-        if abs(d) > reach:
-            part[s] = 1.0 if d < 0.0 else 0.0
-            continue
-        gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
-        part[s] = cut_voxel(d, gz, gy, gx, grid)
+def measure_band(start, stop, psi, grid, band, within, part, area, bend):
+    """What the loop asks of every slot of the range.
+
+    ``part``: share of the voxel inside; ``area``: mm2 of surface that it has; ``bend``: curvature H of the surface at
+    its foot (1/mm), limited to what the grid resolves, 2/min(h), and 0 further than ``within`` voxels off.
+    """
+    diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
+    most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
+    rows = np.empty((19, TOGETHER), np.float32)
+    shape = np.empty((5, TOGETHER), np.float32)
+    which = np.empty(TOGETHER, np.int64)
+    at = start
+    while at < stop:
+        count = 0
+        while at < stop and count < TOGETHER:
+            s = at
+            at += 1
+            d = band.psi[s]
+            voxels = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid)
+            if abs(d) > diagonal and voxels > max(within, AREA_WIDTH):
+                part[s], area[s], bend[s] = 1.0 if d < 0.0 else 0.0, 0.0, 0.0
+                continue
+            # Kept in place of what it becomes.
+            area[s] = voxels
+            iz, iy, ix = unravel(band.cells[s], grid)
+            if gather_block(band.cells[s], iz, iy, ix, psi, grid, rows, count):
+                which[count] = s
+                count += 1
+            else:
+                gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
+                mean, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
+                part[s], area[s], bend[s] = measures(grid, d, voxels, (gz, gy, gx, mean, gauss), within, diagonal, most)
+        block_curvatures(count, grid, rows, shape)
+        for i in range(count):
+            s = which[i]
+            level = (shape[0, i], shape[1, i], shape[2, i], shape[3, i], shape[4, i])
+            part[s], area[s], bend[s] = measures(grid, band.psi[s], area[s], level, within, diagonal, most)
+
+
+@kernel
+def measures(grid, d, voxels, level, within, diagonal, most):
+    """Share, area and curvature, see `measure_band`, of a cell whose ``level`` has that gradient (z, y, x), H and K."""
+    gz, gy, gx, mean, gauss = level
+    part = 1.0 if d < 0.0 else 0.0
+    if abs(d) <= diagonal:
+        part = cut_voxel(d, gz, gy, gx, grid)
+    bend = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
+    return part, smeared_area(d, voxels, gz, gy, gx, gauss, grid), bend
 
 
 @kernel

@@ -77,6 +77,10 @@ class LevelSet:
         self.half_width = float(half_width) * self._slant
         self.gamma = np.float32(self.half_width * max(steps))
         self.workers = workers or Workers(1)
+        self._outwards: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._measured: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._inner = np.zeros(0, np.bool_)
+        self._fronts: dict[float, np.ndarray] = {}
         dense = np.array(psi, dtype=np.float32, order="C", copy=True).ravel()
         self.dense = Lattice(dense, np.full(dense.size, -1, np.int32))
         self._start()
@@ -117,18 +121,18 @@ class LevelSet:
         return self.grid.hz * self.grid.hy * self.grid.hx * self._thickness
 
     def front(self, width: float = FRONT_WIDTH) -> np.ndarray:
-        """Mask (n,) of the band cells within ``width`` voxels of the surface."""
-        mask = np.empty(self.size, np.bool_)
-        self.workers.run(band_kernels.front_mask, self.size, self.grid, self.band, width, mask)
-        return mask
+        """Mask (n,) of the band cells within ``width`` voxels of the surface; kept until the band moves: not to be changed."""
+        if width not in self._fronts:
+            mask = np.empty(self.size, np.bool_)
+            self.workers.run(band_kernels.front_mask, self.size, self.grid, self.band, width, mask)
+            self._fronts[width] = mask
+        return self._fronts[width]
 
     def curvature(self, front: np.ndarray) -> np.ndarray:
         """Sum of the principal curvatures (1/mm) of the surface at the foot of every front cell, (n,)."""
-        out = np.empty(self.size, np.float32)
-        # A stencil reaches sqrt(2) voxels further off, and beyond the band psi is no distance.
-        inner = front & self.front(self.half_width - 1.42 * self._slant)
-        self.workers.run(differences.surface_curvature, self.size, self.dense.psi, self.grid, self.band, inner, out)
-        self.extend_outwards(out, inner)
+        out = self._measures()[2].copy()
+        off, slots, shares = self._outward_table(self._inner, np.flatnonzero(front & ~self._inner))
+        self.workers.run(band_kernels.extend_outwards, off.size, off, slots, shares, out)
         out[~front] = 0.0
         return out
 
@@ -138,10 +142,20 @@ class LevelSet:
         The area is smeared over 1.5 voxels: sums vary by 1e-4 as a smooth surface moves through the grid. In
         strong noise, where distances to several walls meet, it is a few percent below the mesh's.
         """
-        part, area = np.empty(self.size), np.empty(self.size)
-        self.workers.run(region.cut_band, self.size, self.dense.psi, self.grid, self.band, part, area)
-        area *= self._thickness
+        part, area, _ = self._measures()
         return part, area
+
+    def _measures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Shares, areas and curvatures of the band as it is; measured once, kept until psi changes."""
+        if self._measured is None:
+            part, area, bend = np.empty(self.size), np.empty(self.size), np.empty(self.size, np.float32)
+            # A stencil reaches sqrt(2) voxels further off, and beyond the band psi is no distance.
+            within = min(self.half_width - 1.42 * self._slant, FRONT_WIDTH)
+            run = self.workers.run
+            run(region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, part, area, bend)
+            area *= self._thickness
+            self._measured, self._inner = (part, area, bend), self.front(within)
+        return self._measured
 
     def slopes(self) -> np.ndarray:
         """Godunov's |grad psi|, upwind from the front, at the cells within a voxel of the surface."""
@@ -227,9 +241,17 @@ class LevelSet:
 
     def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:
         """Overwrite ``values`` (n,) off the front by those of the front, constant along normals."""
-        self.workers.run(
-            band_kernels.extend_outwards, self.size, self.dense.slot, self.grid, self.band, front, values
-        )
+        # Where each cell reads is kept for the next field with the same mask.
+        if self._outwards is None or self._outwards[0] is not front:
+            self._outwards = front, *self._outward_table(front, np.flatnonzero(~front))
+        self.workers.run(band_kernels.extend_outwards, self._outwards[1].size, *self._outwards[1:], values)
+
+    def _outward_table(self, front: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        off = off.astype(np.int32)
+        slots, shares = np.empty((off.size, 8), np.int32), np.empty((off.size, 8), np.float32)
+        table = band_kernels.outward_table
+        self.workers.run(table, off.size, self.dense.slot, self.grid, self.band, front, off, slots, shares)
+        return off, slots, shares
 
     def redistance(
         self, fields: Sequence[np.ndarray] = (), carried: tuple[np.ndarray, float] | None = None
@@ -250,13 +272,15 @@ class LevelSet:
         Change
         """
         run, n = self.workers.run, self.size
-        foot, state = np.empty((n, 3), np.float32), np.empty(n, np.int8)
-        run(march.find_feet, n, self.dense, self.grid, self.band.cells, foot, state)
-        reviewed = np.empty(n, np.int8)
-        run(march.review_feet, n, self.dense, self.grid, self.band.cells, foot, state, reviewed)
-        cells, foot, state, total = march.march(
-            self.dense, self.grid, self.band.cells, foot, reviewed, self.half_width
-        )
+        # Room for the cells that a step takes in.
+        room = n + n // 4 + 1024
+        cells, foot, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
+        cells[:n] = self.band.cells
+        inner = self.gamma - 1.5 * max(self.grid.hz, self.grid.hy, self.grid.hx)
+        found = np.empty(n, np.int8)
+        run(march.find_feet, n, self.dense, self.grid, self.band, inner, foot, found)
+        run(march.review_feet, n, self.dense, self.grid, self.band.cells, foot, found, state)
+        cells, foot, state, total = march.march(self.dense, self.grid, cells, n, foot, state, self.half_width)
         self.workers.visited += total
         keep = np.empty(total, np.bool_)
         run(band_kernels.keep_mask, total, self.grid, foot, state, self.half_width, keep)
@@ -268,7 +292,7 @@ class LevelSet:
         new = Band(np.empty(size, np.int64), np.empty(size, np.float32), np.empty((size, 3), np.float32))
         old = Band(cells, self.band.psi, foot)
         run(band_kernels.gather_band, size, self.dense.psi, self.grid, order, old, new)
-        extended = [self._sample(new, n, f) for f in fields] if carried is None else self._carried(new, fields, carried)
+        extended = self._sampled(new, fields) if carried is None else self._carried(new, fields, carried)
 
         entered_cells, left_cells = cells[entered], cells[:n][~keep[:n]]
         change = Change(
@@ -277,7 +301,7 @@ class LevelSet:
         self._inside_beyond_band += change.left_inside.size - change.entered_inside.size
         run(band_kernels.drop_cells, total, self.dense, cells, keep, self.gamma)
         run(band_kernels.store_band, size, self.dense, new)
-        self.band = new
+        self.band, self._outwards, self._measured, self._fronts = new, None, None, {}
         return change
 
     def _carried(
@@ -291,10 +315,12 @@ class LevelSet:
         )
         return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]
 
-    def _sample(self, new: Band, n_old: int, field: np.ndarray) -> np.ndarray:
-        out = np.empty(new.cells.size, np.float32)
-        known = np.ones(n_old, np.bool_)
+    def _sampled(self, new: Band, fields: Sequence[np.ndarray]) -> list[np.ndarray]:
+        if not fields:
+            return []
+        values = np.stack([np.asarray(field, np.float32) for field in fields])
+        out = np.empty((len(fields), new.cells.size), np.float32)
         self.workers.run(
-            band_kernels.sample_at_feet, new.cells.size, self.dense.slot, self.grid, new, n_old, known, field, out
+            band_kernels.sample_at_feet, new.cells.size, self.dense.slot, self.grid, new, values, out
         )
-        return out
+        return list(out)

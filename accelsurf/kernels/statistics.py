@@ -1,0 +1,51 @@
+"""Figures of many values in one pass, without copies: percentiles by their bits, sums of products by blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.grid import BLOCK
+
+
+
+@kernel
+def size_at_rank(values, where, rank):
+    """The ``rank``-th smallest (from 0) of |values| (float32) where ``where`` is set; exact.
+
+    The bits of positive floats are in the order of the floats: three histograms, each of the next bits of those that
+    agree with the bits found so far, tell the value.
+    """
+    bits = values.view(np.uint32)
+    histogram = np.empty(2048, np.int64)
+    found = np.uint32(0)
+    above = np.uint32(31)
+    for part in range(3):
+        width, shift = (11, 20) if part == 0 else ((11, 9) if part == 1 else (9, 0))
+        histogram[:] = 0
+        mask = np.uint32((1 << width) - 1)
+        for i in range(bits.shape[0]):
+            if where[i]:
+                size = bits[i] & np.uint32(0x7FFFFFFF)
+                if part == 0 or (size >> above) == (found >> above):
+                    histogram[(size >> np.uint32(shift)) & mask] += 1
+        at = 0
+        while rank >= histogram[at]:
+            rank -= histogram[at]
+            at += 1
+        found |= np.uint32(at) << np.uint32(shift)
+        above = np.uint32(shift)
+    out = np.empty(1, np.uint32)
+    out[0] = found
+    return out.view(np.float32)[0]
+
+
+@kernel
+def products(first_block, last_block, weight, one, other, sums):
+    """Per block of slots: sums[block, 0] = sum of weight x one x other."""
+    for block in range(first_block, last_block):
+        total = 0.0
+        for s in range(block * BLOCK, min((block + 1) * BLOCK, weight.shape[0])):
+            if weight[s] != 0.0:
+                total += weight[s] * np.float64(one[s]) * np.float64(other[s])
+        sums[block, 0] = total
