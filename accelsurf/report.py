@@ -32,6 +32,7 @@ Status = Literal["ok", "failed", "interrupted"]
 #: Columns of the trace, in this order: fields of evolution.Row.
 TRACE_COLUMNS = (
     "step",
+    "level",
     "t",
     "dt",
     "potential",
