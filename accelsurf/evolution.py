@@ -236,10 +236,9 @@ class Evolution:
                 self._books, self._potential_before = before._books, before._potential
         self._first = len(self.ledger)
 
-    @property
-    def ended(self) -> bool:
-        """Whether there is a reason to stop."""
-        return self.stop is not None
+    def _goes_on(self) -> bool:
+        """Whether this level has ended, and the next one begins where it did."""
+        return self.stop is not None and self.level > 0
 
     def ask_to_stop(self) -> None:
         """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
@@ -253,9 +252,9 @@ class Evolution:
         else:
             self.flow.take(self._fields)
             self._fields = None
-        while not self.ended:
+        while self.stop is None:
             row = self._step(len(self.ledger))
-            if self.ended and self.level > 0:
+            if self._goes_on():
                 return
             self.ledger.append(row)
             yield Step(row, self.surface)

@@ -96,6 +96,8 @@ class _Bar:
 
     def step(self, row: Any) -> None:
         state = f"energy {row.potential:.5g}, moved {row.motion_voxels:.3f} voxels"
+        if row.level:
+            state = f"level {row.level}, {state}"
         self._progress.update(self._task, completed=row.step, state=state)
 
     def stop(self) -> None:
