@@ -136,7 +136,7 @@ def describe_config(config: RunConfig | None, result: Result | None) -> dict[str
 
 
 def describe_result(result: Result | None) -> dict[str, Any]:
-    """Return the part of the report that comes from the evolution: stop, energy and measures of the surface.
+    """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
     Parameters
     ----------

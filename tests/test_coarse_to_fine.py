@@ -121,9 +121,9 @@ def test_a_run_that_is_stopped_on_a_coarse_level_still_has_a_result(cube):
 
 def test_the_same_bytes_for_any_number_of_threads(cube):
     runs = [segment(cube.image, levels=2, threads=threads, **START) for threads in (1, 1, 2, 3)]
-    for run in runs[1:]:
-        assert run.psi.tobytes() == runs[0].psi.tobytes()
-        assert [row.potential for row in run.ledger] == [row.potential for row in runs[0].ledger]
+    for other in runs[1:]:
+        assert other.psi.tobytes() == runs[0].psi.tobytes()
+        assert [row.potential for row in other.ledger] == [row.potential for row in runs[0].ledger]
 
 
 def test_one_level_is_the_plain_evolution(cube):

@@ -17,7 +17,8 @@ GRIDS = {
 
 def positions(level, grids):
     first = level.first_centre(grids[0])
-    return np.meshgrid(*(o + h * np.arange(n) for o, h, n in zip(first, level.spacing, level.shape, strict=True)), indexing="ij")
+    axes = zip(first, level.spacing, level.shape, strict=True)
+    return np.meshgrid(*(o + h * np.arange(n) for o, h, n in axes), indexing="ij")
 
 
 def ball(level, grids, centre, radius):

@@ -23,8 +23,8 @@ from accelsurf.surface import extract
 
 KEYS = {
     *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
-    *("stop", "levels", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components", "touches_border"),
-    *("warnings", "outputs"),
+    *("stop", "levels", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components"),
+    *("touches_border", "warnings", "outputs"),
 }
 
 
