@@ -331,9 +331,10 @@ def _draw_energies(axes: Axes, ledger: Sequence[Row]) -> None:
 
 def _potentials(ledger: Sequence[Row]) -> tuple[list[int], list[float]]:
     """Steps and potentials, with a gap where the grid changes: each level has its own image, with its own energies."""
-    steps, values = [], []
-    for before, row in zip((ledger[0], *ledger), ledger, strict=False):
-        if row.level != before.level:
+    steps: list[int] = []
+    values: list[float] = []
+    for place, row in enumerate(ledger):
+        if place and row.level != ledger[place - 1].level:
             steps.append(row.step)
             values.append(float("nan"))
         steps.append(row.step)
