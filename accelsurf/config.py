@@ -166,6 +166,11 @@ class RunConfig(BaseModel):
     )
     cfl: float = Field(0.5, gt=0, le=1, description="Largest motion of the surface in one step, in voxels.")
     max_steps: int = Field(1000, ge=1, description="The run ends after this many steps, converged or not.")
+    levels: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
+        "auto",
+        description="Grids to run on, coarsest first, each with half the voxels along an axis of the next; 1 is the "
+        "image's own grid alone. auto takes as many as resolve image and start.",
+    )
     percentile: float = Field(
         95.0,
         gt=0,

@@ -23,13 +23,15 @@ class Row(NamedTuple):
     Attributes
     ----------
     step : int
+    level : int
+        Grid that the step was made on: 0 is the image's own, 1 the next coarser one; see `accelsurf.pyramid`.
     t, dt : float
         Flow time and the step's length; dt is 0 in the last row, which only records the final state.
     potential, kinetic, mass_potential, weight : float
         U, the paper's T, U_mass, and the factor w of the potentials, at time t: E = U + U_mass + T/w never rises.
     friction_work, smoothing_work, noise_work : float
-        What friction has taken from E so far; what diffusion, the limiter and restarts have; what noise has put in:
-        E + friction_work + smoothing_work - noise_work stays what it was.
+        What friction has taken from E so far; what diffusion, the limiter, restarts and changes of level have; what
+        noise has put in: E + friction_work + smoothing_work - noise_work stays what it was.
     mass, mass_correction : float
         Mass of the surface, and the part that the flow has had to add so far to conserve it (relative).
     clamped_fraction : float
@@ -54,6 +56,7 @@ class Row(NamedTuple):
     """
 
     step: int
+    level: int
     t: float
     dt: float
     potential: float
@@ -137,6 +140,10 @@ class Books:
         self._smoothing += energy - 0.5 * (self._last.smoothing - self._last.noise)
         self._last = self._last._replace(friction=0.0, smoothing=0.0, noise=0.0)
 
+    def regrid(self, drop: float) -> None:
+        """The surface came to another grid, on which its potential is less by ``drop``."""
+        self._smoothing += drop
+
     def enter(self, now: Account, dt: float) -> dict[str, Any]:
         """The columns of a row that begins with ``now`` and lasts ``dt``."""
         last = self._last
@@ -173,6 +180,13 @@ class Evolution:
         None never restarts.
     rule : StopRule or None
         None runs to ``max_steps``.
+    level : int
+        The grid's level, for the ledger. A level above 0 leaves no last row without a step: the surface goes on to
+        the next level, whose first row has its state.
+    before : Evolution, optional
+        The evolution on the coarser level that this one goes on from: ledger, time and account are continued.
+    fields : list of ndarray (n,), optional
+        The fields of ``flow``, as ``before`` left it, on this band; without them the flow starts at rest.
 
     Attributes
     ----------
@@ -195,18 +209,36 @@ class Evolution:
         max_steps: int = 1000,
         restart: Restart | None = None,
         rule: StopRule | None = None,
+        level: int = 0,
+        before: Evolution | None = None,
+        fields: list[np.ndarray] | None = None,
     ) -> None:
         self.surface, self.energy, self.flow = surface, energy, flow
         self.limits = limits or Limits()
         self.max_steps = max_steps
         self.restart = restart
         self.rule = rule
+        self.level = level
         self.ledger: list[Row] = []
         self.stop: Stop | None = None
         self._asked = False
         self._time = 0.0
+        self._potential = 0.0
         self._snapshot: Snapshot | None = None
         self._books = Books()
+        self._fields = fields
+        # What the other level had at the end, and not that level itself, which would be kept alive. What was won
+        # there counts: near the end, where this level begins, there is little left to win.
+        self._won_before, self._potential_before = 0.0, math.nan
+        if before is not None:
+            self.ledger, self._time, self._won_before = before.ledger, before._time, before._won
+            if fields is not None:
+                self._books, self._potential_before = before._books, before._potential
+        self._first = len(self.ledger)
+
+    def _goes_on(self) -> bool:
+        """Whether this level has ended, and the next one begins where it did."""
+        return self.stop is not None and self.level > 0
 
     def ask_to_stop(self) -> None:
         """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
@@ -215,9 +247,15 @@ class Evolution:
     def __iter__(self) -> Iterator[Step]:
         """Run, yielding a Step after each step of the surface."""
         self.energy.start(self.surface)
-        self.flow.start(self.surface)
+        if self._fields is None:
+            self.flow.start(self.surface)
+        else:
+            self.flow.take(self._fields)
+            self._fields = None
         while self.stop is None:
             row = self._step(len(self.ledger))
+            if self._goes_on():
+                return
             self.ledger.append(row)
             yield Step(row, self.surface)
 
@@ -229,8 +267,13 @@ class Evolution:
         visited = surface.workers.visited
         part, area = surface.cut()
         potential = self.energy.value(surface, part, area)
+        if not math.isnan(self._potential_before):
+            self._books.regrid(self._potential_before - potential)
+            self._potential_before = math.nan
+        self._potential = potential
         state: dict[str, Any] = {
             "step": n,
+            "level": self.level,
             "t": self._time,
             "potential": potential,
             "volume_mm3": surface.volume(part),
@@ -298,17 +341,29 @@ class Evolution:
     def _end(self, reason: StopReason, message: str, steps: int) -> None:
         self.stop = Stop(reason, steps, self._time, message)
 
+    @property
+    def _rows(self) -> list[Row]:
+        """The rows of this level."""
+        return self.ledger[self._first :]
+
+    @property
+    def _won(self) -> float:
+        """Potential won so far, over all levels."""
+        rows = self._rows
+        return self._won_before + (max(rows[0].potential - self._potential, 0.0) if rows else 0.0)
+
     def _restart_due(self, potential: float) -> bool:
         """Whether the potential has risen, far and long enough after the last rest."""
-        if self.restart is None or len(self.ledger) < 2:
+        rows = self._rows
+        if self.restart is None or len(rows) < 2:
             return False
         travelled, steps = 0.0, 0
-        for row in reversed(self.ledger):
+        for row in reversed(rows):
             travelled += row.motion_voxels
             steps += 1
             if row.restarted or travelled >= self.restart.travel:
                 break
-        rising = potential > self.ledger[-1].potential
+        rising = potential > rows[-1].potential
         return rising and steps >= self.restart.rest and travelled >= self.restart.travel
 
     def _reason_to_stop(self, n: int, potential: float) -> tuple[StopReason, str] | None:
@@ -324,24 +379,24 @@ class Evolution:
             return "stalled", "the time step has collapsed: the surface can no longer move"
         if n >= self.max_steps:
             return "max-steps", f"not converged within {self.max_steps} steps"
-        return self._converged(potential)
+        return self._converged()
 
     def _has_stalled(self) -> bool:
         """Whether the last ten time steps were below a millionth of the longest."""
-        if len(self.ledger) < 20:
+        rows = self._rows
+        if len(rows) < 20:
             return False
-        longest = max(row.dt for row in self.ledger)
-        return all(row.dt < 1e-6 * longest for row in self.ledger[-10:])
+        longest = max(row.dt for row in rows)
+        return all(row.dt < 1e-6 * longest for row in rows[-10:])
 
-    def _converged(self, potential: float) -> tuple[StopReason, str] | None:
+    def _converged(self) -> tuple[StopReason, str] | None:
         rule = self.rule
-        if rule is None or len(self.ledger) % rule.window:
+        if rule is None or (len(self.ledger) - self._first) % rule.window:
             return None
         before, self._snapshot = self._snapshot, self.surface.snapshot()
         if before is None:
             return None
         moved = self.surface.distance_from(before)
-        won = max(self.ledger[0].potential - potential, 0.0)
-        if moved > rule.motion or self.ledger[-1].kinetic > rule.kinetic * self.flow.weight * won:
+        if moved > rule.motion or self.ledger[-1].kinetic > rule.kinetic * self.flow.weight * self._won:
             return None
         return "converged", f"the surface moved {moved:.3f} voxels in {rule.window} steps"

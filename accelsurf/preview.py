@@ -163,10 +163,8 @@ def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
             _draw_surface(figure.add_subplot(grid[1, column]), scene, box=box, color=color)
     below = figure.add_subplot(grid[-1, :])
     for number, (name, scene) in enumerate(scenes.items()):
-        steps = [row.step for row in scene.ledger]
         below.plot(
-            steps,
-            [row.potential for row in scene.ledger],
+            *_potentials(scene.ledger),
             color=_RUN_COLORS[number % len(_RUN_COLORS)],
             linestyle=_RUN_DASHES[number % len(_RUN_DASHES)],
             linewidth=1.8,
@@ -310,7 +308,7 @@ def _write_letters(axes: Axes, horizontal: int, vertical: int, top_is_low: bool)
 def _draw_energies(axes: Axes, ledger: Sequence[Row]) -> None:
     steps = [row.step for row in ledger]
     axes.set_title("Energy and kinetic energy", fontsize=10, color=_INK)
-    axes.plot(steps, [row.potential for row in ledger], color=BLUE, linewidth=1.8)
+    axes.plot(*_potentials(ledger), color=BLUE, linewidth=1.8)
     _style(axes, "step", "energy")
     axes.yaxis.label.set_color(BLUE)
     kinetic = [row.kinetic for row in ledger]
@@ -329,6 +327,19 @@ def _draw_energies(axes: Axes, ledger: Sequence[Row]) -> None:
         axes.plot(restarts, bottom, "^", color=_INK, markersize=6, transform=axes.get_xaxis_transform(), clip_on=False)
         axes.plot([], [], "^", color=_INK, markersize=6, linestyle="none", label="restart (put at rest)")
         axes.legend(frameon=False, fontsize=9, loc="upper right", bbox_to_anchor=(1.0, 0.9), labelcolor=_INK)
+
+
+def _potentials(ledger: Sequence[Row]) -> tuple[list[int], list[float]]:
+    """Steps and potentials, with a gap where the grid changes: each level has its own image, with its own energies."""
+    steps: list[int] = []
+    values: list[float] = []
+    for place, row in enumerate(ledger):
+        if place and row.level != ledger[place - 1].level:
+            steps.append(row.step)
+            values.append(float("nan"))
+        steps.append(row.step)
+        values.append(row.potential)
+    return steps, values
 
 
 def _draw_surface(axes: Axes, scene: Scene, box: NDArray[Any] | None = None, color: str = SKY) -> None:

@@ -32,6 +32,7 @@ Status = Literal["ok", "failed", "interrupted"]
 #: Columns of the trace, in this order: fields of evolution.Row.
 TRACE_COLUMNS = (
     "step",
+    "level",
     "t",
     "dt",
     "potential",
@@ -135,7 +136,7 @@ def describe_config(config: RunConfig | None, result: Result | None) -> dict[str
 
 
 def describe_result(result: Result | None) -> dict[str, Any]:
-    """Return the part of the report that comes from the evolution: stop, energy and measures of the surface.
+    """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
     Parameters
     ----------
@@ -143,9 +144,11 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         With None every value is null.
     """
     if result is None:
-        keys = ("stop", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
+        keys = ("stop", "levels", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
         return dict.fromkeys((*keys, "touches_border"))
-    first, last = (result.ledger[0], result.ledger[-1]) if result.ledger else (None, None)
+    last = result.ledger[-1] if result.ledger else None
+    # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
+    first = next((row for row in result.ledger if row.level == 0), None)
     return {
         "stop": {
             "reason": result.stop.reason,
@@ -153,6 +156,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "time": result.stop.time,
             "message": result.stop.message,
         },
+        "levels": describe_levels(result),
         "energy": {
             "name": result.energy,
             "first": first.potential if first else None,
@@ -171,6 +175,21 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "components": result.components,
         "touches_border": result.touches_border,
     }
+
+
+def describe_levels(result: Result) -> list[dict[str, Any]]:
+    """Return the part of the report about the grids that the run went over, coarsest first; 0 is the image's own."""
+    return [
+        {
+            "level": grid.number,
+            "size": list(reversed(grid.shape)),
+            "spacing": list(reversed(grid.spacing)),
+            "steps": steps,
+            "reason": reason,
+            "cells_visited": sum(row.cells_visited for row in result.ledger if row.level == grid.number),
+        }
+        for grid, steps, reason in result.levels
+    ]
 
 
 def describe_mass(result: Result) -> dict[str, Any] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import secrets
 import time
 from collections.abc import Callable, Iterator
@@ -13,17 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf import contours, report, starts
+from accelsurf import contours, pyramid, report, starts
+from accelsurf.coarse_to_fine import CoarseToFine, Passed
 from accelsurf.config import RunConfig
 from accelsurf.contours import Contours
 from accelsurf.energies import Energy
-from accelsurf.errors import InputError
-from accelsurf.evolution import Evolution, Restart, Row, Step, Stop, StopRule
+from accelsurf.errors import InputError, UsageError
+from accelsurf.evolution import Restart, Row, Step, Stop, StopRule
 from accelsurf.flows import Limits
 from accelsurf.geometry import Geometry
-from accelsurf.levelset import LevelSet, Workers
+from accelsurf.levelset import Workers
 from accelsurf.surface import Surface, extract
-from accelsurf.systems import half_width, make_energy, make_flow, own_energy
+from accelsurf.systems import half_width, is_maker, make_energy, make_flow, own_energy
 from accelsurf.volume import Volume, check_image
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
@@ -53,6 +55,8 @@ class Result:
         One row per step; the last records the final state.
     stop : Stop
         Why the run ended.
+    levels : list of Passed
+        The grids that it ran on, coarsest first, with the steps made on each; the last is the image's own.
     seconds : dict of str to float
         Wall time of the parts ``start`` and ``evolve``.
     warnings : list of str
@@ -72,6 +76,7 @@ class Result:
     stop: Stop
     seconds: dict[str, float]
     volume: Volume
+    levels: list[Passed] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
 
@@ -228,7 +233,8 @@ def evolve(
     ------
     Step
         ``step.row`` is the line of the trace; ``step.surface`` the surface now (``.psi``, ``.labels``): copy what is
-        to be kept, the next step moves it.
+        to be kept, the next step moves it. While ``step.row.level`` is above 0 it lies on a coarser grid than the
+        image; with ``levels=1`` it never does.
 
     Examples
     --------
@@ -286,21 +292,59 @@ class Run:
         self.start = psi if volume.geometry.slice_axis is not None else None
         self.image = scaled(smoothed)
         self.workers = Workers(config.threads)
-        spacing = volume.geometry.spacing
-        surface = LevelSet(psi, spacing, half_width(config), self.workers)
-        own = None if energy is None else own_energy(energy, config, self.image, spacing)
-        self.energy_name = config.energy if own is None else own.name
-        self.evolution = Evolution(
-            surface,
-            own or make_energy(config, self.image, spacing),
+        grids = self._grids(psi, energy)
+        self.evolution = CoarseToFine(
+            grids,
+            self.image,
+            psi,
+            self._energy_maker(energy, len(grids)),
             make_flow(config),
             Limits(config.cfl, config.percentile),
             config.max_steps,
             Restart() if config.restart == "auto" else None,
             StopRule(),
+            half_width(config),
+            self.workers,
         )
         self._start_seconds = time.perf_counter() - began
         self._began = time.perf_counter()
+
+    def _grids(self, psi: NDArray[np.float32], energy: EnergyLike | None) -> list[pyramid.Level]:
+        """The levels that the configuration asks for; see record 0015 for what ``auto`` is."""
+        shape, spacing, wanted = self.volume.geometry.shape, self.volume.geometry.spacing, self.config.levels
+        if wanted == "auto":
+            if energy is not None or self.config.energy != "chan-vese":
+                return pyramid.levels(shape, spacing, 1)
+            grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
+            return grids[: pyramid.resolved(grids, psi)]
+        grids = pyramid.levels(shape, spacing, wanted)
+        if len(grids) < wanted:
+            raise UsageError(
+                f"levels: {wanted} was given, expected at most {len(grids)} for this image",
+                f"the coarsest grid has at least {pyramid.FEWEST} voxels along an axis that is halved",
+            )
+        return grids
+
+    def _energy_maker(
+        self, energy: EnergyLike | None, levels: int
+    ) -> Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]:
+        """What makes the energy of each level; an energy that is made already is only for one."""
+        config = self.config
+        self.energy_name: str = config.energy
+        if energy is None or isinstance(energy, str):
+            return functools.partial(make_energy, config)
+        if levels > 1 and not is_maker(energy):
+            raise UsageError(
+                f"levels: {levels} was given, expected 1: the energy has one image, and each level needs its own",
+                "give a class or function that makes the energy of (image, spacing), or levels=1",
+            )
+
+        def made(image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
+            own = own_energy(energy, config, image, spacing)
+            self.energy_name = own.name
+            return own
+
+        return made
 
     def result(self) -> Result:
         """What the run left, once its evolution has stopped."""
@@ -315,10 +359,12 @@ class Run:
             energy=self.energy_name,
             ledger=self.evolution.ledger,
             stop=stop,
+            levels=self.evolution.passed,
             seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
             volume=self.volume,
             start=self.start,
-            warnings=[
+            warnings=self.evolution.warnings
+            + [
                 f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.energy_name}"
                 for key in self.config.unused()
             ],

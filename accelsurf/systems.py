@@ -51,8 +51,12 @@ def own_energy(
                 f"{key}: {getattr(config, key)} was given, but the energy is one of your own and would not see it",
                 "give it to the energy itself",
             )
-    is_maker = isinstance(energy, type) or (callable(energy) and not hasattr(energy, "force"))
-    return Checked(energy(image, spacing) if is_maker else energy)
+    return Checked(energy(image, spacing) if is_maker(energy) else energy)
+
+
+def is_maker(energy: Any) -> bool:
+    """Whether an energy of one's own is a class or function that makes it of ``(image, spacing)``."""
+    return isinstance(energy, type) or (callable(energy) and not hasattr(energy, "force"))
 
 
 def make_flow(config: RunConfig) -> Flow:

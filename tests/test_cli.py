@@ -186,7 +186,7 @@ def test_every_setting_is_an_option(capsys):
         **dict(mesh="obj,vtp", mesh_space="ras", save_sdf=True, half_width=5, balance=1.5, format="nrrd"),
         **dict(seed=5, threads=2, energy="geodesic", edge_scale=1.5, edge_contrast=0.2, balloon=-0.5),
         **dict(t0=0.1, gravity=2, noise=0.5, noise_length=6, noise_time=2, sobolev_length=7),
-        **dict(blend=0.6, reproducible=True),
+        **dict(blend=0.6, reproducible=True, levels=2),
     )
     words = []
     for key, value in values.model_dump().items():

@@ -33,6 +33,7 @@ ODD = RunConfig(
     restart="off",
     cfl=0.9,
     max_steps=7,
+    levels=2,
     percentile=70,
     epsilon=0.75,
     half_width=6,

@@ -44,6 +44,11 @@ def blob(shape=(28, 30, 32)):
 START = {"start": "ball:17,14,13,5vox"}
 
 
+def cubed(n=64):
+    z, y, x = np.indices((n, n, n)) - n / 2 + 0.5
+    return 1.0 * (z**2 + y**2 + x**2 < (n / 4) ** 2)
+
+
 # ---------------------------------------------------------------------------------------------- the guide's example
 
 
@@ -319,3 +324,28 @@ def test_a_single_slice_has_normals_in_its_plane():
     normals = normals_at_front(surface, front)
     assert not normals[:, 0].any() and not points_at_front(surface, front)[:, 0].any()
     np.testing.assert_allclose(np.linalg.norm(normals[front], axis=1), 1, atol=1e-5)
+
+
+# ------------------------------------------------------------------------------------------------------------- levels
+
+
+def test_an_energy_that_is_made_is_made_again_on_each_level():
+    seen = []
+
+    def maker(image, spacing):
+        seen.append((image.shape, spacing))
+        return ChanVese(image)
+
+    image = cubed()
+    result = segment(image, start="ball:36,30,30,9", energy=maker, levels=2)
+    assert seen == [((32, 32, 32), (2.0, 2.0, 2.0)), ((64, 64, 64), (1.0, 1.0, 1.0))]
+    assert result.energy == "custom: ChanVese" and dice(result.labels, image) > 0.99
+
+
+def test_an_energy_of_your_own_has_one_level_unless_more_are_asked_for():
+    image = cubed()
+    for energy in (ChanVese(image), lambda image, spacing: ChanVese(image)):
+        result = segment(image, start="ball:36,30,30,9", energy=energy, max_steps=2)
+        assert [p.level.number for p in result.levels] == [0]
+    with pytest.raises(UsageError, match="levels: 2 was given, expected 1"):
+        segment(image, start="ball:36,30,30,9", energy=ChanVese(image), levels=2)

@@ -12,23 +12,26 @@ import pytest
 from matplotlib import image as mpl_image
 
 from accelsurf import preview, report
+from accelsurf.coarse_to_fine import Passed
 from accelsurf.config import RunConfig
 from accelsurf.errors import InputError
 from accelsurf.evolution import Row, Stop
 from accelsurf.geometry import Geometry
+from accelsurf.pyramid import Level
 from accelsurf.splat import render
 from accelsurf.surface import extract
 
 KEYS = {
     *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
-    *("stop", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components", "touches_border"),
-    *("warnings", "outputs"),
+    *("stop", "levels", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components"),
+    *("touches_border", "warnings", "outputs"),
 }
 
 
 def row(step, **changes):
     values = {
-        **dict(step=step, t=0.1 * step, dt=0.1, potential=100.0 / (step + 1), kinetic=1.0 + step, volume_mm3=10.0),
+        **dict(step=step, level=0, t=0.1 * step, dt=0.1),
+        **dict(potential=100.0 / (step + 1), kinetic=1.0 + step, volume_mm3=10.0),
         **dict(area_mm2=5.0, speed=1.0, motion_voxels=0.5, limited_fraction=0.05, diffusion=2.0, band_cells=99),
         **dict(restarted=False, removed_components=0, seconds=0.01, cells_visited=500, clamped_fraction=0.0),
         **dict(mass_potential=0.0, weight=4.0, friction_work=0.5, smoothing_work=0.25, noise_work=0.0),
@@ -43,6 +46,7 @@ def finished(**changes):
         energy="chan-vese",
         ledger=[row(0), row(1), row(2, kinetic=0.25)],
         stop=Stop("converged", 2, 0.2, "it moved no more"),
+        levels=[Passed(Level(0, (1, 1, 1), (5, 4, 3), (2.0, 1.0, 0.5)), 2, "converged")],
         seconds={"start": 0.1, "evolve": 2.0},
         warnings=["from the run"],
         volume_mm3=1.5,

@@ -17,6 +17,8 @@ MAX_STEPS = 250
 #: The fastest place sets the step, for both flows: with the limiter of the defaults descent hops over many of the traps
 #: that the demo is about.
 PERCENTILE = 100.0
+#: The image's own grid alone: on a coarser one, where noise is averaged, there are few traps to show.
+LEVELS = 1
 
 
 def demo(
@@ -47,7 +49,8 @@ def demo(
     recipe = phantoms.load_recipe("cube_noisy")
     image, labels = output / "cube.nii.gz", output / "cube_truth.nii.gz"
     paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
-    common = RunConfig(start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, threads=min(2, os.cpu_count() or 1))
+    common = RunConfig(start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS)
+    common = common.replace(threads=min(2, os.cpu_count() or 1))
     cases = [Case(image, output, common.replace(flow=flow), name=f"cube_{flow}") for flow in FLOWS]
     planned = [case.paths(case.config) for case in cases if case.config is not None]
     everything = {"image": image, "labels": labels, **paths}

@@ -23,7 +23,7 @@ Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_defa
 _GROUPS = {
     **dict.fromkeys(("energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), RUN),
-    **dict.fromkeys(("max_steps", "seed", "reproducible", "threads"), RUN),
+    **dict.fromkeys(("levels", "max_steps", "seed", "reproducible", "threads"), RUN),
     **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
 }
 _METAVARS = {
@@ -41,7 +41,7 @@ _METAVARS = {
         "epsilon": "VOXELS",
         "percentile": "PERCENT",
     },
-    **{"diffusion": "D|free|auto", "friction": "t|A", "restart": "auto|off", "mesh": "NAMES"},
+    **{"levels": "N|auto", "diffusion": "D|free|auto", "friction": "t|A", "restart": "auto|off", "mesh": "NAMES"},
 }
 
 

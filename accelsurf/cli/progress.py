@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from accelsurf.evolution import Row
 
 
+#: What the bar says until the first step: the one place where a run may seem to hang.
+BEFORE = "preparing (the first run on a machine compiles for about half a minute)"
+
+
 class Watcher:
     """Shows each step, and asks the run to stop once Ctrl-C was pressed.
 
@@ -91,11 +95,13 @@ class _Bar:
             TimeElapsedColumn(),
             console=Console(stderr=True),
         )
-        self._task = self._progress.add_task(label, total=max_steps, state="")
+        self._task = self._progress.add_task(label, total=max_steps, state=BEFORE)
         self._progress.start()
 
     def step(self, row: Any) -> None:
         state = f"energy {row.potential:.5g}, moved {row.motion_voxels:.3f} voxels"
+        if row.level:
+            state = f"level {row.level}, {state}"
         self._progress.update(self._task, completed=row.step, state=state)
 
     def stop(self) -> None:

@@ -67,7 +67,8 @@ def _tell(case: Case) -> None:  # type: ignore[name-defined]  # noqa: F821
     """Print what came out."""
     result = case.result
     seconds = case.seconds["total"]
-    print(f"{case.name}: {result.stop.reason} after {result.stop.steps} steps, {seconds:.1f} s ({result.stop.message})")
+    steps = f"{result.stop.steps} steps" + (f" on {len(result.levels)} levels" if len(result.levels) > 1 else "")
+    print(f"{case.name}: {result.stop.reason} after {steps}, {seconds:.1f} s ({result.stop.message})")
     if any(output["kind"] in ("surface", "contour") for output in case.outputs):
         parts = f"{result.components} component{'' if result.components == 1 else 's'}"
         sizes = f"volume {result.volume_mm3:.6g} mm3, area {result.area_mm2:.6g} mm2"
