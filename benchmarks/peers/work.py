@@ -64,7 +64,7 @@ def radius_error(psi: np.ndarray, radius: float) -> dict[str, float]:
     """
     from skimage.measure import marching_cubes
 
-    points, faces, _, _ = marching_cubes(np.asarray(psi, np.float32), 0.0)
+    points, faces, _, _ = marching_cubes(np.array(psi, np.float32), 0.0)
     points = points - 0.5 * (np.array(psi.shape) - 1)
     a, b, c = (points[faces[:, i]].astype(np.float64) for i in range(3))
     volume = abs(float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())) / 6.0
