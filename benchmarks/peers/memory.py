@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.peers.measure import MissingError, Options, child_environment, goal, set_threads, table
+from benchmarks.peers.measure import MissingError, Options, goal, run_process, set_threads, table
 
 STEPS = 5
 
 
 def memory(options: Options) -> dict[str, Any]:
-    """Peak of the resident memory of processes, as the system counts it when they end."""
+    """Peak resident memory of processes that segment, and of processes that only hold the image."""
     set_threads(1)
     sides = (32, 48) if options.quick else (128, 256, 384, 512)
     lines = []
@@ -64,17 +63,32 @@ def fitted(lines: list[dict[str, Any]]) -> tuple[float, float]:
 
 
 def peak(what: str, side: int) -> tuple[int, int]:
-    """Peak bytes of a process, and the band cells that it told of."""
+    """Peak bytes of a process, and its band cells, both as it tells them."""
     command = [sys.executable, "-m", "benchmarks.peers.memory", what, str(side)]
-    with subprocess.Popen(command, env=child_environment(1), stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        said = process.stdout.read()
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise MissingError(f"the process for {side}^3 ended with {process.returncode} (out of memory?)")
-    # Kilobytes on Linux, bytes on macOS.
-    return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024), int(said.split()[-1])
+    try:
+        _, said = run_process(command, 1)
+    except MissingError as failed:
+        raise MissingError(f"{failed} (for {side}^3; out of memory?)") from None
+    cells, most = said.split()[-2:]
+    return int(most), int(cells)
+
+
+def own_peak() -> int:
+    """Peak bytes of this process.
+
+    From /proc where there is one: getrusage and wait4 count, on Linux, the memory of the process that forked this one
+    too, and would report the benchmark instead of what it measures.
+    """
+    try:
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return 1024 * int(line.split()[1])
+    except OSError:
+        pass
+    import resource
+
+    # Kilobytes but for macOS, where it is bytes.
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def phantom(side: int) -> np.ndarray:
@@ -100,7 +114,7 @@ def child(what: str, side: int) -> None:
         middle = 0.5 * (side - 1)
         result = segment(image, start=f"ball:{middle},{middle},{middle},{0.3 * side}vox", max_steps=STEPS)
         cells = result.ledger[-1].band_cells
-    print(cells)
+    print(cells, own_peak())
 
 
 if __name__ == "__main__":
