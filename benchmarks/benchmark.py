@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="scripts/benchmark", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("name", nargs="*", choices=[*BENCHMARKS, "all"], metavar="NAME", help=", ".join(BENCHMARKS))
+    parser.add_argument("name", nargs="*", metavar="NAME", help=f"{', '.join(BENCHMARKS)}, or all")
     parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that it works; figures mean nothing")
     parser.add_argument("--repeats", type=int, default=5, help="timed runs, of which the median counts (5)")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1), help="of whole segmentations")
@@ -65,6 +65,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if options.repeats < 1 or options.threads < 1:
         parser.error("--repeats and --threads must be at least 1")
+    unknown = [name for name in options.name if name not in (*BENCHMARKS, "all")]
+    if unknown:
+        parser.error(f"{unknown[0]}: no such benchmark; there are {', '.join(BENCHMARKS)}, all")
     if not options.name and not options.render:
         parser.error("name a benchmark, or all, or --render")
     return options
