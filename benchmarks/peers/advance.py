@@ -51,7 +51,10 @@ def advance(options: Options) -> dict[str, Any]:
         "tables": [table(
             "Growth at constant speed",
             ("program", "setting", "seconds", "radius by volume", "error of it", "rms error of the surface"),
-            [(n, f["setting"], f["median_s"], f["radius"], f["volume_error"], f["rms_error"]) for n, f in found.items()],
+            [
+                (n, f["setting"], f["median_s"], f["radius"], f["volume_error"], f["rms_error"])
+                for n, f in found.items()
+            ],
         )],
         "bars": [[name, f["median_s"]] for name, f in found.items()],
     }
@@ -90,7 +93,7 @@ def sparse_field(name: str, start: np.ndarray, iterations: int) -> np.ndarray:
 
 
 def calibrate(name: str, start: np.ndarray, first: float, last: float) -> tuple[int, list[dict[str, Any]]]:
-    """Iterations after which a filter's radius is closest to the wanted one: by the pace that it shows, corrected twice at most."""
+    """Iterations after which a filter's radius is closest to the wanted one, by the pace that it shows itself."""
     # The filters move the surface by 1/(2 x dimension) voxel in an iteration.
     n = round(6 * (last - first))
     trials: dict[int, float] = {}

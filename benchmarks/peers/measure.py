@@ -31,7 +31,6 @@ LONG = 60.0
 #: Variables by which libraries choose their number of threads when they are loaded.
 THREAD_VARIABLES = (
     "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
 )
 
 

@@ -126,7 +126,7 @@ def sitk_chan_vese(
 ) -> np.ndarray:
     """ScalarChanAndVeseDenseLevelSet; it works in the whole volume and finds the means itself.
 
-    What it reaches depends on the scale of the image and on which side of the start is called inside: both are searched.
+    What it reaches depends on the image's scale and on which side of the start is called inside: both are searched.
     """
     import SimpleITK as sitk
 
@@ -233,7 +233,8 @@ PEERS: dict[str, Peer] = {
         ),
         Peer(
             "SimpleITK ThresholdSegmentation", "SimpleITK", "SimpleITK", sitk_threshold,
-            combinations(sigma=(1.0, 1.5, 2.0), curvature=(0.0, 0.05), where=(0.5,), upper=(1.5, 2.5), iterations=(400,)),
+            combinations(sigma=(1.0, 1.5, 2.0), curvature=(0.0, 0.05), where=(0.5,), upper=(1.5, 2.5),
+                         iterations=(400,)),
             {"iterations": (0.75, 1.5)},
         ),
         Peer(

@@ -39,8 +39,8 @@ def regularised(options: Options) -> dict[str, Any]:
     seconds = [at[name]["seconds"] for name in (GRADIENT, MOMENTUM)]
     ratio = seconds[0] / seconds[1] if all(seconds) else None
     return {
-        "work": f"Chan-Vese with area weight {speed.ALPHA:g} mm, {sizes[0]} to {sizes[-1]} voxels a side, to 1 % of the "
-        "energy gap, 1 thread",
+        "work": f"Chan-Vese with area weight {speed.ALPHA:g} mm, {sizes[0]} to {sizes[-1]} voxels a side, to 1 % "
+        "of the energy gap, 1 thread",
         "threads": 1, "lines": lines, "slopes": slopes,
         "pairs": [{"pair": f"gradient / constant density at {compared}^3, seconds", "ratio": ratio}],
         "goals": [

@@ -25,7 +25,8 @@ def json_path(folder: Path, name: str) -> Path:
 
 def load(folder: Path) -> dict[str, dict[str, Any]]:
     """Every result in a folder, in the order of `NAMES`."""
-    return {name: json.loads(json_path(folder, name).read_text()) for name in NAMES if json_path(folder, name).is_file()}
+    paths = {name: json_path(folder, name) for name in NAMES}
+    return {name: json.loads(path.read_text()) for name, path in paths.items() if path.is_file()}
 
 
 def number(value: Any, digits: int = 3) -> str:
@@ -122,8 +123,9 @@ def machines(results: dict[str, dict[str, Any]]) -> list[str]:
         m = result["machine"]
         packages = ", ".join(f"{p} {v}" for p, v in m["packages"].items() if v)
         caches = ", ".join(f"{level} {size}" for level, size in m["caches"].items())
-        text = f"{m['processor']}, {m['cores']} cores, {m['memory_gb']} GB, {caches}; {m['system']}; Python {m['python']}"
-        groups.setdefault(f"{text}; {packages}; commit {m['commit']}", []).append(f"{name} ({m['date']})")
+        text = f"{m['processor']}, {m['cores']} cores, {m['memory_gb']} GB, {caches}; {m['system']}"
+        text += f"; Python {m['python']}, {packages}; commit {m['commit']}"
+        groups.setdefault(text, []).append(f"{name} ({m['date']})")
     return [f"* {', '.join(names)}: {text}" for text, names in groups.items()]
 
 

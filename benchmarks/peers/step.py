@@ -32,7 +32,10 @@ def step(options: Options) -> dict[str, Any]:
     tables = [table(
         "One step, all included",
         ("surface", "band cells", "ms per step", "ns per band cell", "times a streaming copy"),
-        [(n, f["band_cells"], f["ms_per_step"], f["ns_per_cell"], f["ns_per_cell"] / copy_ns) for n, f in found.items()],
+        [
+            (n, f["band_cells"], f["ms_per_step"], f["ns_per_cell"], f["ns_per_cell"] / copy_ns)
+            for n, f in found.items()
+        ],
     )]
     for name, f in found.items():
         tables.append(table(
@@ -40,9 +43,10 @@ def step(options: Options) -> dict[str, Any]:
             [(part, ns, 100 * ns / f["ns_per_cell"]) for part, ns in f["profile"].items()],
         ))
     return {
-        "work": f"whole steps of constant density on a ball of radius {radius:g} in {side}^3, smooth and in noise sigma 1, "
-        "1 thread",
-        "threads": 1, "copy_bytes_per_cell": BYTES_PER_CELL, "copy_gb_per_s": bandwidth / 1e9, "copy_ns_per_cell": copy_ns,
+        "work": f"whole steps of constant density on a ball of radius {radius:g} in {side}^3, smooth and in noise "
+        "sigma 1, 1 thread",
+        "threads": 1, "copy_bytes_per_cell": BYTES_PER_CELL, "copy_gb_per_s": bandwidth / 1e9,
+        "copy_ns_per_cell": copy_ns,
         "surfaces": found, "pairs": [
             {"pair": f"{name} step / streaming copy of {BYTES_PER_CELL} bytes", "ratio": f["ns_per_cell"] / copy_ns}
             for name, f in found.items()

@@ -18,7 +18,7 @@ SOURCES = "public niivue demo images, see docs/real-scans.md"
 
 
 def ball(side: int, radius: float, centre: tuple[float, float, float] | None = None) -> np.ndarray:
-    """Signed distance (float32, voxels) of a ball in a cube of ``side`` voxels; the centre (z, y, x) is the middle's."""
+    """Signed distance (float32, voxels) of a ball in a cube of ``side`` voxels; in the middle, or at (z, y, x)."""
     middle = 0.5 * (side - 1)
     z, y, x = np.ogrid[:side, :side, :side]
     c = centre or (middle, middle, middle)
