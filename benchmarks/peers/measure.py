@@ -183,12 +183,13 @@ def search(
     fine : dict, optional
         Setting -> factors, tried on the best of the coarse ones, one setting after the other (whole numbers stay so).
     limit_s : float
-        No new setting is begun after this many seconds; what was left out is told. The first one always runs.
+        No new setting is begun after this many seconds, no new coarse one after 0.7 of them where there are fine ones;
+        what was left out is told. The first one always runs.
     """
     trials: list[Trial] = []
     began = time.perf_counter()
 
-    def attempt(settings_list: list[dict[str, Any]]) -> None:
+    def attempt(settings_list: list[dict[str, Any]], limit_s: float) -> None:
         for i, settings in enumerate(settings_list):
             if any(trial.settings == settings for trial in trials):
                 continue
@@ -198,10 +199,11 @@ def search(
             seconds, dice = timed(lambda settings=settings: run(settings))
             trials.append(Trial(settings, float(dice), seconds))
 
-    attempt(list(coarse))
+    # The iterations decide most about the seconds: time is left for them.
+    attempt(list(coarse), 0.7 * limit_s if fine else limit_s)
     for key, factors in (fine or {}).items():
         top = best(trials).settings
-        attempt([{**top, key: type(top[key])(round(top[key] * f, 6))} for f in factors])
+        attempt([{**top, key: type(top[key])(round(top[key] * f, 6))} for f in factors], limit_s)
     return trials
 
 

@@ -253,7 +253,7 @@ PEERS: dict[str, Peer] = {
         ),
         Peer(
             "scikit-image morphological_chan_vese", "skimage", "scikit-image", skimage_chan_vese,
-            combinations(sigma=(1.0, 1.5, 2.0), smoothing=(0, 1, 2), iterations=(60,)),
+            combinations(smoothing=(0, 1, 2), sigma=(1.0, 1.5, 2.0), iterations=(60,)),
             {"iterations": (0.67, 2.0)},
         ),
         Peer(

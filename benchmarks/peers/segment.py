@@ -36,10 +36,11 @@ from benchmarks.peers.programs import PEERS, Peer
 from benchmarks.peers.work import BRAIN, BRAIN_REFERENCE, noisy_cube, scan
 
 OWN = "accelsurf"
-#: A program this far below the best Dice cannot win: it is timed twice only.
-BEHIND = 0.02
+#: A peer this far below the best Dice, or this many times slower than the fastest that is not, cannot be the best one:
+#: it is timed twice only.
+BEHIND, SLOWER = 0.02, 3.0
 #: Seconds after which a search begins no new setting: on the small problem, on the large one.
-SEARCH_S = (110.0, 60.0)
+SEARCH_S = (60.0, 40.0)
 #: How many of the best settings of the small problem are tried on the large one.
 CARRIED = 2
 
@@ -111,7 +112,7 @@ def noise_case(side: int, options: Options, carried: dict[str, list[Trial]], lim
             coarse, fine = from_smaller(carried[name], side), None
         trials[name] = search(lambda s, c=calls[name]: dice(c(s), truth), coarse, fine, limit_s, options.say)
         report(name, best(trials[name]))
-    carried |= {name: [regrown(t, 96 / side) for t in ranked(ts)[: CARRIED + 1]] for name, ts in trials.items()}
+    carried |= {name: [regrown(t, 96 / side) for t in ranked(ts)[:CARRIED]] for name, ts in trials.items()}
     programs = time_best(trials, calls, options)
     return {"side": side, "start": start, "programs": programs}
 
@@ -148,7 +149,12 @@ def time_best(
     """Time the best setting of every program in turn, and gather what is known of it."""
     tops = {name: best(tried) for name, tried in trials.items()}
     highest = max(top.dice for top in tops.values())
-    repeats = {n: repeats_for(t, options, n != OWN and t.dice < highest - BEHIND) for n, t in tops.items()}
+    good = [t.seconds for n, t in tops.items() if n != OWN and t.dice >= highest - BEHIND]
+    slow = SLOWER * min(good, default=float("inf"))
+    repeats = {}
+    for name, top in tops.items():
+        hopeless = name != OWN and (top.dice < highest - BEHIND or top.seconds > slow)
+        repeats[name] = repeats_for(top, options, hopeless)
     works = {name: (lambda c=calls[name], s=top.settings: c(s)) for name, top in tops.items()}
     times = in_turn(works, repeats)
     programs = {}
@@ -241,12 +247,13 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
     grid = own_real_grid()[:1] if options.quick else own_real_grid()
     read = {OWN: _dice_of(truth)}
     # The search calls the whole command, and reads back what it wrote: its seconds are the command's alone.
-    trials = {OWN: searched(own, read[OWN], grid, None if options.quick else 240.0, options)}
-    small = halved(image, truth, centre, radius, means)
+    trials = {OWN: searched(own, read[OWN], grid, 150.0, options)}
+    half = halved(image, truth, centre, radius, means)
+    quarter = halved(half["image"], half["truth"], [0.5 * c - 0.25 for c in centre], 0.5 * radius, means)
     for peer in available(options):
         calls[peer.name] = whole(peer)
-        settings = small_search(peer, small, options)
-        trials[peer.name] = searched(calls[peer.name], _dice_of(truth), settings, 200.0, options)
+        settings = small_search(peer, quarter, half, options)
+        trials[peer.name] = searched(calls[peer.name], _dice_of(truth), settings, LONG, options)
         report(peer.name, best(trials[peer.name]))
     report(OWN, best(trials[OWN]))
     programs = time_best(trials, calls, options)
@@ -284,7 +291,7 @@ def searched(
 def halved(
     image: np.ndarray, truth: np.ndarray, centre: list[float], radius: float, means: tuple[float, float]
 ) -> dict[str, Any]:
-    """The scan at half resolution, on which the peers' settings are searched."""
+    """A scan at half its resolution, on which the peers' settings are searched."""
     shape = tuple(n // 2 * 2 for n in image.shape)
     cut = tuple(slice(0, n) for n in shape)
     parts = [n for size in shape for n in (size // 2, 2)]
@@ -295,24 +302,29 @@ def halved(
     return {"image": small, "truth": inside, "start": (0.5 * start).astype(np.float32), "means": means}
 
 
-def small_search(peer: Peer, small: dict[str, Any], options: Options) -> list[dict[str, Any]]:
-    """The settings to try at full size: the best at half resolution, with twice the iterations.
+def small_search(
+    peer: Peer, quarter: dict[str, Any], half: dict[str, Any], options: Options
+) -> list[dict[str, Any]]:
+    """The settings to try at full size: all at a quarter of the resolution, the best at half.
 
-    Sigmas stay in voxels: halving the resolution smooths already.
+    Sigmas stay in voxels, as coarsening smooths already; iterations grow with the side.
     """
 
-    def run(settings: Mapping[str, Any]) -> float:
-        return dice(peer.run(small["image"], small["start"], small["means"], settings), small["truth"])
+    def run_on(scale: dict[str, Any]) -> Callable[[Mapping[str, Any]], float]:
+        return lambda s: dice(peer.run(scale["image"], scale["start"], scale["means"], s), scale["truth"])
 
-    side = max(small["image"].shape)
-    grid = [{**peer.scaled(s, side), **more} for s in peer.coarse for more in real_changes(s)]
-    fine = {"iterations": (0.5, 1.6)}
-    if options.quick:
-        grid, fine = grid[:1], {}
-    trials = search(run, grid, fine, 25.0 if options.quick else SEARCH_S[0], options.say)
+    grid = [{**peer.scaled(s, max(quarter["image"].shape)), **more} for s in peer.coarse for more in real_changes(s)]
+    first = search(run_on(quarter), grid[:1] if options.quick else grid, None, 0.5 * SEARCH_S[0], options.say)
+    kept = [grown(t.settings) for t in ranked(first)[: 3 * CARRIED]]
+    fine = {} if options.quick else {"iterations": (0.5, 1.6)}
+    trials = search(run_on(half), kept, fine, SEARCH_S[0], options.say)
     report(f"{peer.name} at half resolution", best(trials))
-    top = ranked(trials)[: 1 if options.quick else CARRIED]
-    return [{**t.settings, "iterations": 2 * t.settings["iterations"]} for t in top]
+    return [grown(t.settings) for t in ranked(trials)[: 1 if options.quick else CARRIED]]
+
+
+def grown(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings for twice the resolution."""
+    return {**settings, "iterations": 2 * settings["iterations"]}
 
 
 def real_changes(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
