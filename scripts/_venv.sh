@@ -50,3 +50,21 @@ PY
     "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --editable "$ROOT${extra:+[$extra]}"
     printf '%s\n' "$want" >"$stamp"
 }
+
+# prepare_each EXTRA: what the extra lists, one by one: what does not build or has no wheel here is told and left out.
+prepare_each() {
+    local extra="$1" stamp="$VENV/.accelsurf-each-$1" want requirement
+    want="$(cksum "$ROOT/pyproject.toml") $("$VENV/bin/python" -c 'import sys; print(sys.version.split()[0])')"
+    [[ -f "$stamp" && "$(cat "$stamp")" == "$want" ]] && return
+    say "Installing the $extra tools into $VENV, one by one"
+    while read -r requirement; do
+        "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check "$requirement" ||
+            echo "warning: $requirement could not be installed; what needs it will be skipped" >&2
+    done < <("$VENV/bin/python" - "$ROOT" "$extra" <<'PY'
+import pathlib, sys, tomllib
+project = tomllib.loads(pathlib.Path(sys.argv[1], "pyproject.toml").read_text())["project"]
+print(*project["optional-dependencies"][sys.argv[2]], sep="\n")
+PY
+)
+    printf '%s\n' "$want" >"$stamp"
+}

@@ -50,8 +50,8 @@ def problem(n: int, dim: int) -> tuple[LevelSet, ChanVese]:
     return LevelSet(10.0 * start, (h, h, h), 4.0), ChanVese(image, ALPHA, means=(1.0, 0.0))
 
 
-def history(flow: Flow, n: int, dim: int, steps: int) -> dict[str, np.ndarray]:
-    """Energy, cells visited and seconds at every step."""
+def history(flow: Flow, n: int, dim: int, steps: int, enough: float = -np.inf) -> dict[str, np.ndarray]:
+    """Energy, cells visited and seconds at every step, until it has settled or the energy is ``enough``."""
     surface, energy = problem(n, dim)
     evolution = Evolution(surface, energy, flow, Limits(0.5, 95.0), steps, Restart())
     energies, cells, seconds = [], [0], [0.0]
@@ -59,7 +59,7 @@ def history(flow: Flow, n: int, dim: int, steps: int) -> dict[str, np.ndarray]:
         energies.append(step.row.potential)
         cells.append(cells[-1] + step.row.cells_visited)
         seconds.append(seconds[-1] + step.row.seconds)
-        if settled(energies):
+        if settled(energies) or energies[-1] <= enough:
             break
     return {"energy": np.array(energies), "cells": np.array(cells), "seconds": np.array(seconds)}
 
