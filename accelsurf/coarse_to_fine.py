@@ -16,6 +16,8 @@ from accelsurf.pyramid import Level, carried, coarsened, refined
 
 #: A coarse level only has to come near: the next one goes on anyway.
 COARSE_RULE = StopRule(window=10, motion=0.2, kinetic=0.05)
+#: The finest level begins where a coarser one ended: it is looked at twice as often as a run from the start.
+FINEST_WINDOW = 10
 #: How a coarse level ends without a surface that the next one could go on from.
 FAILED = ("vanished", "filled", "diverged")
 
@@ -77,6 +79,8 @@ class CoarseToFine:
         workers: Workers,
     ) -> None:
         self.flow, self.limits, self.max_steps, self.restart, self.rule = flow, limits, max_steps, restart, rule
+        if rule is not None and len(grids) > 1:
+            self.rule = rule._replace(window=FINEST_WINDOW)
         self.warnings: list[str] = []
         self._make_energy, self._half_width, self._workers = energy, half_width, workers
         self._grids = list(grids)
@@ -161,7 +165,8 @@ class CoarseToFine:
         if number == 0:
             # The last to need it: a whole volume less while the finest level runs.
             self._starts = [np.zeros((0, 0, 0), np.float32)]
-        surface = LevelSet(psi, spacing, self._half_width, self._workers)
+        # Each start is taken up once: the next level has its own.
+        surface = LevelSet(psi, spacing, self._half_width, self._workers, overwrite=True)
         fields = None
         if way is not None:
             old, coarse, fine = way

@@ -207,7 +207,9 @@ class RunConfig(BaseModel):
         None, description="Seed of everything random in the run; drawn and reported unless given."
     )
     reproducible: bool = Field(False, description="Refuse to run anything random without a seed.")
-    threads: int = Field(1, ge=1, description="Number of threads; the result does not depend on it.")
+    threads: Literal["auto"] | Annotated[int, Field(ge=1)] = Field(
+        "auto", description="Number of threads; auto: one for each core. The result does not depend on it."
+    )
 
     def __init__(self, **values: Any) -> None:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import secrets
 import time
 from collections.abc import Callable, Iterator
@@ -57,6 +58,8 @@ class Result:
         Why the run ended.
     levels : list of Passed
         The grids that it ran on, coarsest first, with the steps made on each; the last is the image's own.
+    kernels : dict of str to float
+        Seconds in each kernel while it evolved.
     seconds : dict of str to float
         Wall time of the parts ``start`` and ``evolve``.
     warnings : list of str
@@ -79,6 +82,7 @@ class Result:
     levels: list[Passed] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
+    kernels: dict[str, float] = field(default_factory=dict)
 
     @cached_property
     def surface(self) -> Surface:
@@ -289,9 +293,11 @@ class Run:
         self.volume, self.config = volume, config
         smoothed = presmoothed(volume, config.presmooth)
         psi = starts.build(config.start, volume, smoothed)
-        self.start = psi if volume.geometry.slice_axis is not None else None
+        self.start = psi.copy() if volume.geometry.slice_axis is not None else None
         self.image = scaled(smoothed)
-        self.workers = Workers(config.threads)
+        # On a large image each volume counts: this one is the energy's from here on.
+        del smoothed
+        self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
         grids = self._grids(psi, energy)
         self.evolution = CoarseToFine(
             grids,
@@ -307,6 +313,7 @@ class Run:
             self.workers,
         )
         self._start_seconds = time.perf_counter() - began
+        self.workers.seconds.clear()
         self._began = time.perf_counter()
 
     def _grids(self, psi: NDArray[np.float32], energy: EnergyLike | None) -> list[pyramid.Level]:
@@ -363,12 +370,20 @@ class Run:
             seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
             volume=self.volume,
             start=self.start,
+            kernels=dict(self.workers.seconds),
             warnings=self.evolution.warnings
             + [
                 f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.energy_name}"
                 for key in self.config.unused()
             ],
         )
+
+
+def available_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:

@@ -19,6 +19,7 @@ def segment(
     dump_config: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     overwrite: Overwrite = False,
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    profile: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     settings: Settings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
@@ -41,6 +42,8 @@ def segment(
         Replace outputs that exist.
     strict
         Exit with 4 when the run ends before it has converged.
+    profile
+        Print where the seconds went, by stage.
     """
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
@@ -60,6 +63,10 @@ def segment(
     code = run_case(case, Watcher(display))
     if not display.quiet:
         _tell(case)
+    if profile and case.result is not None:
+        from accelsurf.cli.profile import lines
+
+        print("\n".join(lines({**case.result.seconds, **case.seconds}, case.result.kernels)))
     return code
 
 

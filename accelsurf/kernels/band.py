@@ -162,6 +162,14 @@ def drop_cells(start, stop, dense, cells, keep, gamma):
 
 
 @kernel
+def flatten_beyond(start, stop, dense, gamma):
+    """Set psi to +-gamma at the voxels of the range that are not in the band."""
+    for cell in range(start, stop):
+        if dense.slot[cell] < 0:
+            dense.psi[cell] = -gamma if dense.psi[cell] < 0.0 else gamma
+
+
+@kernel
 def store_band(start, stop, dense, band):
     """Write the range of the band's psi and slots to the dense arrays."""
     for s in range(start, stop):

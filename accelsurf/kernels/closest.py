@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.cubic import cubic
+from accelsurf.kernels.grid import unravel
 from accelsurf.kernels.interpolate import value_and_gradient
 
 MAX_ITERATIONS = 6
@@ -19,97 +21,106 @@ LEAST_SLOPE2 = 0.04
 MAX_MOVE = 1.5
 
 
-@kernel
-def correction(fz, fy, fx, level, relax):
-    """Chopp's two corrections of a foot (fz, fy, fx): down the gradient to the zero level, and along the level.
+#: Cells whose feet are moved together: independent of each other, they overlap in the processor.
+TOGETHER = 128
+#: How a foot stands in `closest_points`.
+ACTIVE, FOUND, LOST = 0.0, 1.0, 2.0
+#: Rows of the memory of `closest_points`, `TOGETHER` long each, one array for the compiler to see that they are apart:
+#: the foot; how it stands; the last correction along the level, its square and relaxation; the square of the first one;
+#: psi and its gradient at the foot.
+FOOT, STATUS, LAST, SQUARE, RELAX, START, LEVEL = (np.uint64(row * TOGETHER) for row in (0, 3, 4, 7, 8, 9, 10))
+NEXT = np.uint64(TOGETHER)
+ROWS = 14
 
-    -psi g/|g|^2, and, until the cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the foot to the cell,
-    times ``relax``; ``level`` = (psi, gradient z, y, x) at the foot. Returns the step (dz, dy, dx) and the part along
-    the level (tz, ty, tx), not relaxed; infinite or NaN where psi has no slope.
+
+@kernel
+def closest_points(count, psi, grid, cells, memory, w):
+    """Move the feet in ``memory``, mm from the first ``count`` of ``cells``, to the closest points of psi = 0.
+
+    Chopp's two corrections at once: down the gradient to the zero level, -psi g/|g|^2, and along the level until the
+    cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the foot to the cell. The latter is too long by
+    1 + distance x curvature, which two successive residues tell (secant): so it converges also further off than the
+    radius of curvature. ``memory`` (`ROWS` x `TOGETHER`,) float32 holds the feet, and then how they stand: FOUND where
+    one has converged. ``w`` (24,) is scratch.
     """
-    value, gz, gy, gx = level
-    inverse = 1.0 / (gz * gz + gy * gy + gx * gx)
-    along = (fz * gz + fy * gy + fx * gx) * inverse
-    tz, ty, tx = along * gz - fz, along * gy - fy, along * gx - fx
-    down = value * inverse
-    return relax * tz - down * gz, relax * ty - down * gy, relax * tx - down * gx, tz, ty, tx
-
-
-@kernel
-def correct_once(count, grid, feet, levels, corrected, done):
-    """First correction of ``count`` feet at once; ``done`` where it is so small that it is the last.
-
-    Rows of ``feet`` and ``corrected`` (3, m) are z, y, x, those of ``levels`` (4, m) psi and its gradient, float32.
-    """
-    hz, hy, hx = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
-    one, most = np.float32(1.0), np.float32(FIRST_TOLERANCE**2)
-    fz, fy, fx = feet[0], feet[1], feet[2]
-    v, gz, gy, gx = levels[0], levels[1], levels[2], levels[3]
-    cz, cy, cx = corrected[0], corrected[1], corrected[2]
-    for i in range(np.uint64(count)):
-        g2 = gz[i] * gz[i] + gy[i] * gy[i] + gx[i] * gx[i]
-        inverse = one / g2
-        along = (fz[i] * gz[i] + fy[i] * gy[i] + fx[i] * gx[i] - v[i]) * inverse
-        z, y, x = along * gz[i], along * gy[i], along * gx[i]
-        cz[i], cy[i], cx[i] = z, y, x
-        z, y, x = (z - fz[i]) * hz, (y - fy[i]) * hy, (x - fx[i]) * hx
-        far = (fz[i] * hz) ** 2 + (fy[i] * hy) ** 2 + (fx[i] * hx) ** 2
-        done[i] = (g2 > np.float32(LEAST_SLOPE2)) & (z * z + y * y + x * x < most * max(one, far))
-
-
-@kernel
-def closest_point(psi, grid, iz, iy, ix, foot, w):
-    """Move ``foot`` (mm from cell iz, iy, ix; a first guess) to the closest point of psi = 0; see `refine`."""
-    pz, py, px = iz + foot[0] / grid.hz, iy + foot[1] / grid.hy, ix + foot[2] / grid.hx
-    return refine(psi, grid, iz, iy, ix, foot, w, value_and_gradient(psi, grid, pz, py, px, w))
-
-
-@kernel
-def refine(psi, grid, iz, iy, ix, foot, w, level):
-    """Move ``foot`` to the closest point of psi = 0; ``level`` = (value, gradient z, y, x) of psi there.
-
-    The correction along the level is too long by 1 + distance x curvature, which two successive residues tell
-    (secant): so it converges also further off than the radius of curvature. Returns True when converged; ``foot`` is
-    then the vector from the cell to the surface.
-    """
-    fz, fy, fx = foot[0], foot[1], foot[2]
-    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
-    far = max(1.0, np.sqrt((fz * hz) ** 2 + (fy * hy) ** 2 + (fx * hx) ** 2))
-    relax = 1.0
-    last_z = last_y = last_x = last2 = 0.0
-    first2 = 0.0
+    for i in range(count):
+        memory[STATUS + np.uint64(i)] = ACTIVE
     for iteration in range(MAX_ITERATIONS):
-        if iteration > 0:
-            level = value_and_gradient(psi, grid, iz + fz * hz, iy + fy * hy, ix + fx * hx, w)
-        if not level[1] ** 2 + level[2] ** 2 + level[3] ** 2 > LEAST_SLOPE2:
-            return False
-        dz, dy, dx, tz, ty, tx = correction(fz, fy, fx, level, relax)
-        if iteration > 0 and last2 > 0.0:
-            left = (tz * last_z + ty * last_y + tx * last_x) / last2
-            longer = min(max(relax / max(1.0 - left, 0.25), 0.1), 4.0)
-            dz, dy, dx = dz + (longer - relax) * tz, dy + (longer - relax) * ty, dx + (longer - relax) * tx
-            relax = longer
-        last_z, last_y, last_x, last2 = tz, ty, tx, tz * tz + ty * ty + tx * tx
-        if iteration == 0:
-            first2 = last2
-        elif iteration >= 2 and last2 > 0.25 * first2:
-            return False
-        move = np.sqrt((dz * hz) ** 2 + (dy * hy) ** 2 + (dx * hx) ** 2)
-        if move > MAX_MOVE:
-            scale = MAX_MOVE / move
-            dz *= scale
-            dy *= scale
-            dx *= scale
-            last2 = 0.0
-        fz += dz
-        fy += dy
-        fx += dx
-        if move < (FIRST_TOLERANCE * far if iteration == 0 else TOLERANCE):
-            foot[0] = fz
-            foot[1] = fy
-            foot[2] = fx
-            return True
-    return False
+        if levels_at(count, psi, grid, cells, memory, w) == 0:
+            return
+        correct(count, iteration, grid, memory)
+
+
+@kernel
+def levels_at(count, psi, grid, cells, memory, w):
+    """Psi and its gradient at the active feet of ``memory``; returns how many there are."""
+    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    sy, sz = grid.nx, grid.ny * grid.nx
+    active = 0
+    for n in range(count):
+        i = np.uint64(n)
+        if memory[STATUS + i] != ACTIVE:
+            continue
+        active += 1
+        iz, iy, ix = unravel(cells[n], grid)
+        pz, py, px = iz + memory[FOOT + i] * hz, iy + memory[FOOT + NEXT + i] * hy, ix + memory[FOOT + NEXT + NEXT + i] * hx
+        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+        # Well inside the volume, without what value_and_gradient does for the others.
+        if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
+            uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+            level, gz, gy, gx = cubic(psi, (bz * grid.ny + by) * grid.nx + bx, sy, sz, uz, uy, ux)
+            gz, gy, gx = gz * hz, gy * hy, gx * hx
+        else:
+            level, gz, gy, gx = value_and_gradient(psi, grid, pz, py, px, w)
+        at = LEVEL + i
+        memory[at], memory[at + NEXT], memory[at + NEXT + NEXT], memory[at + NEXT + NEXT + NEXT] = level, gz, gy, gx
+    return active
+
+
+@kernel
+def correct(count, iteration, grid, memory):
+    """One correction of the active feet, see `closest_points`; all columns alike, so that it runs in vectors."""
+    hz, hy, hx = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
+    zero, one, quarter = np.float32(0.0), np.float32(1.0), np.float32(0.25)
+    active, found, lost = np.float32(ACTIVE), np.float32(FOUND), np.float32(LOST)
+    shortest, longest, tiny = np.float32(0.1), np.float32(4.0), np.float32(1e-30)
+    least, most = np.float32(LEAST_SLOPE2), np.float32(MAX_MOVE)
+    first, later = iteration == 0, iteration >= 2
+    enough = np.float32(FIRST_TOLERANCE if first else TOLERANCE)
+    for i in range(np.uint64(count)):
+        z, y, x = memory[FOOT + i], memory[FOOT + NEXT + i], memory[FOOT + NEXT + NEXT + i]
+        v, gz = memory[LEVEL + i], memory[LEVEL + NEXT + i]
+        gy, gx = memory[LEVEL + NEXT + NEXT + i], memory[LEVEL + NEXT + NEXT + NEXT + i]
+        g2 = gz * gz + gy * gy + gx * gx
+        inverse = one / max(g2, tiny)
+        along = (z * gz + y * gy + x * gx) * inverse
+        tz, ty, tx = along * gz - z, along * gy - y, along * gx - x
+        t2 = tz * tz + ty * ty + tx * tx
+        before, relax, begun = memory[SQUARE + i], memory[RELAX + i], memory[START + i]
+        left = tz * memory[LAST + i] + ty * memory[LAST + NEXT + i] + tx * memory[LAST + NEXT + NEXT + i]
+        longer = min(max(relax / max(one - left / max(before, tiny), quarter), shortest), longest)
+        longer = longer if before > zero else relax
+        factor = one if first else longer
+        begun = t2 if first else begun
+        down = v * inverse
+        dz, dy, dx = factor * tz - down * gz, factor * ty - down * gy, factor * tx - down * gx
+        move = np.sqrt(dz * hz * dz * hz + dy * hy * dy * hy + dx * hx * dx * hx)
+        scale = min(one, most / max(move, tiny))
+        reach = np.sqrt(z * hz * z * hz + y * hy * y * hy + x * hx * x * hx)
+        reach = max(one, reach) if first else one
+        status = memory[STATUS + i]
+        now = found if move < enough * reach else active
+        now = lost if g2 <= least else now
+        # Residues that do not fall.
+        now = lost if later & (t2 > quarter * begun) else now
+        scale = scale if (status == active) & (now != lost) else zero
+        memory[FOOT + i] = z + scale * dz
+        memory[FOOT + NEXT + i] = y + scale * dy
+        memory[FOOT + NEXT + NEXT + i] = x + scale * dx
+        memory[LAST + i], memory[LAST + NEXT + i], memory[LAST + NEXT + NEXT + i] = tz, ty, tx
+        memory[SQUARE + i] = zero if move > most else t2
+        memory[RELAX + i], memory[START + i] = factor, begun
+        memory[STATUS + i] = now if status == active else status
 
 
 @kernel

@@ -1,8 +1,9 @@
-"""Fast marching of closest points: distance, band membership and extension in one ordered sweep.
+"""Marching of closest points: distance, band membership and extension from the front outwards.
 
-Every cell carries the vector to its closest point on the surface (its foot). Cells beside the front get it
-from the cubic interpolant; the others are frozen in order of distance, each starting from the foot of a
-frozen neighbour and polishing it. A field is extended by its value at the foot, so grad F . grad psi = 0.
+Every cell carries the vector to its closest point on the surface (its foot). Most get it from the cubic interpolant
+at once; the others, and the cells that enter, take over the foot of a neighbour that knows a closer one and polish
+it, round by round until nothing changes: every round reads the last one only, so it runs in several threads and gives
+the same bytes for any number of them. A field is extended by its value at the foot, so grad F . grad psi = 0.
 """
 
 from __future__ import annotations
@@ -10,19 +11,15 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.closest import closest_point, correct_once, crossing_point, refine
-from accelsurf.kernels.cubic import cubic
+from accelsurf.kernels.closest import FOUND, ROWS, TOGETHER, closest_points, crossing_point
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
-from accelsurf.kernels.interpolate import value_and_gradient
 
 #: What is known of a slot's foot.
 OPEN, FROZEN, EDGE = 0, 1, 2
-#: A cell whose neighbour knows a closer surface by this many voxels is marched again.
+#: A cell takes over the foot of a neighbour that is closer by this many voxels.
 CLOSER = 0.02
 #: A cell is met when its neighbour's tangent plane says that it is at most this much beyond the band, voxels.
 SLACK = 0.1
-#: Width of the march's buckets, voxels.
-BUCKET = 0.25
 
 
 @kernel
@@ -72,10 +69,6 @@ def is_near_volume(grid, iz, iy, ix, foot):
     return -1.0 <= pz <= grid.nz and -1.0 <= py <= grid.ny and -1.0 <= px <= grid.nx
 
 
-#: Cells whose first correction is done together: independent of each other, they overlap in the processor.
-TOGETHER = 128
-
-
 @kernel
 def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, beside):
     """First guesses of ``count`` feet from slot ``first`` on, as rows z, y, x of ``guesses``; 0 where there is none.
@@ -107,24 +100,6 @@ def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, bes
 
 
 @kernel
-def levels_at(first, count, psi, grid, cells, w, feet, levels):
-    """Psi and its gradient at ``count`` feet from slot ``first`` on, as rows of ``levels``."""
-    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
-    sy, sz = grid.nx, grid.ny * grid.nx
-    for i in range(count):
-        iz, iy, ix = unravel(cells[first + i], grid)
-        pz, py, px = iz + feet[0, i] * hz, iy + feet[1, i] * hy, ix + feet[2, i] * hx
-        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
-        # Well inside the volume, without what value_and_gradient does for the others.
-        if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
-            uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
-            level, gz, gy, gx = cubic(psi, (bz * grid.ny + by) * grid.nx + bx, sy, sz, uz, uy, ux)
-            levels[0, i], levels[1, i], levels[2, i], levels[3, i] = level, gz * hz, gy * hy, gx * hx
-        else:
-            levels[0, i], levels[1, i], levels[2, i], levels[3, i] = value_and_gradient(psi, grid, pz, py, px, w)
-
-
-@kernel
 def find_feet(start, stop, dense, grid, band, inner, foot, state):
     """Foot of every cell of the range from psi as it is; ``state`` becomes OPEN where it is not found.
 
@@ -133,32 +108,24 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
     ``band`` is the band when psi was last a distance; see `guess_feet` for ``inner``.
     """
     psi = dense.psi
-    w = np.empty(24)
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     plane = np.empty(3)
-    guesses = np.empty((3, TOGETHER), np.float32)
-    feet = np.empty((3, TOGETHER), np.float32)
-    levels = np.empty((4, TOGETHER), np.float32)
+    w = np.empty(24)
+    memory = np.zeros(ROWS * TOGETHER, np.float32)
+    feet = memory[: 3 * TOGETHER].reshape(3, TOGETHER)
+    status = memory[3 * TOGETHER : 4 * TOGETHER]
     beside = np.empty(TOGETHER, np.bool_)
-    done = np.empty(TOGETHER, np.bool_)
     for first in range(start, stop, TOGETHER):
         count = min(TOGETHER, stop - first)
-        guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, beside)
-        levels_at(first, count, psi, grid, band.cells, w, guesses, levels)
-        correct_once(count, grid, guesses, levels, feet, done)
+        guess_feet(first, count, dense, grid, band, inner, near, guess, feet, beside)
+        closest_points(count, psi, grid, band.cells[first:stop], memory, w)
         for i in range(count):
             s = first + i
             cell = band.cells[s]
             iz, iy, ix = unravel(cell, grid)
-            found = done[i]
-            if found:
-                guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
-            else:
-                guess[0], guess[1], guess[2] = guesses[0, i], guesses[1, i], guesses[2, i]
-                level = (levels[0, i], levels[1, i], levels[2, i], levels[3, i])
-                found = refine(psi, grid, iz, iy, ix, guess, w, level)
-            found = found and is_near_volume(grid, iz, iy, ix, guess)
+            guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
+            found = status[i] == FOUND and is_near_volume(grid, iz, iy, ix, guess)
             bound = -1.0
             if beside[i]:
                 neighbours(cell, iz, iy, ix, grid, near)
@@ -272,125 +239,114 @@ def flattened(foot, via, grid, cz, cy, cx, out):
 
 
 @kernel
-def freeze(psi, grid, cell, foot, via, best, source, guess, w):
-    """Polish the foot of slot ``source``, found through its neighbour ``via``, where that converges.
+def spread(dense, grid, cells, foot, state, n, sources, reach, stirred):
+    """What the cells of the slots ``sources``, whose feet are new or at the band's edge, set going; serial.
 
-    A cell further off than the radius of curvature keeps the neighbour's foot.
+    Neighbours that are not in the band enter it, as OPEN slots from ``n`` on, when the tangent plane at the source's
+    foot is within ``reach`` voxels of them; the others are marked in ``stirred`` (room,), as a closer foot may be theirs.
+    ``dense.slot`` is extended. Returns (cells, foot, state, stirred, n), with room to spare.
     """
-    iz, iy, ix = unravel(cell, grid)
-    flattened(foot, via, grid, foot[source, 0], foot[source, 1], foot[source, 2], guess)
-    if closest_point(psi, grid, iz, iy, ix, guess, w) and is_near_volume(grid, iz, iy, ix, guess):
-        d = np.sqrt(guess[0] * guess[0] + guess[1] * guess[1] + guess[2] * guess[2])
-        if d <= best * (1.0 + 1e-3):
-            foot[source, 0], foot[source, 1], foot[source, 2] = guess[0], guess[1], guess[2]
-
-
-@kernel
-def march(dense, grid, cells, n_old, foot, state, half_width):
-    """Freeze the OPEN cells, and the cells beyond the EDGE ones, in order of distance up to ``half_width`` voxels.
-
-    ``cells``, ``foot`` and ``state`` hold ``n_old`` slots and may have room for more; they are changed in place while
-    the room lasts. ``dense.slot`` is extended with the cells that enter. Returns (cells, foot, state, n) with room to
-    spare; slots from ``n_old`` on are new, in the order in which the march met them.
-    """
-    n = n_old
-    psi, slot = dense.psi, dense.slot
-    room = cells.shape[0]
-    best = np.full(room, np.float32(1e30))
-    lowest = np.full(room, np.int32(1 << 30))
-    via = np.empty(room, np.int32)
-    # Untidy queue: linked lists of slots, one per bucket of distance. A slot whose distance falls is entered
-    # again in the lower bucket; what is left of it in the higher one is passed over, being frozen by then.
-    width = BUCKET * min(grid.hz, min(grid.hy, grid.hx))
-    reach = half_width + SLACK
-    buckets = int((reach + 2.0) * max(grid.hz, max(grid.hy, grid.hx)) / width) + 2
-    head = np.full(buckets, -1, np.int64)
-    entry_slot = np.empty(1024, np.int64)
-    entry_next = np.empty(1024, np.int64)
-    entries = 0
-    bucket = 0
+    slot = dense.slot
     near = np.empty(6, np.int64)
-    steps = np.empty((6, 3))
-    for side in range(6):
-        steps[side, 0], steps[side, 1], steps[side, 2] = step_of(side, grid)
     guess = np.empty(3)
-    w = np.empty(24)
-    # Sources: for an OPEN cell its frozen neighbours; for a cell not in the band its EDGE neighbours.
-    cursor = 0
-    source = -1
-    while True:
-        pull = False
-        if cursor < n_old:
-            source = cursor
-            cursor += 1
-            if state[source] == FROZEN:
-                continue
-            pull = state[source] == OPEN
-        else:
-            while bucket < buckets and head[bucket] < 0:
-                bucket += 1
-            if bucket == buckets:
-                break
-            source = entry_slot[head[bucket]]
-            head[bucket] = entry_next[head[bucket]]
-            if state[source] != OPEN:
-                continue
-            freeze(psi, grid, cells[source], foot, via[source], best[source], source, guess, w)
-            state[source] = FROZEN
-            if voxels_along(foot[source, 0], foot[source, 1], foot[source, 2], grid) > half_width:
-                continue
+    for source in sources:
         cell = cells[source]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
         for side in range(6):
-            other_cell = near[side]
-            if other_cell < 0:
+            if near[side] < 0:
                 continue
-            other = slot[other_cell]
-            if pull:
-                if other < 0 or other >= n_old or state[other] == OPEN:
-                    continue
-                target, through, sign = source, other, 1.0
-            else:
-                if other >= 0 and state[other] != OPEN:
-                    continue
-                target, through, sign = other, source, -1.0
-            cz = foot[through, 0] + sign * steps[side, 0]
-            cy = foot[through, 1] + sign * steps[side, 1]
-            cx = foot[through, 2] + sign * steps[side, 2]
-            if flattened(foot, through, grid, cz, cy, cx, guess) > reach:
+            other = slot[near[side]]
+            if other >= 0:
+                stirred[other] = True
                 continue
-            if target < 0:
-                target = n
-                cells = grown(cells, n)
-                foot = grown_rows(foot, n)
-                state = grown(state, n)
-                best = grown(best, n)
-                lowest = grown(lowest, n)
-                via = grown(via, n)
-                cells[n] = other_cell
-                state[n] = OPEN
-                best[n] = 1e30
-                lowest[n] = 1 << 30
-                slot[other_cell] = n
-                n += 1
-            d = np.sqrt(cz * cz + cy * cy + cx * cx)
-            if d < best[target]:
-                best[target] = d
-                via[target] = through
-                foot[target, 0] = cz
-                foot[target, 1] = cy
-                foot[target, 2] = cx
-                into = min(max(int(d / width), bucket), buckets - 1)
-                if into < lowest[target]:
-                    lowest[target] = into
-                    entry_slot = grown(entry_slot, entries)
-                    entry_next = grown(entry_next, entries)
-                    entry_slot[entries] = target
-                    entry_next[entries] = head[into]
-                    head[into] = entries
-                    entries += 1
-    return cells, foot, state, n
+            oz, oy, ox = step_of(side, grid)
+            cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
+            if flattened(foot, source, grid, cz, cy, cx, guess) > reach:
+                continue
+            cells, foot = grown(cells, n), grown_rows(foot, n)
+            state, stirred = grown(state, n), grown(stirred, n)
+            cells[n], state[n], stirred[n] = near[side], OPEN, True
+            slot[near[side]] = n
+            n += 1
+    return cells, foot, state, stirred, n
+
+
+@kernel
+def closer_foot(s, dense, grid, cells, foot, state, near, out):
+    """The neighbour's foot that is closest to slot ``s``, when closer than its own by `CLOSER`, into ``out``.
+
+    Returns whether there is one.
+    """
+    h = min(grid.hz, min(grid.hy, grid.hx))
+    least = 1e30 if state[s] == OPEN else length(foot, s) - CLOSER * h
+    found = False
+    cell = cells[s]
+    iz, iy, ix = unravel(cell, grid)
+    neighbours(cell, iz, iy, ix, grid, near)
+    for side in range(6):
+        other = dense.slot[near[side]] if near[side] >= 0 else -1
+        if other < 0 or state[other] == OPEN:
+            continue
+        oz, oy, ox = step_of(side, grid)
+        cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
+        d = np.sqrt(cz * cz + cy * cy + cx * cx)
+        if d < least:
+            least, found = d, True
+            out[0], out[1], out[2] = cz, cy, cx
+    return found
+
+
+@kernel
+def pull_feet(start, stop, dense, grid, cells, foot, state, on, better, changed):
+    """One round: each of the slots ``on`` (m,) looks for a closer foot among its neighbours'.
+
+    Reads ``foot`` and ``state`` and writes ``better`` (m, 3) and ``changed`` (m,), for `take_feet`.
+    """
+    near = np.empty(6, np.int64)
+    guess = np.empty(3)
+    for row in range(start, stop):
+        changed[row] = closer_foot(on[row], dense, grid, cells, foot, state, near, guess)
+        better[row, 0], better[row, 1], better[row, 2] = guess[0], guess[1], guess[2]
+
+
+@kernel
+def take_feet(start, stop, on, better, changed, foot, state):
+    """Take the feet of a round over."""
+    for row in range(start, stop):
+        if changed[row]:
+            s = on[row]
+            foot[s, 0], foot[s, 1], foot[s, 2] = better[row, 0], better[row, 1], better[row, 2]
+            state[s] = FROZEN
+
+
+@kernel
+def polish_feet(start, stop, psi, grid, cells, on, foot):
+    """Move the feet of the slots ``on`` (m,), taken over from neighbours, to their own closest points.
+
+    A foot that does not get shorter, further off than the radius of curvature, stays.
+    """
+    out = np.empty(3)
+    w = np.empty(24)
+    memory = np.zeros(ROWS * TOGETHER, np.float32)
+    feet = memory[: 3 * TOGETHER].reshape(3, TOGETHER)
+    status = memory[3 * TOGETHER : 4 * TOGETHER]
+    at = np.empty(TOGETHER, np.int64)
+    for first in range(start, stop, TOGETHER):
+        count = min(TOGETHER, stop - first)
+        for i in range(count):
+            s = on[first + i]
+            at[i] = cells[s]
+            feet[0, i], feet[1, i], feet[2, i] = foot[s, 0], foot[s, 1], foot[s, 2]
+        closest_points(count, psi, grid, at, memory, w)
+        for i in range(count):
+            s = on[first + i]
+            iz, iy, ix = unravel(at[i], grid)
+            out[0], out[1], out[2] = feet[0, i], feet[1, i], feet[2, i]
+            d = np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
+            shorter = status[i] == FOUND and d <= length(foot, s) * (1.0 + 1e-3)
+            if shorter and is_near_volume(grid, iz, iy, ix, out):
+                foot[s, 0], foot[s, 1], foot[s, 2] = out[0], out[1], out[2]
 
 
 @kernel

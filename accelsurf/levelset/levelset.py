@@ -17,6 +17,8 @@ from accelsurf.levelset.parallel import Workers
 #: are evaluated there; the other band cells get the front's values along the normals. Linear interpolation
 #: at a foot reaches sqrt(3) voxels.
 FRONT_WIDTH = 2.0
+#: Rounds of closest points that are passed on: more than the cells of a way through the band.
+MOST_ROUNDS = 64
 #: Components of at most this many voxels are below what the grid resolves (a ball of radius 1.5 voxels).
 SMALLEST = 14
 
@@ -46,13 +48,16 @@ class LevelSet:
     Parameters
     ----------
     psi : ndarray (nz, ny, nx)
-        Any function negative inside and positive outside; its zero level is the surface. Not modified.
+        Any function negative inside and positive outside; its zero level is the surface. Not modified, unless
+        ``overwrite`` says so.
     spacing : sequence of 3 floats
         (hz, hy, hx), mm.
     half_width : float
         Half width of the band in voxels along the normal; where the spacings differ the band is wider, see `_slant`.
     workers : Workers
         The threads to use.
+    overwrite : bool
+        ``psi`` is not needed any more: its memory is used instead of a copy's.
 
     Notes
     -----
@@ -61,7 +66,12 @@ class LevelSet:
     """
 
     def __init__(
-        self, psi: np.ndarray, spacing: Sequence[float], half_width: float = 3.0, workers: Workers | None = None
+        self,
+        psi: np.ndarray,
+        spacing: Sequence[float],
+        half_width: float = 3.0,
+        workers: Workers | None = None,
+        overwrite: bool = False,
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
@@ -81,7 +91,7 @@ class LevelSet:
         self._measured: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self._inner = np.zeros(0, np.bool_)
         self._fronts: dict[float, np.ndarray] = {}
-        dense = np.array(psi, dtype=np.float32, order="C", copy=True).ravel()
+        dense = np.array(psi, dtype=np.float32, order="C", copy=None if overwrite else True).ravel()
         self.dense = Lattice(dense, np.full(dense.size, -1, np.int32))
         self._start()
 
@@ -91,10 +101,11 @@ class LevelSet:
         march.front_cells(self.dense, self.grid, cells)
         self.dense.slot[cells] = np.arange(count, dtype=np.int32)
         self.band = Band(cells, self.dense.psi[cells], np.zeros((count, 3), np.float32))
-        self._inside_beyond_band = int(np.count_nonzero(self.dense.psi < 0)) - int(np.count_nonzero(self.band.psi < 0))
+        voxels = self.dense.psi.size
+        inside = int(self.workers.sums(region.inside_count, voxels, 1, self.dense.psi)[0])
+        self._inside_beyond_band = inside - int(np.count_nonzero(self.band.psi < 0))
         self.redistance()
-        outside = self.dense.slot < 0
-        self.dense.psi[outside] = np.where(self.dense.psi[outside] < 0, -self.gamma, self.gamma)
+        self.workers.run(band_kernels.flatten_beyond, voxels, self.dense, self.gamma)
 
     # -- what it is ----------------------------------------------------------------------------------------
 
@@ -236,7 +247,8 @@ class LevelSet:
         Between `advance` and `redistance`: signs are flipped, distances follow in the latter.
         """
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
-        inside, outside, _ = band_kernels.small_components(self.dense, self.grid, self.band, SMALLEST, depth)
+        small = band_kernels.small_components
+        inside, outside, _ = self.workers.alone(small, self.dense, self.grid, self.band, SMALLEST, depth)
         return int(inside + outside)
 
     def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:
@@ -272,21 +284,12 @@ class LevelSet:
         Change
         """
         run, n = self.workers.run, self.size
-        # Room for the cells that a step takes in.
-        room = n + n // 4 + 1024
-        cells, foot, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
-        cells[:n] = self.band.cells
-        inner = self.gamma - 1.5 * max(self.grid.hz, self.grid.hy, self.grid.hx)
-        found = np.empty(n, np.int8)
-        run(march.find_feet, n, self.dense, self.grid, self.band, inner, foot, found)
-        run(march.review_feet, n, self.dense, self.grid, self.band.cells, foot, found, state)
-        cells, foot, state, total = march.march(self.dense, self.grid, cells, n, foot, state, self.half_width)
-        self.workers.visited += total
+        cells, foot, state, total = self._feet()
         keep = np.empty(total, np.bool_)
         run(band_kernels.keep_mask, total, self.grid, foot, state, self.half_width, keep)
         entered = n + np.flatnonzero(keep[n:])
         entered = entered[np.argsort(cells[entered], kind="stable")]
-        order = band_kernels.merged_order(cells, n, keep, entered)
+        order = self.workers.alone(band_kernels.merged_order, cells, n, keep, entered)
 
         size = order.size
         new = Band(np.empty(size, np.int64), np.empty(size, np.float32), np.empty((size, 3), np.float32))
@@ -303,6 +306,37 @@ class LevelSet:
         run(band_kernels.store_band, size, self.dense, new)
         self.band, self._outwards, self._measured, self._fronts = new, None, None, {}
         return change
+
+    def _feet(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """Closest points of psi as it is: (cells, feet, states, n), the band's slots first, then those that may enter."""
+        run, grid, dense, n = self.workers.run, self.grid, self.dense, self.size
+        # Room for the cells that a step takes in.
+        room = n + n // 4 + 1024
+        cells, foot, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
+        cells[:n] = self.band.cells
+        inner, found = self.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx), np.empty(n, np.int8)
+        run(march.find_feet, n, dense, grid, self.band, inner, foot, found)
+        run(march.review_feet, n, dense, grid, self.band.cells, foot, found, state)
+        reach, known = self.half_width + march.SLACK, n
+        loose, sources = np.flatnonzero(state[:n] == march.OPEN), np.flatnonzero(state[:n] == march.EDGE)
+        stirred = np.zeros(room, np.bool_)
+        stirred[loose] = True
+        for _ in range(MOST_ROUNDS):
+            cells, foot, state, stirred, total = self.workers.alone(
+                march.spread, dense, grid, cells, foot, state, known, sources, reach, stirred
+            )
+            loose, known = np.concatenate([loose, np.arange(known, total)]), total
+            on = loose[stirred[loose]]
+            if on.size == 0:
+                break
+            better, changed = np.empty((on.size, 3), np.float32), np.empty(on.size, np.bool_)
+            run(march.pull_feet, on.size, dense, grid, cells, foot, state, on, better, changed)
+            run(march.take_feet, on.size, on, better, changed, foot, state)
+            stirred[on] = False
+            sources = on[changed]
+        taken = loose[state[loose] != march.OPEN]
+        run(march.polish_feet, taken.size, dense.psi, grid, cells, taken, foot)
+        return cells, foot, state, known
 
     def _carried(
         self, new: Band, fields: Sequence[np.ndarray], carried: tuple[np.ndarray, float]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
@@ -10,6 +11,9 @@ from typing import Any
 import numpy as np
 
 from accelsurf.kernels.grid import BLOCK
+
+#: Fewest blocks that are worth handing to another thread.
+LEAST_BLOCKS = 2
 
 
 class Workers:
@@ -23,42 +27,63 @@ class Workers:
         self.threads = threads
         #: Band cells handed to kernels so far: the cost of a run that does not depend on the machine.
         self.visited = 0
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        #: Wall seconds by kernel, for `--profile`.
+        self.seconds: dict[str, float] = {}
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def run(self, kernel: Callable[..., Any], size: int, *args: Any) -> None:
         """Call ``kernel(start, stop, *args)`` so that the ranges cover ``0 .. size``."""
         if size == 0:
             return
         self.visited += size
-        blocks = -(-size // BLOCK)
-        if self._pool is None or blocks == 1:
-            kernel(0, size, *args)
-            return
-        # A few ranges per thread: the cost of a slot varies (front or not), the bytes do not.
-        per_task = max(1, -(-blocks // (4 * self.threads))) * BLOCK
-        tasks = [
-            self._pool.submit(kernel, start, min(start + per_task, size), *args) for start in range(0, size, per_task)
-        ]
-        for task in tasks:
-            task.result()
+        began = time.perf_counter()
+        self._shared(kernel, size, BLOCK, args)
+        self._spent(kernel, began)
 
     def sums(self, kernel: Callable[..., Any], size: int, columns: int, *args: Any) -> np.ndarray:
         """Sum the rows that ``kernel(first_block, last_block, *args, rows)`` leaves, one per block, in order."""
         blocks = -(-size // BLOCK)
         self.visited += size
         rows = np.zeros((blocks, columns))
-        if self._pool is None or blocks <= 1:
-            kernel(0, blocks, *args, rows)
-        else:
-            per_task = max(1, -(-blocks // (4 * self.threads)))
-            tasks = [
-                self._pool.submit(kernel, first, min(first + per_task, blocks), *args, rows)
-                for first in range(0, blocks, per_task)
-            ]
-            for task in tasks:
-                task.result()
+        began = time.perf_counter()
+        self._shared(kernel, blocks, 1, (*args, rows))
+        self._spent(kernel, began)
         total: np.ndarray = rows.sum(axis=0)
         return total
+
+    def alone(self, kernel: Callable[..., Any], *args: Any) -> Any:
+        """Call a kernel that cannot be shared out, on this thread."""
+        began = time.perf_counter()
+        result = kernel(*args)
+        self._spent(kernel, began)
+        return result
+
+    def _spent(self, kernel: Callable[..., Any], began: float) -> None:
+        name = kernel.__name__
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+
+    def _shared(self, kernel: Callable[..., Any], size: int, block: int, args: tuple[Any, ...]) -> None:
+        """Share ``0 .. size`` out in ranges of whole blocks to the threads, this one among them."""
+        blocks = -(-size // block)
+        if self._pool is None or blocks < 2 * LEAST_BLOCKS:
+            kernel(0, size, *args)
+            return
+        # A few ranges per thread: the cost of a slot varies (front or not), the bytes do not.
+        step = max(LEAST_BLOCKS, -(-blocks // (4 * self.threads))) * block
+        ranges = iter([(start, min(start + step, size)) for start in range(0, size, step)])
+
+        def drain() -> None:
+            for start, stop in ranges:
+                kernel(start, stop, *args)
+
+        others = [self._pool.submit(drain) for _ in range(self.threads - 1)]
+        try:
+            drain()
+        finally:
+            # One that has not begun has nothing left to do.
+            for other in others:
+                if not other.cancel():
+                    other.result()
 
     def close(self) -> None:
         """End the threads."""
