@@ -106,8 +106,15 @@ def plain_cubic_rows(values: Any, rows: Any, uz: float, uy: float, ux: float) ->
     return float(np.einsum("ijk,i,j,k", nodes, *(_plain_weights(u) for u in (uz, uy, ux))))
 
 
+def _check(array: Any, dtype: Any) -> None:
+    """Anything but a contiguous array of ``dtype`` would be read as if it were one."""
+    if not (isinstance(array, types.Array) and array.dtype == dtype and array.layout == "C"):
+        raise numba.TypingError(f"contiguous {dtype} expected, not {array}")
+
+
 @intrinsic
 def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):  # type: ignore[no-untyped-def]
+    _check(array, types.float32)
     signature = types.UniTuple(types.float32, 4)(
         array, types.intp, types.intp, types.intp, types.float32, types.float32, types.float32
     )
@@ -136,6 +143,8 @@ def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):  # type: ignore[no-un
 
 @intrinsic
 def _cubic_rows(typing_context, values, rows, uz, uy, ux):  # type: ignore[no-untyped-def]
+    _check(values, types.float32)
+    _check(rows, types.int64)
     signature = types.float32(values, rows, types.float32, types.float32, types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
