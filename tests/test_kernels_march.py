@@ -261,7 +261,8 @@ def test_refine_goes_on_from_the_level_that_it_is_given():
         level = interpolate.value_and_gradient(psi.ravel(), grid, *at, w)
         found = closest.refine(psi.ravel(), grid, *cell, other, w, level)
         assert closest.closest_point(psi.ravel(), grid, *cell, one, w) == found
-        np.testing.assert_array_equal(one, other)
+        # A division here is a product there; where that rounds a place to another float32 the level changes by as much.
+        np.testing.assert_allclose(one, other, rtol=0, atol=4 * EPS)
         converged += found
         # Where the level is flat or no number, nothing is moved.
         for value in (0.0, np.nan):
@@ -300,7 +301,7 @@ def test_guesses_are_the_first_guess_or_the_old_foot_drawn_out(shape):
         s = first + i
         cell = np.unravel_index(s, shape)
         _, near = around(grid, cell)
-        assert beside[i] == any(crosses(psi, s, other) for other in near)
+        assert beside[i] == any(crosses(psi, cell, other) for other in near)
         want = np.zeros(3)
         if abs(band.psi[s]) > inner:
             want = float(dense.psi[s]) / float(band.psi[s]) * band.foot[s].astype(float)
@@ -318,7 +319,7 @@ def test_where_the_surface_has_moved_the_old_foot_is_drawn_out_by_what_psi_has_c
     """At the band's edge, where a centred difference would reach the jump to +-gamma: exact for a plane moved along."""
     shape = (5, 6, 12)
     psi, n = plane(shape, (1.0, 1.0, 1.0), (0, 0, 1), 0.1)
-    moved = psi - 0.4
+    moved = psi - 0.3
     near_band = np.abs(psi) < 3
     dense, band = reference.whole_band(np.where(near_band, moved, np.sign(moved) * 3.0), -psi.reshape(-1, 1) * n)
     band.psi[:] = psi.ravel()
