@@ -125,7 +125,7 @@ def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):  # type: ignore[no-un
         at, sy, sz = args[1:4]
         (wz, wy, wx), (gz, gy, gx) = ([form(u) for u in args[4:7]] for form in (e.weights, e.slopes))
         values, slopes = [], []
-        for i in range(4):
+        for _ in range(4):
             rows = []
             for _ in range(4):
                 rows.append(e.row(data, at))
@@ -162,7 +162,8 @@ def _cubic_rows(typing_context, values, rows, uz, uy, ux):  # type: ignore[no-un
 
 
 #: ``cubic(array, at, sy, sz, uz, uy, ux)``: value and slopes (z, y, x) per voxel of the raveled float32 ``array`` at
-#: (uz, uy, ux) voxels from node ``at``, the first of four along each axis; strides ``sy`` and ``sz``. Nothing is checked.
+#: (uz, uy, ux) voxels from node ``at``, the first of four along each axis; strides ``sy`` and ``sz``. No index is
+#: checked, not even with NUMBA_BOUNDSCHECK.
 cubic: Any = plain_cubic if numba.config.DISABLE_JIT else _cubic
 #: ``cubic_rows(values, rows, uz, uy, ux)``: the value alone, the sixteen rows of four nodes beginning at ``rows``
 #: (int64, z by z) in float32 ``values``.
