@@ -265,6 +265,15 @@ def test_every_single_missing_node_is_noticed():
             slot, values, _ = band_of(shape, present, 20)
 
 
+def test_a_row_that_begins_one_before_the_bands_first_cell_is_not_in_it():
+    """-1 and the slots 0, 1, 2: three apart, as in a row that is."""
+    shape = (6, 6, 6)
+    for i, j in np.ndindex(4, 4):
+        slot, values, _ = band_of(shape, np.ones(shape, bool), 22)
+        slot.reshape(shape)[1 + i, 1 + j, 1:5] = (-1, 0, 1, 2)
+        assert rows_from(slot, values.size, shape, (1, 1, 1))[0] is False
+
+
 @pytest.mark.parametrize("share", [0.9, 0.97, 0.995])
 def test_rows_of_a_band_with_holes_as_node_by_node(share):
     """Holes, and cells that have come in since with slots beyond the band's, in any order."""

@@ -197,16 +197,19 @@ def test_the_first_correction_of_many_is_that_of_one():
     """With relax 1, to the rounding of float32 in the sums f.g - v and g.g; done where it is small."""
     grid = reference.grid_of((5, 5, 5), UNEQUAL)
     feet, levels = (a.astype(np.float32) for a in random_levels(150, 2))
-    # A third of them nearly right: the foot under the cell and on the level, off by 0 to 0.04 voxel.
+    # A third of them nearly right: the foot under the cell, the level off by about as much as is allowed.
     rng = np.random.default_rng(3)
     for i in range(50):
         g = levels[i, 1:]
-        feet[i] = rng.uniform(-3, 3) * g / np.linalg.norm(g)
-        levels[i, 0] = rng.uniform(-0.04, 0.04) * np.linalg.norm(g)
-    levels[50:53, 1:] *= 0.01  # too little slope
-    levels[53, 1:] = 0
+        n = g / np.linalg.norm(g)
+        feet[i] = rng.uniform(-3, 3) * n
+        limit = closest.FIRST_TOLERANCE * max(1, np.linalg.norm(feet[i] / UNEQUAL))
+        levels[i, 0] = rng.uniform(0.95, 1.05) * limit * np.linalg.norm(g) / np.linalg.norm(n / UNEQUAL)
+    # Too little slope, though nothing is left to correct; none; no numbers.
+    feet[50:54] = levels[50:54, 0] = 0
+    levels[50:53, 1:] *= 0.1 / np.linalg.norm(levels[50:53, 1:], axis=1)[:, None]
+    levels[53] = 0
     levels[54] = np.nan
-    levels[53, 0] = 0
     count, room = 137, 150
     corrected, done = np.full((3, room), np.float32(-77)), np.full(room, True)
     rows = np.ascontiguousarray(feet.T), np.ascontiguousarray(levels.T)
@@ -229,7 +232,7 @@ def test_the_first_correction_of_many_is_that_of_one():
             assert done[i] == (voxels < limit)
         else:
             near_limit += 1
-    assert near_limit < 3
+    assert near_limit < 5
     assert 10 < done[:50].sum() < 50
 
 

@@ -193,6 +193,20 @@ def test_measures_reach_the_corners_of_the_voxels(feet):
     np.testing.assert_allclose(part, want, atol=1e-4)
 
 
+def test_measures_reach_the_corners_of_very_unequal_voxels():
+    """There half a diagonal is more voxels along the normal than the area's layer or the curvature's is wide."""
+    shape, spacing, n = (5, 8, 13), (6.0, 1.0, 0.5), np.array((0.5, 0.2, 0.85))
+    n /= np.linalg.norm(n)
+    z, y, x = reference.coordinates(shape, spacing, (np.array(shape) - 1) / 2 * spacing)
+    psi = (n[0] * z + n[1] * y + n[2] * x - 0.1).astype(np.float32)
+    part, area, _ = measured(psi, spacing, -psi.reshape(-1, 1) * n, 0.5)
+    want = np.array([reference.cut_voxel(float(d), n, spacing)[0] for d in psi.ravel()])
+    far = np.abs(psi.ravel()) * np.linalg.norm(n / spacing) > 1.6
+    assert (want[far] * (1 - want[far])).max() > 0.01
+    np.testing.assert_allclose(part, want, atol=1e-4)
+    assert not area[far].any()
+
+
 def test_where_psi_is_flat_a_voxel_is_in_or_out_and_not_bent():
     for value in (-0.5, 0.5):
         part, _, bend = measured(np.full((5, 6, 7), value), SPACING, np.full((210, 3), 0.5), 2.0)
