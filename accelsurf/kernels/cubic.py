@@ -113,7 +113,7 @@ def _check(array: Any, dtype: Any) -> None:
 
 
 @intrinsic
-def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):  # type: ignore[no-untyped-def]
+def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):
     _check(array, types.float32)
     signature = types.UniTuple(types.float32, 4)(
         array, types.intp, types.intp, types.intp, types.float32, types.float32, types.float32
@@ -142,7 +142,7 @@ def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):  # type: ignore[no-un
 
 
 @intrinsic
-def _cubic_rows(typing_context, values, rows, uz, uy, ux):  # type: ignore[no-untyped-def]
+def _cubic_rows(typing_context, values, rows, uz, uy, ux):
     _check(values, types.float32)
     _check(rows, types.int64)
     signature = types.float32(values, rows, types.float32, types.float32, types.float32)
