@@ -14,7 +14,8 @@ from accelsurf.kernels.grid import Band, Grid, Lattice
 
 
 def grid_of(shape, spacing) -> Grid:
-    return Grid(*(int(n) for n in shape), *(float(h) for h in spacing))
+    """Spacings as numpy's float64: with the compiler off, float32 times a float of Python would stay float32."""
+    return Grid(*(int(n) for n in shape), *(np.float64(h) for h in spacing))
 
 
 def coordinates(shape, spacing, centre):

@@ -76,47 +76,148 @@ def test_gather_keeps_signs_and_never_gives_zero():
     assert new.psi[4] != 0
 
 
-@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6)])
-def test_fields_are_sampled_at_the_feet(shape):
-    """Cubic in a full band; the known of the eight elsewhere; the own value where none is known."""
-    dense, band, present = scattered(shape, 4, share=0.8)
-    n = band.cells.size
-    values = np.random.default_rng(5).standard_normal(n).astype(np.float32)
-    known = np.random.default_rng(6).random(n) < 0.8
-    grid, out = reference.grid_of(shape, SPACING), np.full(n, np.nan, np.float32)
-    band_kernels.sample_at_feet(0, n, dense.slot, grid, band, n, known, values, out)
-    on_grid, is_known = np.zeros(shape, np.float32), np.zeros(shape, bool)
-    on_grid[present], is_known[present] = values, known
-    at = np.argwhere(present) + band.foot.astype(float) / SPACING
-    for s in range(n):
-        base = [reference.axis_weights(at[s, a : a + 1], shape[a])[0][0] for a in range(3)]
-        block = tuple(slice(b, b + min(m, 4)) for b, m in zip(base, shape, strict=True))
-        if is_known[block].all():
-            held = np.clip(at[s], 0, np.array(shape) - 1.0)
-            want = reference.interpolate(on_grid, held)[0][0]
+def sampled_by_the_twin(shape, present, values, cells, foot, old_slot):
+    """What `sample_at_feet` should give: cubic where all nodes are ``present``, else linear, else the own value."""
+    on_grid = np.zeros(shape, np.float32)
+    on_grid[present] = values
+    at = np.stack(np.unravel_index(cells, shape), axis=1) + foot.astype(float) / SPACING
+    want, ways = np.empty(cells.size), []
+    for s, cell in enumerate(cells):
+        if reference.has_stencil(present, at[s]):
+            want[s] = reference.interpolate(on_grid, np.clip(at[s], 0, np.array(shape) - 1.0))[0][0]
+            ways.append("cubic")
         else:
-            want, found = reference.known_linear(on_grid, is_known, at[s])
+            want[s], found = reference.known_linear(on_grid, present, at[s])
             if not found:
-                want = values[s] if known[s] else 0.0
-        assert out[s] == pytest.approx(want, abs=2e-5)
+                want[s] = values[old_slot[cell]] if old_slot[cell] >= 0 else 0.0
+            ways.append("linear" if found else "own")
+    return want, ways
 
 
-@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6)])
-def test_extension_replaces_values_off_the_front_only(shape):
+@pytest.mark.parametrize("fields", [1, 3])
+@pytest.mark.parametrize("share", [0.3, 0.8, 0.99, 1.0])
+@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5)])
+def test_fields_are_sampled_at_the_feet(shape, share, fields):
+    """Cubic in a full band; the known of the eight elsewhere; the own value where none is known.
+
+    As after a march: the new band has cells that the old one had not, the slot map holds slots of cells that have come
+    in since, in any order, and some old cells are gone.
+    """
+    dense, old, present = scattered(shape, 4, share)
+    n_old = old.cells.size
+    rng = np.random.default_rng(5)
+    values = rng.standard_normal((fields, n_old)).astype(np.float32)
+    old_slot = dense.slot.copy()
+    entered = rng.permutation(np.flatnonzero(~present))
+    dense.slot[entered] = n_old + np.arange(entered.size)
+    cells = np.sort(np.concatenate([old.cells[rng.random(n_old) < 0.9], entered]))
+    foot = (rng.uniform(-1, 1, (cells.size, 3)) * SPACING).astype(np.float32)
+    foot[::7] = 0  # on nodes
+    if shape[0] == 1:
+        foot[:, 0] = 0
+    new = Band(cells, np.linalg.norm(foot, axis=1).astype(np.float32), foot)
+    out = np.full((fields, cells.size), np.nan, np.float32)
+    band_kernels.sample_at_feet(0, cells.size, dense.slot, reference.grid_of(shape, SPACING), new, values, out)
+    for field in range(fields):
+        want, ways = sampled_by_the_twin(shape, present, values[field], cells, foot, old_slot)
+        np.testing.assert_allclose(out[field], want, rtol=0, atol=2e-5)
+    if min(shape) > 4:
+        assert ("cubic" in ways) == (share > 0.9)
+        assert share > 0.5 or "own" in ways
+    if share == 1:
+        assert set(ways) == {"cubic"}
+
+
+def test_fields_sampled_are_the_same_bytes_alone_and_together_and_in_any_range():
+    shape = (7, 9, 8)
+    dense, band, _ = scattered(shape, 6, share=0.995)
+    n, grid = band.cells.size, reference.grid_of(shape, SPACING)
+    values = np.random.default_rng(7).standard_normal((3, n)).astype(np.float32)
+    whole, parts = np.full((3, n), np.nan, np.float32), np.full((3, n), np.nan, np.float32)
+    band_kernels.sample_at_feet(0, n, dense.slot, grid, band, values, whole)
+    assert np.isfinite(whole).all()
+    for start, stop in ((0, 1), (1, 200), (200, n - 3), (n - 3, n)):
+        band_kernels.sample_at_feet(start, stop, dense.slot, grid, band, values, parts)
+        assert np.isfinite(parts[:, start:stop]).all() and np.isnan(parts[:, stop:]).all()
+    np.testing.assert_array_equal(parts, whole)
+    for field in range(3):
+        alone = np.empty((1, n), np.float32)
+        band_kernels.sample_at_feet(0, n, dense.slot, grid, band, values[field : field + 1], alone)
+        np.testing.assert_array_equal(alone[0], whole[field])
+
+
+def extended(dense, grid, band, front, values):
+    """``values`` after `extend_outwards` by a fresh `outward_table`, and the table: as a level set does it."""
+    off = np.flatnonzero(~front).astype(np.int32)
+    slots, shares = np.full((off.size, 8), -1, np.int32), np.full((off.size, 8), np.nan, np.float32)
+    band_kernels.outward_table(0, off.size, dense.slot, grid, band, front, off, slots, shares)
+    out = values.copy()
+    band_kernels.extend_outwards(0, off.size, off, slots, shares, out)
+    return out, off, slots, shares
+
+
+@pytest.mark.parametrize("on_front", [0.5, 0.1, 0.0, 1.0])
+@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 1, 4)])
+def test_extension_replaces_values_off_the_front_only(shape, on_front):
     dense, band, present = scattered(shape, 7, share=0.7)
     n = band.cells.size
     rng = np.random.default_rng(8)
-    values = rng.standard_normal(n).astype(np.float32)
-    front = rng.random(n) < 0.5
-    before = values.copy()
-    band_kernels.extend_outwards(0, n, dense.slot, reference.grid_of(shape, SPACING), band, front, values)
+    before = rng.standard_normal(n).astype(np.float32)
+    front = rng.random(n) < on_front
+    values, off, slots, shares = extended(dense, reference.grid_of(shape, SPACING), band, front, before)
     np.testing.assert_array_equal(values[front], before[front])
     on_grid, is_front = np.zeros(shape, np.float32), np.zeros(shape, bool)
     on_grid[present], is_front[present] = before, front
     at = np.argwhere(present) + band.foot.astype(float) / SPACING
-    for s in np.flatnonzero(~front):
-        want, found = reference.known_linear(on_grid, is_front, at[s])
-        assert values[s] == pytest.approx(want if found else 0.0, abs=2e-5)
+    found = np.zeros(off.size, bool)
+    for row, s in enumerate(off):
+        want, found[row] = reference.known_linear(on_grid, is_front, at[s])
+        assert values[s] == pytest.approx(want if found[row] else 0.0, abs=2e-5)
+    # The table: front cells with weights of sum 1, and where none counts the cell itself with weight 0.
+    assert front[slots[shares > 0]].all()
+    assert (slots[shares == 0] == np.repeat(off, 8).reshape(-1, 8)[shares == 0]).all()
+    assert (shares >= 0).all()
+    np.testing.assert_allclose(shares.sum(axis=1, dtype=float), found, atol=1e-6)
+    assert found.any() == (0 < on_front < 1) or n < 20
+
+
+def test_extension_of_one_field_by_the_table_of_another():
+    """The table knows nothing of values: kept for the next field with the same mask."""
+    shape = (5, 6, 7)
+    dense, band, _ = scattered(shape, 9)
+    grid, n = reference.grid_of(shape, SPACING), band.cells.size
+    rng = np.random.default_rng(10)
+    front = rng.random(n) < 0.4
+    one, other = rng.standard_normal((2, n)).astype(np.float32)
+    _, off, slots, shares = extended(dense, grid, band, front, one)
+    got = other.copy()
+    band_kernels.extend_outwards(0, off.size, off, slots, shares, got)
+    np.testing.assert_array_equal(got, extended(dense, grid, band, front, other)[0])
+
+
+def test_nan_off_the_front_does_not_reach_the_extension():
+    dense, band, _ = scattered((5, 6, 7), 11)
+    n = band.cells.size
+    front = np.random.default_rng(12).random(n) < 0.3
+    values = np.where(front, 2, np.nan).astype(np.float32)
+    got, *_ = extended(dense, reference.grid_of((5, 6, 7), SPACING), band, front, values)
+    assert set(np.round(got, 5)) == {0, 2}
+
+
+def test_extension_only_in_its_range():
+    dense, band, _ = scattered((5, 6, 7), 13)
+    grid, n = reference.grid_of((5, 6, 7), SPACING), band.cells.size
+    front = np.random.default_rng(14).random(n) < 0.5
+    off = np.flatnonzero(~front).astype(np.int32)
+    slots, shares = np.full((off.size, 8), -9, np.int32), np.full((off.size, 8), -9, np.float32)
+    band_kernels.outward_table(10, 25, dense.slot, grid, band, front, off, slots, shares)
+    for array in (slots, shares):
+        assert (array[:10] == -9).all() and (array[25:] == -9).all() and (array[10:25] >= 0).all()
+    values = np.random.default_rng(15).standard_normal(n).astype(np.float32)
+    before = values.copy()
+    band_kernels.extend_outwards(12, 20, off, slots, shares, values)
+    np.testing.assert_array_equal(np.delete(values, off[12:20]), np.delete(before, off[12:20]))
+    assert (values[off[12:20]] != before[off[12:20]]).all()
 
 
 def test_dropped_cells_leave_the_dense_arrays_and_stored_ones_enter():

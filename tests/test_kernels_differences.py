@@ -1,21 +1,19 @@
 """Differences: gradient, curvatures and Godunov's norm against their twins, on every voxel up to the border."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from accelsurf.kernels import differences
+from accelsurf.kernels.grid import Band
+from accelsurf.kernels.stencils import TOGETHER
 from tests import reference
 
 pytestmark = pytest.mark.nojit
 
 SPACING = (3.0, 1.0, 0.7)
 SHAPES = [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5), (5, 1, 6), (6, 5, 2), (1, 1, 5)]
-
-
-def distance_of_ball(shape, spacing, radius):
-    centre = (np.array(shape) - 1) / 2 * spacing + np.array((0.1, -0.2, 0.15))
-    z, y, x = reference.coordinates(shape, spacing, centre)
-    return np.sqrt(z**2 + y**2 + x**2) - radius
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -85,38 +83,31 @@ def test_signs_and_sizes_on_balls_and_cylinders():
     assert gauss == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (3, 4, 5)])
-def test_surface_curvature_as_the_twin(shape):
-    psi = (0.8 * reference.smooth_noise(shape, 2, 2.0)).astype(np.float32)
-    dense, band = reference.whole_band(psi)
-    grid = reference.grid_of(shape, SPACING)
-    front = np.random.default_rng(3).random(psi.size) < 0.8
-    out = np.full(psi.size, np.nan, np.float32)
-    differences.surface_curvature(0, psi.size, dense.psi, grid, band, front, out)
-    want = reference.surface_curvature(psi, SPACING).ravel()
-    gradient, _ = reference.derivatives(psi, SPACING)
-    steep = front & (np.linalg.norm(gradient, axis=-1).ravel() > 0.1)
-    assert steep.sum() > 20
-    # The twin divides by 1 - d k of each curvature, which is ill conditioned beside the centre of curvature.
-    bend = 1 - psi.ravel()[:, None] * reference.principal_curvatures(psi, SPACING).reshape(-1, 2)
-    tame = steep & (np.abs(bend.prod(axis=1) - 0.2) > 1e-3)
-    np.testing.assert_allclose(out[tame], want[tame], rtol=2e-3, atol=2e-4)
-    assert not out[~front].any()
-    assert np.abs(out).max() <= np.float32(2 / min(SPACING))
+def test_curvature_at_foot_undoes_the_distance():
+    """Of a level d off a surface of principal curvatures k: k/(1 + d k) each. Twin: from d to d = 0 and back."""
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        k, d = rng.normal(0, 0.5, 2), rng.uniform(-2, 2)
+        if (1 + d * k).min() < 0.3:
+            continue  # beyond a centre of curvature
+        level = k / (1 + d * k)
+        # (1 - d l1)(1 - d l2), which is 1/((1 + d k1)(1 + d k2)), is what must not be too small.
+        want = k.sum() if (1 - d * level).prod() > 0.2 else level.sum()
+        got = differences.curvature_at_foot(level.sum(), level.prod(), d, 2.0)
+        assert got == pytest.approx(np.clip(want, -2, 2), rel=1e-9, abs=1e-12)
 
 
-def test_surface_curvature_of_a_ball_is_that_at_the_foot():
-    """The same 2/r two voxels inside and two outside."""
-    shape, spacing, radius = (25, 25, 13), (1.0, 1.0, 2.0), 8.0
-    psi = distance_of_ball(shape, spacing, radius)
-    dense, band = reference.whole_band(psi)
-    front = (np.abs(psi) < 2).ravel()
-    out = np.empty(psi.size, np.float32)
-    differences.surface_curvature(0, psi.size, dense.psi, reference.grid_of(shape, spacing), band, front, out)
-    assert np.abs(out[front] * radius / 2 - 1).max() < 0.12
-    assert out[front].mean() == pytest.approx(2 / radius, rel=0.02)
-    not_undone = 2 / (radius + psi.ravel()[front])
-    assert np.abs(not_undone * radius / 2 - 1).max() > 0.2
+@pytest.mark.parametrize(("mean", "gauss", "d", "want"), [
+    (0.5, 0.0625, 0.0, 0.5),  # at the surface nothing is undone
+    (0.5, 0.0625, 2.0, 1.0),  # a ball of radius 2, two off
+    (0.4, 0.04, -2.0, 2 / 7),  # and from inside
+    (0.9, 0.0, 1.0, 0.9),  # 1 - d k = 0.1 is too little to divide by
+    (0.7, 0.0, 1.0, 1.5),  # held
+    (-0.7, 0.0, -1.0, -1.5),
+    (9.0, 0.0, 0.0, 1.5),
+])  # fmt: skip
+def test_curvature_at_foot_of_known_surfaces(mean, gauss, d, want):
+    assert differences.curvature_at_foot(mean, gauss, d, 1.5) == pytest.approx(want)
 
 
 def test_minmod():
@@ -158,6 +149,45 @@ def test_upwind_norms_as_godunovs_theorem(shape):
     assert (out[~front] == 1).all()
 
 
+def test_upwind_norms_of_more_than_one_chunk():
+    """Whole chunks and a rest, with the slow way at the border in each, holes, and cells far from raster neighbours."""
+    shape = (9, 10, 13)
+    psi = reference.smooth_noise(shape, 7, 0.8)
+    rng = np.random.default_rng(8)
+    cells = np.flatnonzero(rng.random(psi.size) < 0.6)
+    n = cells.size
+    assert n > 4 * TOGETHER and n % TOGETHER
+    band = Band(cells, psi.ravel()[cells], np.zeros((n, 3), np.float32))
+    beta, front = rng.standard_normal(n).astype(np.float32), rng.random(n) < 0.8
+    beta[:5] = 0
+    out = np.full(n, np.nan, np.float32)
+    grid = reference.grid_of(shape, SPACING)
+    differences.upwind_norms(0, n, psi.ravel(), grid, band, beta, front, out)
+    shrinking = np.zeros(psi.size, bool)
+    shrinking[cells] = beta > 0
+    want = reference.godunov_norm(psi, SPACING, shrinking.reshape(shape)).ravel()[cells]
+    np.testing.assert_allclose(out[front], want[front], rtol=1e-4, atol=1e-5)
+    assert (out[~front] == 1).all()
+    at = np.stack(np.unravel_index(cells, shape), axis=1)
+    inside = ((at > 1) & (at < np.array(shape) - 2)).all(axis=1) & front
+    chunks = [inside[first : first + TOGETHER] for first in range(0, n, TOGETHER)]
+    assert sum(bool(chunk.any() and not chunk.all()) for chunk in chunks) > 3
+
+
+def test_upwind_norms_are_the_same_bytes_however_the_range_is_cut():
+    psi = reference.smooth_noise((9, 10, 13), 9, 0.8)
+    dense, band = reference.whole_band(psi)
+    n, grid = psi.size, reference.grid_of(psi.shape, SPACING)
+    rng = np.random.default_rng(10)
+    beta, front = rng.standard_normal(n).astype(np.float32), rng.random(n) < 0.8
+    whole, parts = np.full(n, np.nan, np.float32), np.full(n, np.nan, np.float32)
+    differences.upwind_norms(0, n, dense.psi, grid, band, beta, front, whole)
+    cuts = [0, 1, 8, 130, 300, 301, 557, n]
+    for start, stop in itertools.pairwise(cuts):
+        differences.upwind_norms(start, stop, dense.psi, grid, band, beta, front, parts)
+    np.testing.assert_array_equal(whole, parts)
+
+
 @pytest.mark.parametrize("speed", [0.4, -0.4])
 def test_a_wedge_moves_as_the_viscosity_solution(speed):
     """psi = -|x| opens into a fan or keeps its edge, by the sign of beta: |grad psi| at the kink is 0 or 1."""
@@ -172,15 +202,11 @@ def test_a_wedge_moves_as_the_viscosity_solution(speed):
     assert out.reshape(psi.shape)[1, 1, 5] == (0 if speed > 0 else 1)
 
 
-def test_a_range_of_slots_writes_nothing_outside_itself():
+@pytest.mark.parametrize(("start", "stop"), [(40, 50), (3, 3 + 128), (100, 301), (0, 0)])
+def test_a_range_of_slots_writes_nothing_outside_itself(start, stop):
     psi = reference.smooth_noise((7, 9, 8), 6)
     dense, band = reference.whole_band(psi)
     grid, n = reference.grid_of(psi.shape, SPACING), psi.size
-    front = np.ones(n, bool)
-    for call in (
-        lambda out: differences.surface_curvature(40, 50, dense.psi, grid, band, front, out),
-        lambda out: differences.upwind_norms(40, 50, dense.psi, grid, band, dense.psi, front, out),
-    ):
-        out = np.full(n, np.nan, np.float32)
-        call(out)
-        assert np.isfinite(out[40:50]).all() and np.isnan(out[:40]).all() and np.isnan(out[50:]).all()
+    out = np.full(n, np.nan, np.float32)
+    differences.upwind_norms(start, stop, dense.psi, grid, band, dense.psi, np.ones(n, bool), out)
+    assert np.isfinite(out[start:stop]).all() and np.isnan(out[:start]).all() and np.isnan(out[stop:]).all()

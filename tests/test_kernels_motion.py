@@ -128,21 +128,72 @@ def test_kick_holds_its_denominator():
     assert beta[0] == pytest.approx(25)
 
 
+def holed(shape, seed, share=0.8):
+    """(present, slot map, cells) of a band of some of the voxels."""
+    present = np.random.default_rng(seed).random(shape) < share
+    slot, cells = np.full(present.size, -1, np.int32), np.flatnonzero(present)
+    slot[cells] = np.arange(cells.size)
+    return present, slot, cells
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, (3, 1, 5)])
+def test_neighbours_off_the_band_and_beyond_the_border_are_the_cell_itself(shape):
+    present, slot, cells = holed(shape, 4)
+    grid = reference.grid_of(shape, SPACING)
+    on = np.random.default_rng(5).permutation(cells.size)[: cells.size // 2].astype(np.int32)
+    table = np.full((on.size, 6), -9, np.int32)
+    motion.neighbour_slots(1, on.size - 1, slot, grid, cells, on, table)
+    assert (table[[0, -1]] == -9).all()
+    for row in range(1, on.size - 1):
+        cell = np.array(np.unravel_index(cells[on[row]], shape))
+        for side in range(6):
+            other = cell + (1 if side % 2 else -1) * np.eye(3, dtype=int)[side // 2]
+            inside = bool(((other >= 0) & (other < shape)).all()) and present[tuple(other)]
+            want = slot[np.ravel_multi_index(other, shape)] if inside else on[row]
+            assert table[row, side] == want
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_laplacian_as_the_twin_with_holes_and_at_the_border(shape):
-    rng = np.random.default_rng(4)
-    present = rng.random(shape) < 0.8
-    values = rng.standard_normal(shape).astype(np.float32)
-    slot = np.full(values.size, -1, np.int32)
-    cells = np.flatnonzero(present)
-    slot[cells] = np.arange(cells.size)
-    front = rng.random(cells.size) < 0.7
+    """A stage with the weights 0, 1, 0 is the Laplacian, on the cells ``on`` only."""
+    present, slot, cells = holed(shape, 4)
+    values = np.random.default_rng(6).standard_normal(shape).astype(np.float32)
+    grid = reference.grid_of(shape, SPACING)
+    front = np.random.default_rng(7).random(cells.size) < 0.7
+    on = np.flatnonzero(front).astype(np.int32)
     beta = values.ravel()[cells]
+    table = np.empty((on.size, 6), np.int32)
+    motion.neighbour_slots(0, on.size, slot, grid, cells, on, table)
     out = np.full(cells.size, np.nan, np.float32)
-    motion.surface_laplacian(0, cells.size, slot, reference.grid_of(shape, SPACING), cells, beta, front, out)
+    weights = tuple(np.float32(v) for v in (0, 1, 0))
+    motion.diffusion_stage(0, on.size, on, table, grid, beta, np.zeros_like(beta), weights, out)
     want = reference.laplacian(values, present, SPACING).ravel()[cells]
     np.testing.assert_allclose(out[front], want[front], rtol=1e-4, atol=1e-4)
-    assert not out[~front].any()
+    assert np.isnan(out[~front]).all()
+
+
+def test_a_stage_of_diffusion_weighs_the_last_two():
+    shape = (5, 6, 7)
+    present, slot, cells = holed(shape, 8)
+    n, grid = cells.size, reference.grid_of(shape, SPACING)
+    on = np.random.default_rng(10).permutation(n)[: n - 9].astype(np.int32)
+    table = np.empty((on.size, 6), np.int32)
+    motion.neighbour_slots(0, on.size, slot, grid, cells, on, table)
+    old, older = np.random.default_rng(9).standard_normal((2, n)).astype(np.float32)
+    mu, rate, nu = 1.5, 0.07, -0.5
+    weights = tuple(np.float32(v) for v in (mu, rate, nu))
+    out = np.full(n, np.nan, np.float32)
+    motion.diffusion_stage(20, 90, on, table, grid, old, older, weights, out)
+    on_grid = np.zeros(shape, np.float32)
+    on_grid[present] = old
+    lap = reference.laplacian(on_grid, present, SPACING).ravel()[cells]
+    done = on[20:90]
+    np.testing.assert_allclose(out[done], (mu * old + rate * lap + nu * older)[done], rtol=0, atol=5e-6)
+    assert np.isnan(np.delete(out, done)).all()
+    # Of a constant nothing flows, whatever is missing, and the weights add up to 1.
+    ones, out = np.ones(n, np.float32), np.full(n, np.nan, np.float32)
+    motion.diffusion_stage(0, on.size, on, table, grid, ones, ones, weights, out)
+    assert (out[on] == 1).all()
 
 
 def test_rates_are_voxels_along_the_normal():

@@ -1,5 +1,7 @@
 """Cut voxels, smeared shares and sums over regions, against polygons, quadrature and plain numpy."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -55,17 +57,109 @@ def test_smeared_area_by_its_formula(d, voxels):
     """On a sphere: the delta function, less the part d^2 K by which the levels have more area."""
     spacing, r = (1.0, 1.0, 0.75), 9.0
     grid = reference.grid_of((5, 5, 5), spacing)
-    z, y, x = reference.coordinates((5, 5, 5), spacing, (2.0, 2.0, 1.5))
-    psi = (np.sqrt(z**2 + y**2 + (x + r + d) ** 2) - r).astype(np.float32).ravel()
-    got = region.smeared_area(psi, d, voxels, 62, 2, 2, 2, grid)
+    got = region.smeared_area(d, voxels, 0.0, 0.0, 1.0, (r + d) ** -2, grid)
     mm = 0.75  # the normal lies along x
     delta = (1 + np.cos(np.pi * voxels / 1.5)) / (3 * mm) if voxels < 1.5 else 0.0
-    assert got == pytest.approx(delta * (1 - d**2 / (r + d) ** 2) * np.prod(spacing), rel=1e-3, abs=1e-12)
+    assert got == pytest.approx(delta * (1 - d**2 / (r + d) ** 2) * np.prod(spacing), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("gauss", [9.0, -9.0])
+def test_smeared_area_changes_by_a_quarter_at_most_however_curved(gauss):
+    grid = reference.grid_of((5, 5, 5), SPACING)
+    flat, curved = (region.smeared_area(0.5, 0.6, 0.3, -0.2, 0.9, k, grid) for k in (0.0, gauss))
+    assert curved == pytest.approx(flat * (1 - np.sign(gauss) / 4))
+
+
+def test_smeared_area_beside_the_surface_takes_its_normal_from_the_gradient():
+    """Where the foot is too short to tell one; the length of the gradient does not matter."""
+    grid, n = reference.grid_of((5, 5, 5), SPACING), np.array((0.3, -0.7, 0.65))
+    n /= np.linalg.norm(n)
+    per_mm = np.linalg.norm(n / SPACING)
+    want = 2 / 3 * per_mm * np.prod(SPACING)
+    for size in (1.0, 0.4, 7.0):
+        assert region.smeared_area(0.0, 0.0, *(size * n), 0.0, grid) == pytest.approx(want)
+    assert region.smeared_area(0.011 / per_mm, 0.011, *n, 0.0, grid) == pytest.approx(want, rel=1e-3)
+
+
+def measured(psi, spacing, foot, within):
+    """(part, area, bend) by `measure_band` of a whole band."""
+    dense, band = reference.whole_band(psi, foot)
+    n = band.cells.size
+    part, area, bend = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
+    region.measure_band(0, n, dense.psi, reference.grid_of(np.shape(psi), spacing), band, within, part, area, bend)
+    assert np.isfinite(part).all() and np.isfinite(area).all() and np.isfinite(bend).all()
+    return part, area, bend
+
+
+def down_the_gradient(psi, spacing):
+    """(feet (n, 3) at psi off each voxel down its gradient, that gradient)."""
+    gradient = reference.derivatives(psi, spacing)[0].reshape(-1, 3)
+    norm = np.linalg.norm(gradient, axis=1, keepdims=True)
+    return -np.reshape(psi, (-1, 1)) * gradient / np.maximum(norm, 1e-12), gradient
+
+
+#: Voxels whose neighbours are all there, and volumes of nothing but border; 504 voxels are more than one chunk.
+MEASURED = [(7, 9, 8), (1, 9, 12), (3, 4, 5), (2, 5, 6), (5, 1, 6)]
+
+
+@pytest.mark.parametrize("within", [1.0, 2.0, 9.0])
+@pytest.mark.parametrize("shape", MEASURED)
+def test_measured_curvature_as_the_twin(shape, within):
+    psi = (0.8 * reference.smooth_noise(shape, 2, 2.0)).astype(np.float32)
+    foot, gradient = down_the_gradient(psi, SPACING)
+    _, _, bend = measured(psi, SPACING, foot, within)
+    want = reference.surface_curvature(psi, SPACING).ravel()
+    voxels = np.linalg.norm(foot.astype(np.float32).astype(float) / SPACING, axis=1)
+    near, steep = voxels <= within, np.linalg.norm(gradient, axis=1) > 0.1
+    assert (near & steep).sum() > 8
+    # The twin divides by 1 - d k of each curvature, which is ill conditioned beside the centre of curvature.
+    factors = 1 - psi.ravel()[:, None] * reference.principal_curvatures(psi, SPACING).reshape(-1, 2)
+    tame = near & steep & (np.abs(factors.prod(axis=1) - 0.2) > 1e-3)
+    np.testing.assert_allclose(bend[tame], want[tame], rtol=2e-3, atol=2e-4)
+    assert not bend[~near].any()
+    assert np.abs(bend).max() <= np.float32(2 / min(SPACING))
+
+
+def test_measured_curvature_of_a_ball_is_that_at_the_foot():
+    """The same 2/r two voxels inside and two outside."""
+    shape, spacing, radius = (25, 25, 13), (1.0, 1.0, 2.0), 8.0
+    z, y, x = reference.coordinates(shape, spacing, (np.array(shape) - 1) / 2 * spacing + (0.1, -0.2, 0.15))
+    psi = np.sqrt(z**2 + y**2 + x**2) - radius
+    foot = -(psi / (psi + radius))[..., None] * np.stack([z, y, x], axis=-1)
+    _, _, bend = measured(psi, spacing, foot, 2.5)
+    front = (np.abs(psi) < 2).ravel()
+    assert np.abs(bend[front] * radius / 2 - 1).max() < 0.12
+    assert bend[front].mean() == pytest.approx(2 / radius, rel=0.02)
+    not_undone = 2 / (radius + psi.ravel()[front])
+    assert np.abs(not_undone * radius / 2 - 1).max() > 0.2
+
+
+@pytest.mark.parametrize("within", [0.3, 2.0])
+@pytest.mark.parametrize("spacing", [SPACING, (1.0, 1.0, 1.0)])
+@pytest.mark.parametrize("shape", MEASURED)
+def test_measured_shares_and_areas_as_the_twins(shape, spacing, within):
+    """Of rough surfaces, whatever the distance within which the curvature is asked for."""
+    psi = reference.smooth_noise(shape, 3, 1.2)
+    foot, gradient = down_the_gradient(psi, spacing)
+    part, area, _ = measured(psi, spacing, foot, within)
+    steep = np.linalg.norm(gradient, axis=1) > 0.1
+    d = psi.ravel().astype(float)
+    for s in np.flatnonzero(steep):
+        assert part[s] == pytest.approx(reference.cut_voxel(d[s], gradient[s], spacing)[0], abs=5e-4)
+    assert 0.1 < part.mean() < 0.9
+    voxels = np.linalg.norm(foot / spacing, axis=1)
+    per_mm = np.linalg.norm(gradient / spacing, axis=1)[steep] / np.linalg.norm(gradient, axis=1)[steep]
+    delta = np.where(voxels < 1.5, 1 + np.cos(np.pi * voxels / 1.5), 0)[steep] / 3 * per_mm
+    gauss = reference.principal_curvatures(psi, spacing).reshape(-1, 2).prod(axis=1)[steep]
+    want = delta * (1 - np.clip(d[steep] ** 2 * gauss, -0.25, 0.25)) * np.prod(spacing)
+    # The gradient and K are float32, 0.1 steep at least: K to 23 roundings times some 1/0.1^2 of its terms.
+    np.testing.assert_allclose(area[steep], want, rtol=1e-3, atol=1e-6)
+    assert want.max() > 0.1
 
 
 @pytest.mark.parametrize("direction", [(0.3, -0.7, 0.65), (1 / 3.0, 1, 1 / 0.7)])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6)])
-def test_cut_band_of_a_plane_is_exact_up_to_the_border(shape, direction):
+def test_measures_of_a_plane_are_exact_up_to_the_border(shape, direction):
     """Shares add up to the volume on one side, areas to the polygon that the plane cuts out of the box."""
     n = np.array(direction)
     if shape[0] == 1:
@@ -74,9 +168,7 @@ def test_cut_band_of_a_plane_is_exact_up_to_the_border(shape, direction):
     centre = (np.array(shape) - 1) / 2 * SPACING
     z, y, x = reference.coordinates(shape, SPACING, centre)
     psi = (n[0] * z + n[1] * y + n[2] * x - 0.15).astype(np.float32)
-    dense, band = reference.whole_band(psi, -psi.reshape(-1, 1) * n)
-    part, area = np.empty(psi.size), np.empty(psi.size)
-    region.cut_band(0, psi.size, dense.psi, reference.grid_of(shape, SPACING), band, part, area)
+    part, area, bend = measured(psi, SPACING, -psi.reshape(-1, 1) * n, 2.0)
     box = np.array(shape) * SPACING
     want_part, want_area = reference.cut_voxel(-0.15, n, box)
     assert part.sum() * np.prod(SPACING) == pytest.approx(want_part * box.prod(), rel=1e-4)
@@ -84,20 +176,78 @@ def test_cut_band_of_a_plane_is_exact_up_to_the_border(shape, direction):
     assert area.sum() == pytest.approx(want_area, rel=0.05)
     each = [reference.cut_voxel(float(d), n, SPACING)[0] for d in psi.ravel()]
     np.testing.assert_allclose(part, each, atol=4e-4)
+    # Second differences of rounded values are not 0: three of psi's roundings, over h^2.
+    assert np.abs(bend).max() < 3 * 4 * np.finfo(np.float32).eps * np.abs(psi).max() / min(SPACING) ** 2
 
 
-def test_cut_band_reaches_the_corners_of_the_voxels():
+@pytest.mark.parametrize("feet", [True, False])
+def test_measures_reach_the_corners_of_the_voxels(feet):
     """A plane across the diagonal cuts off the last corner of voxels half a diagonal away."""
     shape, n = (6, 7, 8), np.full(3, 1 / np.sqrt(3))
     z, y, x = reference.coordinates(shape, (1, 1, 1), (2.5, 3.0, 3.5))
     psi = ((z + y + x - 0.4) / np.sqrt(3)).astype(np.float32)
-    dense, band = reference.whole_band(psi)
-    part, area = np.empty(psi.size), np.empty(psi.size)
-    region.cut_band(0, psi.size, dense.psi, reference.grid_of(shape, (1, 1, 1)), band, part, area)
+    part, _, _ = measured(psi, (1, 1, 1), -psi.reshape(-1, 1) * n if feet else None, 0.1)
     want = np.array([reference.cut_voxel(float(d), n, (1, 1, 1))[0] for d in psi.ravel()])
     far = np.abs(psi.ravel()) > 0.75
     assert (want[far] * (1 - want[far])).max() > 1e-4
     np.testing.assert_allclose(part, want, atol=1e-4)
+
+
+def test_measures_reach_the_corners_of_very_unequal_voxels():
+    """There half a diagonal is more voxels along the normal than the area's layer or the curvature's is wide."""
+    shape, spacing, n = (5, 8, 13), (6.0, 1.0, 0.5), np.array((0.5, 0.2, 0.85))
+    n /= np.linalg.norm(n)
+    z, y, x = reference.coordinates(shape, spacing, (np.array(shape) - 1) / 2 * spacing)
+    psi = (n[0] * z + n[1] * y + n[2] * x - 0.1).astype(np.float32)
+    part, area, _ = measured(psi, spacing, -psi.reshape(-1, 1) * n, 0.5)
+    want = np.array([reference.cut_voxel(float(d), n, spacing)[0] for d in psi.ravel()])
+    far = np.abs(psi.ravel()) * np.linalg.norm(n / spacing) > 1.6
+    assert (want[far] * (1 - want[far])).max() > 0.01
+    np.testing.assert_allclose(part, want, atol=1e-4)
+    assert not area[far].any()
+
+
+def test_where_psi_is_flat_a_voxel_is_in_or_out_and_not_bent():
+    for value in (-0.5, 0.5):
+        part, _, bend = measured(np.full((5, 6, 7), value), SPACING, np.full((210, 3), 0.5), 2.0)
+        assert (part == (value < 0)).all()
+        assert not bend.any()
+
+
+def test_a_sheet_through_voxel_centres_has_a_finite_area():
+    """Thin as can be: centred differences on it are 0, and its foot too short to tell a normal."""
+    psi = np.broadcast_to(np.abs(np.arange(9) - 4.0) - 0.001, (5, 6, 9)).astype(np.float32)
+    foot = np.zeros((*psi.shape, 3))
+    foot[..., 2] = np.where(np.arange(9) < 4, 1, -1) * psi
+    part, area, _ = measured(psi, (1.0, 1.0, 1.0), foot, 2.0)
+    # Closer together than their layers are wide, its two faces of 30 mm2 each count as one.
+    assert area.sum() == pytest.approx(30, rel=0.01)
+    assert (part[psi.ravel() > 0.9] == 0).all()
+
+
+@pytest.mark.parametrize(("start", "stop"), [(40, 50), (0, 130), (100, 301), (7, 7)])
+def test_measures_write_nothing_outside_their_range(start, stop):
+    psi = reference.smooth_noise((7, 9, 8), 6)
+    foot, _ = down_the_gradient(psi, SPACING)
+    dense, band = reference.whole_band(psi, foot)
+    n, grid = psi.size, reference.grid_of(psi.shape, SPACING)
+    part, area, bend = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
+    region.measure_band(start, stop, dense.psi, grid, band, 2.0, part, area, bend)
+    for out in (part, area, bend):
+        assert np.isfinite(out[start:stop]).all() and np.isnan(out[:start]).all() and np.isnan(out[stop:]).all()
+
+
+def test_measures_are_the_same_bytes_however_the_range_is_cut():
+    psi = reference.smooth_noise((9, 10, 13), 7)
+    foot, _ = down_the_gradient(psi, SPACING)
+    dense, band = reference.whole_band(psi, foot)
+    n, grid = psi.size, reference.grid_of(psi.shape, SPACING)
+    whole = measured(psi, SPACING, foot, 1.0)
+    parts = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
+    for start, stop in itertools.pairwise([0, 1, 8, 130, 300, 301, 557, n]):
+        region.measure_band(start, stop, dense.psi, grid, band, 1.0, *parts)
+    for one, other in zip(whole, parts, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("epsilon", [1.0, 1.5, 2.5])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from accelsurf.kernels.closest import FIRST_TOLERANCE
 from accelsurf.kernels.grid import Lattice
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checks import check_level_set
@@ -46,6 +47,13 @@ def area(surface):
 
 def in_band(surface):
     return (surface.dense.slot >= 0).reshape(surface.shape)
+
+
+def depth(surface):
+    """Distance from the surface in voxels along the normal, (nz, ny, nx); 0 outside the band."""
+    out = np.zeros(surface.dense.psi.size)
+    out[surface.band.cells] = np.linalg.norm(surface.band.foot / surface.grid[3:], axis=1)
+    return out.reshape(surface.shape)
 
 
 def rest(surface, times):
@@ -261,7 +269,11 @@ def test_turned_and_mirrored_surfaces_are_the_same(turn):
         gap = np.abs(turned(one.psi) - other.psi)
         assert gap[np.abs(other.psi) < 2].max() < 1e-4
         assert (gap > 1e-3).mean() < 1e-4
-        assert one.size == other.size
+        # In one band and not in the other may only be cells at the very edge, as far as feet are known there: off a
+        # slanted surface their lengths in voxels change as much as they move along it, FIRST_TOLERANCE at a voxel.
+        here, there = turned(in_band(one)), in_band(other)
+        edge = np.where(here, turned(depth(one)), depth(other))[here != there]
+        assert (edge > one.half_width * (1 - FIRST_TOLERANCE)).all()
         assert area(one) == pytest.approx(area(other), rel=1e-6)
 
 

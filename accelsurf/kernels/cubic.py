@@ -106,8 +106,15 @@ def plain_cubic_rows(values: Any, rows: Any, uz: float, uy: float, ux: float) ->
     return float(np.einsum("ijk,i,j,k", nodes, *(_plain_weights(u) for u in (uz, uy, ux))))
 
 
+def _check(array: Any, dtype: Any) -> None:
+    """Anything but a contiguous array of ``dtype`` would be read as if it were one."""
+    if not (isinstance(array, types.Array) and array.dtype == dtype and array.layout == "C"):
+        raise numba.TypingError(f"contiguous {dtype} expected, not {array}")
+
+
 @intrinsic
-def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):  # type: ignore[no-untyped-def]
+def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):
+    _check(array, types.float32)
     signature = types.UniTuple(types.float32, 4)(
         array, types.intp, types.intp, types.intp, types.float32, types.float32, types.float32
     )
@@ -118,7 +125,7 @@ def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):  # type: ignore[no-un
         at, sy, sz = args[1:4]
         (wz, wy, wx), (gz, gy, gx) = ([form(u) for u in args[4:7]] for form in (e.weights, e.slopes))
         values, slopes = [], []
-        for i in range(4):
+        for _ in range(4):
             rows = []
             for _ in range(4):
                 rows.append(e.row(data, at))
@@ -135,7 +142,9 @@ def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):  # type: ignore[no-un
 
 
 @intrinsic
-def _cubic_rows(typing_context, values, rows, uz, uy, ux):  # type: ignore[no-untyped-def]
+def _cubic_rows(typing_context, values, rows, uz, uy, ux):
+    _check(values, types.float32)
+    _check(rows, types.int64)
     signature = types.float32(values, rows, types.float32, types.float32, types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -153,7 +162,8 @@ def _cubic_rows(typing_context, values, rows, uz, uy, ux):  # type: ignore[no-un
 
 
 #: ``cubic(array, at, sy, sz, uz, uy, ux)``: value and slopes (z, y, x) per voxel of the raveled float32 ``array`` at
-#: (uz, uy, ux) voxels from node ``at``, the first of four along each axis; strides ``sy`` and ``sz``. Nothing is checked.
+#: (uz, uy, ux) voxels from node ``at``, the first of four along each axis; strides ``sy`` and ``sz``. No index is
+#: checked, not even with NUMBA_BOUNDSCHECK.
 cubic: Any = plain_cubic if numba.config.DISABLE_JIT else _cubic
 #: ``cubic_rows(values, rows, uz, uy, ux)``: the value alone, the sixteen rows of four nodes beginning at ``rows``
 #: (int64, z by z) in float32 ``values``.

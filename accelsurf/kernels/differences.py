@@ -141,7 +141,8 @@ def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
 @kernel
 def upwind_norms(start, stop, psi, grid, band, beta, front, out):
     """Godunov's |grad psi| at every front cell of the range, upwind for the speed ``beta`` (n,); 1 elsewhere."""
-    rows = np.empty((15, TOGETHER), np.float32)
+    # Columns of cells at the border are computed as well, from what is there: numbers.
+    rows = np.zeros((15, TOGETHER), np.float32)
     norms = np.empty(TOGETHER, np.float32)
     way = np.empty(TOGETHER, np.float32)
     well_inside = np.empty(TOGETHER, np.bool_)

@@ -167,7 +167,7 @@ def linear_at(array, grid, pz, py, px):
 def band_rows(slot, n_slots, at, sy, sz, rows):
     """Slots where the sixteen rows of four nodes from cell ``at`` on begin, into ``rows`` (16,) int64.
 
-    Rows of cells have consecutive slots. False where a node is not in the band. Nothing is branched upon: nearly all are.
+    Rows of cells have consecutive slots. False where a node is not in the band. No branches: nearly all are.
     """
     odd = np.int32(0)
     for i in range(4):

@@ -69,7 +69,8 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
             if inside:
                 jz, jy, jx = int(qz), int(qy), int(qx)
                 at = (jz * grid.ny + jy) * row + jx
-                value = linear_cell(image, at, row, plane, np.float32(qz - jz), np.float32(qy - jy), np.float32(qx - jx))
+                tz, ty, tx = np.float32(qz - jz), np.float32(qy - jy), np.float32(qx - jx)
+                value = linear_cell(image, at, row, plane, tz, ty, tx)
             else:
                 value = linear_at(image, grid, qz, qy, qx)
             total += share * ((a * value + b) * value + c)
@@ -110,9 +111,10 @@ def neighbour_slots(start, stop, slot, grid, cells, on, table):
 
 @kernel
 def diffusion_stage(start, stop, on, table, grid, old, older, weights, out):
-    """A stage of Runge-Kutta-Legendre at the cells ``on``: mu old + mu' Lap old + nu older, ``weights`` = (mu, mu', nu).
+    """A stage of Runge-Kutta-Legendre at the cells ``on``: mu old + mu' Lap old + nu older.
 
-    Lap is the 7-point Laplacian of an extended field, the surface Laplacian since grad F.grad psi = 0.
+    ``weights`` = (mu, mu', nu). Lap is the 7-point Laplacian of an extended field, the surface Laplacian since
+    grad F.grad psi = 0.
     """
     mu, rate, nu = weights
     pz, py, px = np.float32(1.0 / grid.hz**2), np.float32(1.0 / grid.hy**2), np.float32(1.0 / grid.hx**2)

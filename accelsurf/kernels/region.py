@@ -61,7 +61,9 @@ def smeared_area(d, voxels, gz, gy, gx, gauss, grid):
     if voxels > 0.01:
         mm = abs(d) / voxels
     else:
-        mm = np.sqrt(gz * gz + gy * gy + gx * gx) / max(voxels_along(gz, gy, gx, grid), 1e-12)
+        along = voxels_along(gz, gy, gx, grid)
+        # On a sheet through the voxel's centre the centred differences are 0: no direction is known.
+        mm = np.sqrt(gz * gz + gy * gy + gx * gx) / along if along > 1e-6 else min(grid.hz, min(grid.hy, grid.hx))
     delta = (1.0 + np.cos(np.pi * voxels / AREA_WIDTH)) / (2.0 * AREA_WIDTH * mm)
     return delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
 

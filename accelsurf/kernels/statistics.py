@@ -8,7 +8,6 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BLOCK
 
 
-
 @kernel
 def size_at_rank(values, where, rank):
     """The ``rank``-th smallest (from 0) of |values| (float32) where ``where`` is set; exact.
