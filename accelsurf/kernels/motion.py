@@ -37,7 +37,8 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
     a, b, c = polynomial
     hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
     row, plane = grid.nx, grid.ny * grid.nx
-    reach = 2.0 / 3.0 * epsilon
+    # A little more, for what rounding may add.
+    reach = 2.0 / 3.0 * epsilon + 1e-6
     for s in range(start, stop):
         out[s] = 0.0
         if not front[s]:
