@@ -72,7 +72,7 @@ def test_closed_workers_do_no_more():
     workers = Workers(2)
     workers.close()
     with pytest.raises(RuntimeError):
-        workers.run(lambda start, stop: None, 2 * BLOCK)
+        workers.run(lambda start, stop: None, 4 * BLOCK)
 
 
 def test_a_moving_surface_is_the_same_bytes_with_one_two_and_three_threads():

@@ -9,6 +9,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.cubic import cubic
+from accelsurf.kernels.grid import Grid
 
 
 @kernel
@@ -79,8 +80,19 @@ def value_and_gradient(array, grid, pz, py, px, w):
 
     Returns (value, d/dz, d/dy, d/dx) with the gradient per mm. Beyond the border it goes on straight.
     """
-    if not has_cubes(grid):
-        return thin_value_and_gradient(array, grid, pz, py, px, w)
+    if has_cubes(grid):
+        return cubes_value_and_gradient(array, grid, pz, py, px)
+    # A slice across x is one across z to the memory: (nz, ny, 1) lies as (1, nz, ny).
+    turned = Grid(1, grid.nz, grid.ny, grid.hx, grid.hz, grid.hy)
+    if grid.nx == 1 and has_cubes(turned):
+        value, gx, gz, gy = cubes_value_and_gradient(array, turned, px, pz, py)
+        return value, gz, gy, gx
+    return thin_value_and_gradient(array, grid, pz, py, px, w)
+
+
+@kernel
+def cubes_value_and_gradient(array, grid, pz, py, px):
+    """`value_and_gradient` where `has_cubes`."""
     bz, uz, ez, sz = nodes_of(pz, grid.nz, grid.ny * grid.nx)
     by, uy, ey, sy = nodes_of(py, grid.ny, grid.nx)
     bx, ux, ex, _ = nodes_of(px, grid.nx, 1)

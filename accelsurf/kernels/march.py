@@ -16,6 +16,8 @@ from accelsurf.kernels.grid import neighbours, unravel, voxels_along
 
 #: What is known of a slot's foot.
 OPEN, FROZEN, EDGE = 0, 1, 2
+#: A foot may lie this many voxels beyond the border; a surface that has left the volume further is gone.
+MARGIN = 1.0
 #: A cell takes over the foot of a neighbour that is closer by this many voxels.
 CLOSER = 0.02
 #: A cell is met when its neighbour's tangent plane says that it is at most this much beyond the band, voxels.
@@ -60,13 +62,12 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
 
 
 @kernel
-def is_near_volume(grid, iz, iy, ix, foot):
-    """Whether a foot lies within a voxel of the outermost voxel centres: beyond, psi is only continued.
-
-    A surface that has left the volume is gone.
-    """
+def is_near_volume(grid, iz, iy, ix, foot, margin):
+    """Whether a foot lies within ``margin`` voxels of the outermost voxel centres: beyond, psi is only continued."""
     pz, py, px = iz + foot[0] / grid.hz, iy + foot[1] / grid.hy, ix + foot[2] / grid.hx
-    return -1.0 <= pz <= grid.nz and -1.0 <= py <= grid.ny and -1.0 <= px <= grid.nx
+    least, most = -margin, margin - 1.0
+    inside = least <= pz <= grid.nz + most and least <= py <= grid.ny + most
+    return inside and least <= px <= grid.nx + most
 
 
 @kernel
@@ -93,7 +94,9 @@ def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, bes
         ratio = value / band.psi[s] if abs(band.psi[s]) > inner else 0.0
         for axis in range(3):
             guess[axis] = ratio * band.foot[s, axis]
-        if guess[0] == 0.0 and guess[1] == 0.0 and guess[2] == 0.0:
+        unknown = guess[0] == 0.0 and guess[1] == 0.0 and guess[2] == 0.0
+        # Beyond the border psi is only continued, at the band's edge from where it is no distance.
+        if unknown or not is_near_volume(grid, iz, iy, ix, guess, 0.0):
             if not first_guess(psi, grid, cell, iz, iy, ix, near, guess):
                 guess[0], guess[1], guess[2] = 0.0, 0.0, 0.0
         guesses[0, i], guesses[1, i], guesses[2, i] = guess[0], guess[1], guess[2]
@@ -125,20 +128,23 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
             cell = band.cells[s]
             iz, iy, ix = unravel(cell, grid)
             guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
-            found = status[i] == FOUND and is_near_volume(grid, iz, iy, ix, guess)
+            found = status[i] == FOUND and is_near_volume(grid, iz, iy, ix, guess, MARGIN)
             bound = -1.0
             if beside[i]:
                 neighbours(cell, iz, iy, ix, grid, near)
                 bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
-            state[s] = settle(psi[cell], grid, plane, bound, guess, found)
+            # Beyond the border psi is only continued, and so is its jump to +-gamma.
+            least = 0.5 if is_near_volume(grid, iz, iy, ix, guess, 0.0) else 0.9
+            state[s] = settle(psi[cell], grid, plane, bound, guess, found, least)
             foot[s, 0], foot[s, 1], foot[s, 2] = guess[0], guess[1], guess[2]
 
 
 @kernel
-def settle(value, grid, plane, bound, guess, found):
+def settle(value, grid, plane, bound, guess, found, least):
     """Whether a foot, ``found`` at ``guess``, holds for a cell with psi = ``value``: FROZEN or OPEN.
 
-    Where an edge crossing, ``bound`` mm off (-1: there is none), lies closer, the foot of its ``plane`` is put there.
+    A foot at less than ``least`` of the distance that psi said is no surface. Where an edge crossing, ``bound`` mm off
+    (-1: there is none), lies closer, the foot of its ``plane`` is put there.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
     distance = np.sqrt(guess[0] * guess[0] + guess[1] * guess[1] + guess[2] * guess[2])
@@ -146,8 +152,7 @@ def settle(value, grid, plane, bound, guess, found):
         for axis in range(3):
             guess[axis] = plane[axis]
         return FROZEN
-    # Much closer than psi said is no surface: the interpolant beyond the border, from the jump to +-gamma.
-    if found and (bound >= 0.0 or 0.5 * abs(value) <= distance <= abs(value) + 2.0 * h):
+    if found and (bound >= 0.0 or least * abs(value) <= distance <= abs(value) + 2.0 * h):
         return FROZEN
     return OPEN
 
@@ -239,17 +244,19 @@ def flattened(foot, via, grid, cz, cy, cx, out):
 
 
 @kernel
-def spread(dense, grid, cells, foot, state, n, sources, reach, stirred):
+def spread(dense, grid, cells, foot, state, n, sources, half_width, stirred):
     """What the cells of the slots ``sources``, whose feet are new or at the band's edge, set going; serial.
 
     Neighbours that are not in the band enter it, as OPEN slots from ``n`` on, when the tangent plane at the source's
-    foot is within ``reach`` voxels of them; the others are marked in ``stirred`` (room,), as a closer foot may be theirs.
+    foot is within ``half_width`` voxels of them (`SLACK` more); the others are marked in ``stirred`` (room,), as a closer foot may be theirs.
     ``dense.slot`` is extended. Returns (cells, foot, state, stirred, n), with room to spare.
     """
     slot = dense.slot
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     for source in sources:
+        if voxels_along(foot[source, 0], foot[source, 1], foot[source, 2], grid) > half_width:
+            continue
         cell = cells[source]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
@@ -262,7 +269,7 @@ def spread(dense, grid, cells, foot, state, n, sources, reach, stirred):
                 continue
             oz, oy, ox = step_of(side, grid)
             cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
-            if flattened(foot, source, grid, cz, cy, cx, guess) > reach:
+            if flattened(foot, source, grid, cz, cy, cx, guess) > half_width + SLACK:
                 continue
             cells, foot = grown(cells, n), grown_rows(foot, n)
             state, stirred = grown(state, n), grown(stirred, n)
@@ -345,7 +352,7 @@ def polish_feet(start, stop, psi, grid, cells, on, foot):
             out[0], out[1], out[2] = feet[0, i], feet[1, i], feet[2, i]
             d = np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
             shorter = status[i] == FOUND and d <= length(foot, s) * (1.0 + 1e-3)
-            if shorter and is_near_volume(grid, iz, iy, ix, out):
+            if shorter and is_near_volume(grid, iz, iy, ix, out, MARGIN):
                 foot[s, 0], foot[s, 1], foot[s, 2] = out[0], out[1], out[2]
 
 

@@ -132,7 +132,7 @@ class LevelSet:
         return self.grid.hz * self.grid.hy * self.grid.hx * self._thickness
 
     def front(self, width: float = FRONT_WIDTH) -> np.ndarray:
-        """Mask (n,) of the band cells within ``width`` voxels of the surface; kept until the band moves: not to be changed."""
+        """Mask (n,) of the band cells within ``width`` voxels of the surface; kept until it moves, not to be changed."""
         if width not in self._fronts:
             mask = np.empty(self.size, np.bool_)
             self.workers.run(band_kernels.front_mask, self.size, self.grid, self.band, width, mask)
@@ -308,7 +308,7 @@ class LevelSet:
         return change
 
     def _feet(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Closest points of psi as it is: (cells, feet, states, n), the band's slots first, then those that may enter."""
+        """Closest points of psi as it is: (cells, feet, states, n), first the band's, then of cells that may enter."""
         run, grid, dense, n = self.workers.run, self.grid, self.dense, self.size
         # Room for the cells that a step takes in.
         room = n + n // 4 + 1024
@@ -317,25 +317,31 @@ class LevelSet:
         inner, found = self.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx), np.empty(n, np.int8)
         run(march.find_feet, n, dense, grid, self.band, inner, foot, found)
         run(march.review_feet, n, dense, grid, self.band.cells, foot, found, state)
-        reach, known = self.half_width + march.SLACK, n
+        known = n
         loose, sources = np.flatnonzero(state[:n] == march.OPEN), np.flatnonzero(state[:n] == march.EDGE)
         stirred = np.zeros(room, np.bool_)
         stirred[loose] = True
+        again = []
         for _ in range(MOST_ROUNDS):
             cells, foot, state, stirred, total = self.workers.alone(
-                march.spread, dense, grid, cells, foot, state, known, sources, reach, stirred
+                march.spread, dense, grid, cells, foot, state, known, sources, self.half_width, stirred
             )
             loose, known = np.concatenate([loose, np.arange(known, total)]), total
             on = loose[stirred[loose]]
             if on.size == 0:
                 break
             better, changed = np.empty((on.size, 3), np.float32), np.empty(on.size, np.bool_)
+            was_open = state[on] == march.OPEN
             run(march.pull_feet, on.size, dense, grid, cells, foot, state, on, better, changed)
             run(march.take_feet, on.size, on, better, changed, foot, state)
+            # A cell's first foot is polished at once: what it hands on reaches further for it. The others at the end.
+            first = on[changed & was_open]
+            run(march.polish_feet, first.size, dense.psi, grid, cells, first, foot)
+            again.append(on[changed & ~was_open])
             stirred[on] = False
             sources = on[changed]
-        taken = loose[state[loose] != march.OPEN]
-        run(march.polish_feet, taken.size, dense.psi, grid, cells, taken, foot)
+        later = np.unique(np.concatenate([loose[:0], *again]))
+        run(march.polish_feet, later.size, dense.psi, grid, cells, later, foot)
         return cells, foot, state, known
 
     def _carried(
