@@ -16,7 +16,8 @@ from accelsurf.pyramid import Level, carried, coarsened, refined
 
 #: A coarse level only has to come near: the next one goes on anyway.
 COARSE_RULE = StopRule(window=10, motion=0.2, kinetic=0.05)
-#: The finest level begins where a coarser one ended: it is looked at twice as often as a run from the start.
+#: The finest level begins where a coarser one ended: it is looked at more often than a run from the start, and must
+#: be as slow.
 FINEST_WINDOW = 10
 #: How a coarse level ends without a surface that the next one could go on from.
 FAILED = ("vanished", "filled", "diverged")
@@ -80,7 +81,7 @@ class CoarseToFine:
     ) -> None:
         self.flow, self.limits, self.max_steps, self.restart, self.rule = flow, limits, max_steps, restart, rule
         if rule is not None and len(grids) > 1:
-            self.rule = rule._replace(window=FINEST_WINDOW)
+            self.rule = rule._replace(window=FINEST_WINDOW, motion=rule.motion * FINEST_WINDOW / rule.window)
         self.warnings: list[str] = []
         self._make_energy, self._half_width, self._workers = energy, half_width, workers
         self._grids = list(grids)
