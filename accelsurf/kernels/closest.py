@@ -110,7 +110,8 @@ def correct(count, iteration, grid, memory):
         reach = max(one, reach) if first else one
         status = memory[STATUS + i]
         now = found if move < enough * reach else active
-        now = lost if g2 <= least else now
+        # Also where psi is no number.
+        now = now if g2 > least else lost
         # Residues that do not fall.
         now = lost if later & (t2 > quarter * begun) else now
         scale = scale if (status == active) & (now != lost) else zero
