@@ -3,11 +3,13 @@
 Arrays are (z, y, x), spacings (hz, hy, hx) in mm, positions in voxels unless mm is said.
 """
 
+import heapq
 import itertools
 
 import numpy as np
 from scipy import integrate, ndimage, spatial
 
+from accelsurf.kernels import closest, march
 from accelsurf.kernels.grid import Band, Grid, Lattice
 
 # ------------------------------------------------------------------------------------------------- data for kernels
@@ -164,6 +166,101 @@ def distance(psi, spacing, cells, parts=4):
     """Signed distance (mm) of ``cells`` (m, 3) from the zero level of the interpolant of psi, by brute force."""
     gap = np.linalg.norm(closest_points(psi, spacing, cells, parts) - np.asarray(cells) * np.asarray(spacing), axis=1)
     return np.where(np.asarray(psi)[tuple(np.asarray(cells).T)] < 0, -gap, gap)
+
+
+def corrected(iteration, foot, level, past, spacing):
+    """One of Chopp's two corrections at once, the part along the level relaxed by the secant of two residues.
+
+    ``level`` is (psi, gradient per mm) at the ``foot`` (mm from the cell); ``past`` (last residue, its square, the last
+    relaxation, the square of the first residue). Returns (foot, how it stands, past, by how much of a limit each of
+    the decisions was made).
+    """
+    last, square, relax, first = past
+    value, g = level[0], np.asarray(level[1:], float)
+    slope2 = g @ g
+    margins = [abs(slope2 / closest.LEAST_SLOPE2 - 1)]
+    if not slope2 > closest.LEAST_SLOPE2:
+        return foot, closest.LOST, past, margins
+    residue = (foot @ g) / slope2 * g - foot
+    if iteration == 0:
+        relax, first = 1.0, residue @ residue
+    elif square > 0:
+        relax = np.clip(relax / max(1 - residue @ last / square, 0.25), 0.1, 4.0)
+    step = relax * residue - value / slope2 * g
+    move = np.linalg.norm(step / spacing)
+    if iteration >= 2:
+        margins.append(abs(residue @ residue / max(0.25 * first, 1e-12) - 1))
+        if residue @ residue > 0.25 * first:
+            return foot, closest.LOST, past, margins
+    limit = closest.TOLERANCE
+    if iteration == 0:
+        limit = closest.FIRST_TOLERANCE * max(1, np.linalg.norm(foot / spacing))
+    margins += [abs(move / limit - 1), abs(move / closest.MAX_MOVE - 1)]
+    past = residue, 0.0 if move > closest.MAX_MOVE else residue @ residue, relax, first
+    foot = foot + min(1, closest.MAX_MOVE / max(move, 1e-30)) * step
+    return foot, closest.FOUND if move < limit else closest.ACTIVE, past, margins
+
+
+def iterated(psi, spacing, cell, foot):
+    """Closest point of one cell by `corrected`, one correction after the other: (foot, how it stands, least margin)."""
+    h = np.asarray(spacing, float)
+    foot, past, least = np.asarray(foot, float), (np.zeros(3), 0.0, 1.0, 0.0), np.inf
+    for iteration in range(closest.MAX_ITERATIONS):
+        value, gradient = interpolate(psi, cell + foot / h)
+        foot, status, past, margins = corrected(iteration, foot, (value[0], *(gradient[0] / h)), past, h)
+        least = min(least, *margins)
+        if status != closest.ACTIVE:
+            break
+    return foot, status, least
+
+
+def march_in_order(dense, grid, cells, foot, state, half_width):
+    """Feet {cell: foot} passed on in order of distance, nearest first, then polished.
+
+    From the feet of the slots that are not OPEN in ``state``, which stay; ``dense`` and the arrays are not changed. A
+    foot may come closer on its way (to a third cell, past one that has a closer one): a cell that is passed then
+    takes it over and hands it on once more.
+    """
+    known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
+    held, waiting = set(known), {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
+    shape, h = (grid.nz, grid.ny, grid.nx), np.array(grid[3:])
+    best, queue = {}, []
+
+    def hand_on(cell):
+        at = np.array(np.unravel_index(cell, shape))
+        for axis, sign in itertools.product(range(3), (-1, 1)):
+            other = at + sign * np.eye(3, dtype=int)[axis]
+            if (other < 0).any() or (other >= shape).any():
+                continue
+            target = int(np.ravel_multi_index(other, shape))
+            if target in held:
+                continue
+            f = known[cell].astype(float)
+            through = f - (other - at) * h
+            # One not in the band enters where the tangent plane at the foot of a neighbour comes close enough; then
+            # it is offered the feet of all of them.
+            flat = (through @ f) / (f @ f) * f if f @ f > 0.1 * h.min() ** 2 else through
+            if np.linalg.norm(flat / h) <= half_width + march.SLACK:
+                waiting.add(target)
+            d = np.linalg.norm(through)
+            better = d < best.get(target, (np.inf,))[0] - 1e-6
+            if better:
+                best[target] = d, np.float32(through)
+            if target in waiting and (better or target not in known):
+                heapq.heappush(queue, (best[target][0], target))
+
+    for cell in sorted(known):
+        hand_on(cell)
+    while queue:
+        d, cell = heapq.heappop(queue)
+        if d == best[cell][0] and known.get(cell) is not best[cell][1]:
+            known[cell] = best[cell][1]
+            hand_on(cell)
+    order = np.array(sorted(known))
+    feet = np.array([known[int(c)] for c in order], np.float32).reshape(-1, 3)
+    passed = np.array([i for i, c in enumerate(order) if int(c) not in held], np.int64)
+    march.polish_feet(0, passed.size, dense.psi, grid, order, passed, feet)
+    return {int(c): f for c, f in zip(order, feet, strict=True)}
 
 
 def front_cells(psi):

@@ -303,3 +303,18 @@ def test_flood_gives_up_beyond_its_room():
     flood = np.empty(60, np.int64)
     assert band_kernels.flood_component(psi.ravel(), grid, 22, True, flood, near) == 60
     assert sorted(flood) == list(range(60))
+
+
+def test_beyond_the_band_psi_is_flat():
+    psi = reference.smooth_noise((5, 6, 7), 31)
+    psi.ravel()[:2] = 0.0, -0.0
+    dense, _ = reference.whole_band(psi)
+    dense.slot[np.random.default_rng(32).permutation(psi.size)[:150]] = -1
+    dense.slot[:2] = -1
+    gamma, start, stop = np.float32(2.5), 1, psi.size - 9
+    band_kernels.flatten_beyond(start, stop, dense, gamma)
+    want = psi.ravel().copy()
+    beyond = np.flatnonzero(dense.slot < 0)
+    beyond = beyond[(beyond >= start) & (beyond < stop)]
+    want[beyond] = np.where(want[beyond] < 0, -gamma, gamma)
+    np.testing.assert_array_equal(dense.psi, want)

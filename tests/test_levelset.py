@@ -126,7 +126,14 @@ def test_distance_converges_to_the_exact_one(name, given):
 def test_distance_of_a_plane_is_exact_up_to_the_border():
     exact, h = exact_case("plane", 32)
     surface = LevelSet(exact, (h, h, h))
-    assert in_band(surface)[np.abs(exact) < 2.9 * h].all()
+    # Cells whose closest point is a voxel and more beyond the border have no foot of their own (`is_near_volume`): what
+    # their neighbours know then decides, and at the start, where these have not been polished yet, some come in late.
+    n = np.array((0.3, 0.8, 0.52)) / np.linalg.norm((0.3, 0.8, 0.52))
+    at = np.moveaxis(np.indices(exact.shape), 0, -1) - exact[..., None] / h * n
+    has_foot = ((at > -1) & (at < np.array(exact.shape))).all(axis=-1)
+    assert in_band(surface)[(np.abs(exact) < 2.9 * h) & has_foot].all()
+    assert in_band(surface)[np.abs(exact) < 2.7 * h].all()
+    assert in_band(rest(LevelSet(exact, (h, h, h)), 1))[np.abs(exact) < 2.9 * h].all()
     near = np.abs(exact) < 1.5 * h
     inner = np.zeros(exact.shape, bool)
     inner[3:-3, 3:-3, 3:-3] = True
@@ -696,6 +703,27 @@ def test_inputs_are_not_modified():
     np.testing.assert_array_equal(snapshot.psi, held[0])
     np.testing.assert_array_equal(snapshot.cells, held[1])
     assert (speed == 0.5).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_an_array_that_may_be_overwritten_gives_the_same_surface(dtype):
+    """Its memory is used where that is possible; otherwise, and when not asked for, it is untouched."""
+    given = reference.smooth_noise((14, 15, 16), 4, 2.0).astype(dtype)
+    kept = given.copy()
+    surfaces = [LevelSet(given, UNEQUAL)]
+    np.testing.assert_array_equal(given, kept)
+    assert not np.shares_memory(given, surfaces[0].dense.psi)
+    surfaces.append(LevelSet(given, UNEQUAL, overwrite=True))
+    assert np.shares_memory(given, surfaces[1].dense.psi) == (dtype is np.float32)
+    if dtype is not np.float32:
+        np.testing.assert_array_equal(given, kept)
+    for surface in surfaces:
+        surface.advance(np.full(surface.size, 0.3, np.float32), 0.5)
+        surface.redistance()
+    one, other = surfaces
+    assert one.psi.tobytes() == other.psi.tobytes()
+    assert one.band.cells.tobytes() == other.band.cells.tobytes()
+    assert one.volume(one.cut()[0]) == other.volume(other.cut()[0])
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int16])

@@ -56,6 +56,70 @@ def test_an_error_in_a_range_is_raised(threads):
         workers.run(kernel, 4 * BLOCK)
 
 
+@pytest.mark.parametrize("raising", ["this", "other"])
+def test_an_error_in_either_thread_reaches_the_caller(raising):
+    """Both are at work when one raises."""
+    both, met = threading.Barrier(2, timeout=30), threading.local()
+
+    def kernel(start, stop):
+        if not getattr(met, "already", False):
+            met.already = True
+            both.wait()
+            if (threading.current_thread() is threading.main_thread()) == (raising == "this"):
+                raise ZeroDivisionError(raising)
+
+    with Workers(2) as workers:
+        with pytest.raises(ZeroDivisionError, match=raising):
+            workers.run(kernel, 40 * BLOCK)
+        # They go on working.
+        seen = []
+        workers.run(lambda start, stop: seen.append(stop - start), 40 * BLOCK)
+    assert sum(seen) == 40 * BLOCK
+    assert set(workers.seconds) == {"<lambda>"}
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_seconds_by_kernel_add_up(threads):
+    def slow(start, stop):
+        time.sleep(0.01)
+
+    def summed(first, last, rows):
+        rows[first:last] = 1
+
+    def lonely(value):
+        time.sleep(0.02)
+        return value
+
+    with Workers(threads) as workers:
+        began = time.perf_counter()
+        workers.run(slow, 3)
+        once = workers.seconds["slow"]
+        workers.run(slow, 3)
+        workers.run(slow, 0)
+        assert workers.sums(summed, 5 * BLOCK, 1) == 5
+        assert workers.alone(lonely, 7) == 7
+        whole = time.perf_counter() - began
+    assert set(workers.seconds) == {"slow", "summed", "lonely"}
+    assert once >= 0.01
+    assert workers.seconds["slow"] >= once + 0.01
+    assert workers.seconds["lonely"] >= 0.02
+    assert sum(workers.seconds.values()) <= whole
+
+
+def test_a_noisy_surface_is_the_same_bytes_with_one_two_and_three_threads():
+    """Closest points in many rounds: cells that enter, and feet taken over everywhere."""
+    psi, results = reference.smooth_noise((36, 40, 42), 4, 0.9), []
+    for threads in (1, 2, 3):
+        with Workers(threads) as workers:
+            surface = LevelSet(psi, (1.5, 1.0, 0.8), workers=workers)
+            assert surface.size > 4 * BLOCK
+            seen = [surface.psi.copy(), surface.band.foot]
+            surface.advance(np.sin(surface.band.cells * 0.37).astype(np.float32), 0.6)
+            cells, foot, state, n = surface._feet()
+            results.append(b"".join(np.asarray(a).tobytes() for a in [*seen, cells[:n], foot[:n], state[:n]]))
+    assert results[0] == results[1] == results[2]
+
+
 def test_threads_work_at_the_same_time():
     names = set()
 

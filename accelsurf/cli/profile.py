@@ -17,7 +17,7 @@ STAGES: dict[str, tuple[str, ...]] = {
         "value_and_slope",
     ),
     "flow": (
-        "voxel_rates", "kick", "products", "normals", "area_stretch", "surface_gradient", "plane_waves", "tube_weight",
+        "voxel_rates", "kick", "products", "normals", "area_stretch", "surface_gradient", "sum_of_waves", "tube_weight",
         "tube_diagonal", "tube_product",
     ),
     "diffusion": ("neighbour_slots", "diffusion_stage"),

@@ -63,7 +63,8 @@ def levels_at(count, psi, grid, cells, memory, w):
             continue
         active += 1
         iz, iy, ix = unravel(cells[n], grid)
-        pz, py, px = iz + memory[FOOT + i] * hz, iy + memory[FOOT + NEXT + i] * hy, ix + memory[FOOT + NEXT + NEXT + i] * hx
+        pz, py = iz + memory[FOOT + i] * hz, iy + memory[FOOT + NEXT + i] * hy
+        px = ix + memory[FOOT + NEXT + NEXT + i] * hx
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
         # Well inside the volume, without what value_and_gradient does for the others.
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
@@ -110,7 +111,8 @@ def correct(count, iteration, grid, memory):
         reach = max(one, reach) if first else one
         status = memory[STATUS + i]
         now = found if move < enough * reach else active
-        now = lost if g2 <= least else now
+        # Also where psi is no number.
+        now = now if g2 > least else lost
         # Residues that do not fall.
         now = lost if later & (t2 > quarter * begun) else now
         scale = scale if (status == active) & (now != lost) else zero

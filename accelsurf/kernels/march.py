@@ -248,7 +248,8 @@ def spread(dense, grid, cells, foot, state, n, sources, half_width, stirred):
     """What the cells of the slots ``sources``, whose feet are new or at the band's edge, set going; serial.
 
     Neighbours that are not in the band enter it, as OPEN slots from ``n`` on, when the tangent plane at the source's
-    foot is within ``half_width`` voxels of them (`SLACK` more); the others are marked in ``stirred`` (room,), as a closer foot may be theirs.
+    foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked in ``stirred`` (room,), as a
+    closer foot may be theirs.
     ``dense.slot`` is extended. Returns (cells, foot, state, stirred, n), with room to spare.
     """
     slot = dense.slot

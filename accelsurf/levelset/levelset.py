@@ -132,7 +132,7 @@ class LevelSet:
         return self.grid.hz * self.grid.hy * self.grid.hx * self._thickness
 
     def front(self, width: float = FRONT_WIDTH) -> np.ndarray:
-        """Mask (n,) of the band cells within ``width`` voxels of the surface; kept until it moves, not to be changed."""
+        """Mask (n,) of the band cells within ``width`` voxels of the surface; kept, not to be changed."""
         if width not in self._fronts:
             mask = np.empty(self.size, np.bool_)
             self.workers.run(band_kernels.front_mask, self.size, self.grid, self.band, width, mask)
@@ -308,7 +308,7 @@ class LevelSet:
         return change
 
     def _feet(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Closest points of psi as it is: (cells, feet, states, n), first the band's, then of cells that may enter."""
+        """Closest points of psi as it is: (cells, feet, states, n), the band's slots, then those that may enter."""
         run, grid, dense, n = self.workers.run, self.grid, self.dense, self.size
         # Room for the cells that a step takes in.
         room = n + n // 4 + 1024
