@@ -23,7 +23,7 @@ ALIKE = math.sqrt(2.0)
 #: Fewest voxels along an axis that is halved: a coarser grid resolves no object.
 FEWEST = 8
 #: The same for a number of levels that nobody asked for, and how deep each part of the start is there, voxels.
-AUTO_FEWEST, AUTO_DEPTH = 24, 4.0
+AUTO_FEWEST, AUTO_DEPTH = 24, 3.0
 #: Catmull-Rom weights of four neighbours at a quarter of the way from the second to the third.
 QUARTER = (-0.0703125, 0.8671875, 0.2265625, -0.0234375)
 
@@ -41,6 +41,11 @@ class Level(NamedTuple):
     def first_centre(self, finest: Level) -> NDArray[np.float64]:
         """Position of the first voxel's centre; ``finest`` is level 0."""
         return 0.5 * (np.array(self.factors) - 1.0) * np.array(finest.spacing)
+
+
+#: What is worked on at once, for the sake of memory: voxels of a slab, cells of the band.
+SLAB_VOXELS = 1 << 21
+CHUNK = 1 << 16
 
 
 def levels(
@@ -120,23 +125,46 @@ def refined(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.
     >>> float(refined(psi, coarse, fine)[0, 0, 0]), float(refined(psi, coarse, fine)[0, 0, 15])
     (-7.0, 8.0)
     """
-    for axis in _halved(fine, coarse):
-        n = fine.shape[axis]
-        first, second = _part(psi, axis, slice(0, 1)), _part(psi, axis, slice(1, 2))
-        last, before = _part(psi, axis, slice(-1, None)), _part(psi, axis, slice(-2, -1))
-        low, high = first - second, last - before
-        padded = np.concatenate((first + 2 * low, first + low, psi, last + high, last + 2 * high), axis=axis)
-        shape = list(psi.shape)
-        shape[axis] = n
-        out = np.zeros(shape, np.float32)
-        for parity in (0, 1):
-            half = _part(out, axis, slice(parity, n, 2))
-            count = half.shape[axis]
-            for j, weight in enumerate(QUARTER):
-                begin = 3 - j if parity == 0 else 1 + j
-                half += np.float32(weight) * _part(padded, axis, slice(begin, begin + count))
-        psi = out
+    halved = _halved(fine, coarse)
+    if 0 not in halved:
+        return _refined(psi, halved, fine)
+    # By slabs of planes: the whole would be held three times over.
+    padded, n = _padded(psi, 0), fine.shape[0]
+    out = np.empty(fine.shape, np.float32)
+    step = 2 * max(1, SLAB_VOXELS // (2 * fine.shape[1] * fine.shape[2]))
+    for begin in range(0, n, step):
+        stop = min(begin + step, n)
+        planes = _between(padded[begin // 2 : (stop + 1) // 2 + 4], 0, stop - begin)
+        out[begin:stop] = _refined(planes, [axis for axis in halved if axis > 0], fine)
+    return out
+
+
+def _refined(psi: NDArray[np.float32], axes: Sequence[int], fine: Level) -> NDArray[np.float32]:
+    for axis in axes:
+        psi = _between(_padded(psi, axis), axis, fine.shape[axis])
     return psi
+
+
+def _padded(psi: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Go on linearly by two voxels to both sides."""
+    first, second = _part(psi, axis, slice(0, 1)), _part(psi, axis, slice(1, 2))
+    last, before = _part(psi, axis, slice(-1, None)), _part(psi, axis, slice(-2, -1))
+    low, high = first - second, last - before
+    return np.concatenate((first + 2 * low, first + low, psi, last + high, last + 2 * high), axis=axis)
+
+
+def _between(padded: NDArray[np.float32], axis: int, n: int) -> NDArray[np.float32]:
+    """Return the ``n`` values at a quarter to either side of the voxels of a padded array."""
+    shape = list(padded.shape)
+    shape[axis] = n
+    out = np.zeros(shape, np.float32)
+    for parity in (0, 1):
+        half = _part(out, axis, slice(parity, n, 2))
+        count = half.shape[axis]
+        for j, weight in enumerate(QUARTER):
+            begin = 3 - j if parity == 0 else 1 + j
+            half += np.float32(weight) * _part(padded, axis, slice(begin, begin + count))
+    return out
 
 
 def carried(
@@ -149,15 +177,28 @@ def carried(
     """
     if not fields or new.size == 0 or old.size == 0:
         return [np.zeros(new.size, np.float32) for _ in fields]
-    index = np.stack(np.unravel_index(new.band.cells, new.shape), axis=1)
+    out = [np.empty(new.size, np.float32) for _ in fields]
+    for begin in range(0, new.size, CHUNK):
+        chunk = slice(begin, min(begin + CHUNK, new.size))
+        for one, values in zip(out, _carried(fields, old, coarse, new, fine, chunk), strict=True):
+            one[chunk] = values
+    return out
+
+
+def _carried(
+    fields: Sequence[NDArray[np.float32]], old: LevelSet, coarse: Level, new: LevelSet, fine: Level, chunk: slice
+) -> list[NDArray[np.float64]]:
+    """`carried` for some of the slots."""
+    cells, feet = new.band.cells[chunk], new.band.foot[chunk]
+    index = np.stack(np.unravel_index(cells, new.shape), axis=1)
     # Only axes along which both grids go on: the foot never leaves a single slice.
     ratio = np.array([f / c for c, f in zip(coarse.factors, fine.factors, strict=True)])
-    foot = np.where(np.array(new.shape) > 1, new.band.foot / np.array(fine.spacing), 0.0)
+    foot = np.where(np.array(new.shape) > 1, feet / np.array(fine.spacing), 0.0)
     place = (index + foot) * ratio + 0.5 * (ratio - 1.0)
     corner = np.floor(place).astype(np.int64)
     share = place - corner
-    total = np.zeros(new.size)
-    sums = [np.zeros(new.size) for _ in fields]
+    total = np.zeros(cells.size)
+    sums = [np.zeros(cells.size) for _ in fields]
     for offset in np.ndindex(2, 2, 2):
         weight = np.prod(np.where(offset, share, 1.0 - share), axis=1)
         cell = np.clip(corner + offset, 0, np.array(old.shape) - 1)
@@ -169,7 +210,7 @@ def carried(
             one += weight * field[slot]
     # Where an object of the coarse level came out a little elsewhere there may be none: it is at rest there.
     total[total == 0.0] = 1.0
-    return [np.asarray(one / total, np.float32) for one in sums]
+    return [one / total for one in sums]
 
 
 def smallest_depth(psi: NDArray[np.float32]) -> float:

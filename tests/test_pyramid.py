@@ -151,3 +151,23 @@ def test_the_weights_of_the_interpolation_reproduce_cubics_far_from_the_border()
     values = refined(psi, coarse, fine)[0, 0]
     at = np.arange(64.0)
     np.testing.assert_allclose(values[4:-4], (0.01 * at**2 - at)[4:-4], atol=1e-4)
+
+
+def test_slabs_and_chunks_make_no_difference(monkeypatch):
+    psi = np.random.default_rng(5).normal(size=(9, 7, 6)).astype(np.float32)
+    fine, coarse = levels((17, 14, 11), (1.0, 1.1, 1.2), 2)[:2]
+    whole = refined(psi, coarse, fine)
+    monkeypatch.setattr(pyramid, "SLAB_VOXELS", 2 * 14 * 11)
+    assert np.array_equal(refined(psi, coarse, fine), whole)
+
+    def surface(level):
+        z, y, x = np.indices(level.shape)
+        middle = [(n - 1) / 2 for n in level.shape]
+        offsets = [(i - m) * h for i, m, h in zip((z, y, x), middle, level.spacing, strict=True)]
+        return LevelSet((np.sqrt(sum(o**2 for o in offsets)) - 4.0).astype(np.float32), level.spacing)
+
+    old, new = surface(coarse), surface(fine)
+    field = np.cos(np.arange(old.size)).astype(np.float32)
+    one = carried([field], old, coarse, new, fine)[0]
+    monkeypatch.setattr(pyramid, "CHUNK", 100)
+    assert new.size > 300 and np.array_equal(carried([field], old, coarse, new, fine)[0], one)
