@@ -154,10 +154,10 @@ def test_the_weights_of_the_interpolation_reproduce_cubics_far_from_the_border()
 
 
 def test_slabs_and_chunks_make_no_difference(monkeypatch):
-    psi = np.random.default_rng(5).normal(size=(9, 7, 6)).astype(np.float32)
-    fine, coarse = levels((17, 14, 11), (1.0, 1.1, 1.2), 2)[:2]
+    fine, coarse = levels((33, 30, 27), (1.0, 1.1, 1.2), 2)
+    psi = np.random.default_rng(5).normal(size=coarse.shape).astype(np.float32)
     whole = refined(psi, coarse, fine)
-    monkeypatch.setattr(pyramid, "SLAB_VOXELS", 2 * 14 * 11)
+    monkeypatch.setattr(pyramid, "SLAB_VOXELS", 2 * 30 * 27)
     assert np.array_equal(refined(psi, coarse, fine), whole)
 
     def surface(level):
