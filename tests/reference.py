@@ -214,38 +214,49 @@ def iterated(psi, spacing, cell, foot):
     return foot, status, least
 
 
-def march_in_order(dense, grid, cells, foot, state, half_width):
-    """Feet {cell: foot} passed on in order of distance, nearest first, then polished.
+def cells_beside(cell, grid):
+    """(raveled neighbour, vector (mm) to it) on the six sides, in the order of the kernels."""
+    shape, h = (grid.nz, grid.ny, grid.nx), np.array(grid[3:])
+    at = np.array(np.unravel_index(cell, shape))
+    for axis, sign in itertools.product(range(3), (-1, 1)):
+        step = sign * np.eye(3, dtype=int)[axis]
+        if ((at + step >= 0) & (at + step < shape)).all():
+            yield int(np.ravel_multi_index(at + step, shape)), step * h
 
-    From the feet of the slots that are not OPEN in ``state``, which stay; ``dense`` and the arrays are not changed. A
-    foot may come closer on its way (to a third cell, past one that has a closer one): a cell that is passed then
-    takes it over and hands it on once more.
+
+def enters(f, step, grid, half_width):
+    """Whether a cell not in the band, a ``step`` from one with the foot ``f``, is met.
+
+    It is where the tangent plane at the foot comes close enough; then it is offered the feet of all its neighbours.
+    """
+    h, through = np.array(grid[3:]), f - step
+    flat = (through @ f) / (f @ f) * f if f @ f > 0.1 * h.min() ** 2 else through
+    return np.linalg.norm(flat / h) <= half_width + march.SLACK
+
+
+def march_in_order(grid, cells, foot, state, half_width):
+    """Feet {cell: foot} passed on as they are in order of distance, nearest first, by those within ``half_width``.
+
+    From the feet of the slots that are not OPEN in ``state``, which stay. A foot may come closer on its way (to a
+    third cell, past one that has a closer one): a cell that is passed then takes it over and hands it on once more.
     """
     known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
     held, waiting = set(known), {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
-    shape, h = (grid.nz, grid.ny, grid.nx), np.array(grid[3:])
-    best, queue = {}, []
+    h, best, queue = np.array(grid[3:]), {}, []
 
     def hand_on(cell):
-        at = np.array(np.unravel_index(cell, shape))
-        for axis, sign in itertools.product(range(3), (-1, 1)):
-            other = at + sign * np.eye(3, dtype=int)[axis]
-            if (other < 0).any() or (other >= shape).any():
-                continue
-            target = int(np.ravel_multi_index(other, shape))
+        f = known[cell].astype(float)
+        if np.linalg.norm(f / h) > half_width:
+            return
+        for target, step in cells_beside(cell, grid):
             if target in held:
                 continue
-            f = known[cell].astype(float)
-            through = f - (other - at) * h
-            # One not in the band enters where the tangent plane at the foot of a neighbour comes close enough; then
-            # it is offered the feet of all of them.
-            flat = (through @ f) / (f @ f) * f if f @ f > 0.1 * h.min() ** 2 else through
-            if np.linalg.norm(flat / h) <= half_width + march.SLACK:
+            if enters(f, step, grid, half_width):
                 waiting.add(target)
-            d = np.linalg.norm(through)
+            d = np.linalg.norm(f - step)
             better = d < best.get(target, (np.inf,))[0] - 1e-6
             if better:
-                best[target] = d, np.float32(through)
+                best[target] = d, np.float32(f - step)
             if target in waiting and (better or target not in known):
                 heapq.heappush(queue, (best[target][0], target))
 
@@ -256,11 +267,47 @@ def march_in_order(dense, grid, cells, foot, state, half_width):
         if d == best[cell][0] and known.get(cell) is not best[cell][1]:
             known[cell] = best[cell][1]
             hand_on(cell)
-    order = np.array(sorted(known))
-    feet = np.array([known[int(c)] for c in order], np.float32).reshape(-1, 3)
-    passed = np.array([i for i, c in enumerate(order) if int(c) not in held], np.int64)
-    march.polish_feet(0, passed.size, dense.psi, grid, order, passed, feet)
-    return {int(c): f for c, f in zip(order, feet, strict=True)}
+    return known
+
+
+def march_by_rounds(psi, grid, cells, foot, state, half_width):
+    """Feet {cell: foot} passed on round by round, as those of the last one stood, from the slots that are not OPEN.
+
+    Those stay. A cell looks where a neighbour within ``half_width`` has changed, takes the closest over when it is so
+    by `CLOSER`, and hands it on. Its first foot is polished at once, others at last. Returns the number of those too.
+    """
+    known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
+    asked = {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
+    changed = [int(c) for c, s in zip(cells, state, strict=True) if s == march.EDGE]
+    held, band, later, h = set(known), set(known) | asked, set(), np.array(grid[3:])
+
+    def polished(cell, f):
+        feet = np.array([f], np.float32)
+        march.polish_feet(0, 1, psi, grid, np.array([cell]), np.array([0]), feet)
+        return feet[0]
+
+    while True:
+        for cell in changed:
+            f = known[cell].astype(float)
+            for target, step in cells_beside(cell, grid):
+                if np.linalg.norm(f / h) <= half_width and (target in band or enters(f, step, grid, half_width)):
+                    asked.add(target)
+        asked -= held
+        band |= asked
+        if not asked:
+            break
+        taken = {}
+        for cell in asked:
+            offers = [known[other] + step for other, step in cells_beside(cell, grid) if other in known]
+            lengths = [np.sqrt((offer**2).sum()) for offer in offers]
+            own = known.get(cell, np.full(3, np.inf)).astype(float)
+            least = np.sqrt((own**2).sum()) - march.CLOSER * h.min()
+            if min(lengths, default=np.inf) < least:
+                taken[cell] = np.float32(offers[int(np.argmin(lengths))])
+        later |= set(taken) & set(known)
+        known |= {c: f if c in known else polished(c, f) for c, f in taken.items()}
+        changed, asked = list(taken), set()
+    return {c: polished(c, f) if c in later else f for c, f in known.items()}, len(later)
 
 
 def front_cells(psi):

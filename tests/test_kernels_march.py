@@ -369,7 +369,7 @@ def guessed(dense, grid, band, inner, first, count):
 
 @pytest.mark.parametrize("shape", [(7, 9, 8), *THIN])
 def test_guesses_are_the_first_guess_or_the_old_foot_drawn_out(shape):
-    """Of a whole band, moved since it was a distance; 0 where there is no guess."""
+    """Of a whole band, moved since it was a distance; the old foot within the voxel centres' box; 0: no guess."""
     rng = np.random.default_rng(9)
     psi = reference.smooth_noise(shape, 10, 1.0)
     psi.ravel()[: psi.size // 10] = 2  # flat: no guess within
@@ -380,7 +380,7 @@ def test_guesses_are_the_first_guess_or_the_old_foot_drawn_out(shape):
     grid, inner = reference.grid_of(shape, UNEQUAL), 0.8
     first, count = 2, psi.size - 2
     got, beside = guessed(dense, grid, band, inner, first, count)
-    drawn = none = 0
+    drawn = beyond = none = 0
     for i in range(count):
         s = first + i
         cell = np.unravel_index(s, shape)
@@ -389,13 +389,19 @@ def test_guesses_are_the_first_guess_or_the_old_foot_drawn_out(shape):
         want = np.zeros(3)
         if abs(band.psi[s]) > inner:
             want = float(dense.psi[s]) / float(band.psi[s]) * band.foot[s].astype(float)
-            drawn += 1
-        elif not march.first_guess(dense.psi, grid, s, *cell, near, want):
+            at = cell + want / UNEQUAL
+            if ((at >= 0) & (at <= np.array(shape) - 1)).all():
+                drawn += 1
+                np.testing.assert_allclose(got[i], want, rtol=3 * EPS, atol=1e-30)
+                continue
+            beyond += 1
+        if not march.first_guess(dense.psi, grid, s, *cell, near, want):
             want[:] = 0
             none += 1
         np.testing.assert_allclose(got[i], want, rtol=3 * EPS, atol=1e-30)
-    assert drawn > 0
+    assert beyond > 0
     if shape == (7, 9, 8):
+        assert drawn > 0
         assert none > 0
 
 
@@ -442,28 +448,62 @@ def test_levels_are_those_of_the_interpolant_at_every_foot(shape):
         np.testing.assert_array_equal(rows, before)
 
 
-@pytest.mark.parametrize(("value", "distance", "found", "bound", "want"), [
-    (1.0, 1.2, True, -1.0, "guess"),
-    (-1.0, 1.2, True, -1.0, "guess"),
-    (1.0, 0.6, True, -1.0, "guess"),  # half as far as psi said, and more
-    (1.0, 0.4, True, -1.0, None),  # too close to be true
-    (1.0, 2.3, True, -1.0, "guess"),
-    (1.0, 2.5, True, -1.0, None),  # more than two of the smallest spacing further
-    (1.0, 1.0, False, -1.0, None),
-    (1.0, 0.4, True, 0.5, "guess"),  # beside the surface the length is no matter
-    (1.0, 0.56, True, 0.5, "guess"),  # up to a tenth of a voxel beyond the crossing
-    (1.0, 0.58, True, 0.5, "plane"),
-    (1.0, 0.4, False, 0.5, "plane"),
-    (1.0, 0.4, False, 0.0, "plane"),
-    (1.0, np.nan, False, 0.5, "plane"),
+@pytest.mark.parametrize(("value", "distance", "found", "bound", "least", "want"), [
+    (1.0, 1.2, True, -1.0, 0.5, "guess"),
+    (-1.0, 1.2, True, -1.0, 0.5, "guess"),
+    (1.0, 0.6, True, -1.0, 0.5, "guess"),  # half as far as psi said, and more
+    (1.0, 0.4, True, -1.0, 0.5, None),  # too close to be true
+    (1.0, 0.92, True, -1.0, 0.9, "guess"),
+    (-1.0, 0.88, True, -1.0, 0.9, None),
+    (1.0, 2.3, True, -1.0, 0.5, "guess"),
+    (1.0, 2.5, True, -1.0, 0.5, None),  # more than two of the smallest spacing further
+    (1.0, 1.0, False, -1.0, 0.5, None),
+    (1.0, 2.3, True, -1.0, 0.9, "guess"),
+    (1.0, 0.4, True, 0.5, 0.5, "guess"),  # beside the surface the length is no matter
+    (1.0, 0.4, True, 0.5, 0.9, "guess"),
+    (1.0, 0.56, True, 0.5, 0.5, "guess"),  # up to a tenth of a voxel beyond the crossing
+    (1.0, 0.58, True, 0.5, 0.5, "plane"),
+    (1.0, 0.4, False, 0.5, 0.5, "plane"),
+    (1.0, 0.4, False, 0.0, 0.5, "plane"),
+    (1.0, np.nan, False, 0.5, 0.5, "plane"),
 ])  # fmt: skip
-def test_what_holds_for_a_foot(value, distance, found, bound, want):
+def test_what_holds_for_a_foot(value, distance, found, bound, least, want):
     grid = reference.grid_of((5, 5, 5), UNEQUAL)
     guess, plane_foot = distance * np.array((0.6, 0.0, 0.8)), np.array((0.1, 0.2, 0.3))
     before = guess.copy()
-    state = march.settle(value, grid, plane_foot, bound, guess, found)
+    state = march.settle(value, grid, plane_foot, bound, guess, found, least)
     assert state == (march.OPEN if want is None else march.FROZEN)
     np.testing.assert_array_equal(guess, plane_foot if want == "plane" else before)
+
+
+@pytest.mark.parametrize(("slope", "offset", "holds"), [
+    (1.0, -0.5, True),
+    (1.0, 0.5, True),
+    (1.0, -0.9, True),
+    (1.0, -1.1, False),  # more than a voxel beyond the border
+    (0.75, 0.5, True),  # a little over half of what psi says
+    (0.75, -0.5, False),  # beyond the voxel centres that must be nine tenths
+    (0.95, -0.5, True),
+    (0.45, 0.5, False),
+])  # fmt: skip
+@pytest.mark.parametrize("side", range(6))
+def test_a_foot_beyond_the_border_must_keep_what_psi_said(slope, offset, holds, side):
+    """Of a plane from the border inwards whose psi is 1/slope of its distance, a cell that is not beside it."""
+    shape, axis = (7, 8, 9), side // 2
+    depth = np.indices(shape)[axis]
+    depth = np.flip(depth, axis) if side % 2 else depth
+    psi = ((depth - offset) / slope).astype(np.float32)
+    dense, band = reference.whole_band(psi)
+    grid = reference.grid_of(shape, (1, 1, 1))
+    foot, state = band.foot.copy(), np.full(psi.size, -1, np.int8)
+    find_feet(dense, grid, band, foot, state)
+    cell = np.full(3, 3)
+    cell[axis] = shape[axis] - 3 if side % 2 else 2
+    s = np.ravel_multi_index(cell, shape)
+    assert state[s] == (march.FROZEN if holds else march.OPEN)
+    if holds:
+        want = (2 - offset) * (np.arange(3) == axis) * (1 if side % 2 else -1)
+        np.testing.assert_allclose(foot[s], want, atol=1e-4)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.6, 1.0, 0.8)])
@@ -614,13 +654,21 @@ def test_polishing_does_not_leave_the_volume():
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), UNEQUAL])
 def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
-    """As a plain twin, and the same bytes with any room: what does not fit is moved to larger arrays."""
+    """As a plain twin, and the same bytes with any room: what does not fit is moved to larger arrays.
+
+    Those whose own foot is beyond the half width set nothing going.
+    """
     psi = reference.smooth_noise((7, 9, 8), 15, 1.5)
     dense, grid, band, foot, state = started(psi, spacing)
-    n, slot, reach = band.cells.size, dense.slot.copy(), 1.3
+    n, slot, half_width = band.cells.size, dense.slot.copy(), 1.2
+    reach = half_width + march.SLACK
     sources = np.flatnonzero(state == march.EDGE)[::-1]
+    for s in sources[::5]:
+        foot[s] *= half_width * 1.01 / voxels_along(*foot[s], grid)
+    for s in sources[1::5]:
+        foot[s] *= half_width * 0.99 / voxels_along(*foot[s], grid)
     entered, stirred = [], np.zeros(n, bool)
-    for s in sources:
+    for s in np.delete(sources, np.s_[::5]):
         index = unravel(band.cells[s], grid)
         for side, other in enumerate(around(grid, index)[1]):
             out = np.empty(3)
@@ -635,7 +683,7 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         dense.slot[:] = slot
         arrays = [band.cells, foot, state, np.zeros(n, bool)]
         arrays = [np.concatenate([a, np.zeros((room, *a.shape[1:]), a.dtype)]) for a in arrays]
-        *arrays, total = march.spread(dense, grid, *arrays[:3], n, sources, reach, arrays[3])
+        *arrays, total = march.spread(dense, grid, *arrays[:3], n, sources, half_width, arrays[3])
         assert all(a.shape[0] >= total for a in arrays)
         assert total == n + len(entered)
         cells, feet, states, stir = (a[:total] for a in arrays)
@@ -704,8 +752,9 @@ def two_sheets(shape, spacing):
 
 
 def box(shape, spacing):
+    """No edge lies along a diagonal of voxels, where rounding would say which of two faces is closer."""
     z, y, x = np.abs(reference.coordinates(shape, spacing, (np.array(shape) - 1) / 2 * spacing))
-    return np.maximum(np.maximum(z - 0.31 * shape[0], y - 2.2), x - 2.7)
+    return np.maximum(np.maximum(z - 0.31 * shape[0], y - 2.2), x - 2.67)
 
 
 def rough(shape, spacing):
@@ -716,40 +765,51 @@ def smooth(shape, spacing):
     return 3 * reference.smooth_noise(shape, 6, 2.0)
 
 
+def known_after_rounds(psi, spacing, half_width):
+    _, cells, feet, states, _ = marched(psi, spacing, half_width)
+    return {int(c): f for c, f, s in zip(cells, feet, states, strict=True) if s != march.OPEN}
+
+
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.5, 1.0, 0.8), UNEQUAL])
 @pytest.mark.parametrize("shape", [(11, 9, 12), *THIN, (1, 1, 12)])
 @pytest.mark.parametrize("make", [two_sheets, box, smooth, rough])
 def test_rounds_give_what_a_march_in_order_gives(make, shape, spacing, monkeypatch):
-    """The same cells and, up to `CLOSER`, feet; the same bytes after polishing wherever the same foot came.
+    """Without polishing: the same cells and, up to `CLOSER`, feet.
 
     A cell does not take a foot that is closer by less than CLOSER = 0.02 voxel over, so feet may be that much longer.
     At ridges more: the feet of two sheets within that of each other go on to different cells, and by different ways.
-    There are few such cells (worst here 3 %), and none more than 0.3 voxel off (worst here 0.27).
+    There are few such cells (worst here 2.2 %), and none more than 0.3 voxel off (worst here 0.27). At the band's edge
+    some are met by one way only, where a cell on the other is just beyond it (worst here 8 of 734).
     """
+    monkeypatch.setattr(march, "polish_feet", lambda start, stop, *args: None)
     psi, half_width = make(shape, spacing), 3.0
-    dense, grid, band, foot, state = started(psi, spacing)
-    feet = []
-    for polished in (False, True):
-        with monkeypatch.context() as patch:
-            if not polished:
-                patch.setattr(march, "polish_feet", lambda start, stop, *args: None)
-            want = reference.march_in_order(dense, grid, band.cells, foot, state, half_width)
-            _, cells, got, states, _ = marched(psi, spacing, half_width)
-        got = {int(c): f for c, f, s in zip(cells, got, states, strict=True) if s != march.OPEN}
-        feet.append((want, got))
-        within = half_width - march.CLOSER
-        for one, other in ((want, got), (got, want)):
-            assert sum(voxels_along(*f, grid) < within and c not in other for c, f in one.items()) <= 1
-    (want, got), (polished_want, polished_got) = feet
-    both = sorted(c for c in set(want) & set(got) if min(voxels_along(*f[c], grid) for f in (want, got)) < within)
+    _, grid, band, foot, state = started(psi, spacing)
+    want = reference.march_in_order(grid, band.cells, foot, state, half_width)
+    got = known_after_rounds(psi, spacing, half_width)
+    lengths = [{c: voxels_along(*f, grid) for c, f in feet.items()} for feet in (want, got)]
+    both = sorted(c for c in set(want) & set(got) if max(lengths[0][c], lengths[1][c]) <= half_width)
+    for one, other in (lengths, lengths[::-1]):
+        missed = [c for c, d in one.items() if d < half_width - march.CLOSER and other.get(c, np.inf) > half_width]
+        assert len(missed) <= (2 if spacing == UNEQUAL else 1) + 0.01 * len(both)
     gap = np.array([np.linalg.norm(got[c]) - np.linalg.norm(want[c]) for c in both]) / min(spacing)
     if len(both) > 0:
         assert (np.abs(gap) > march.CLOSER).sum() <= 1 + 0.03 * len(both)
         assert np.abs(gap).max() < 0.3
-    same = [c for c in both if (want[c] == got[c]).all()]
-    assert len(same) >= 0.9 * len(both)
-    for c in same:
-        np.testing.assert_array_equal(polished_want[c], polished_got[c])
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.5, 1.0, 0.8), UNEQUAL])
+@pytest.mark.parametrize("shape", [(11, 9, 12), *THIN, (1, 1, 12)])
+@pytest.mark.parametrize("make", [two_sheets, box, smooth, rough])
+def test_rounds_are_those_of_the_slow_twin(make, shape, spacing):
+    """Polished: the same cells and bytes. In the largest volume some feet change after they were polished."""
+    psi, half_width = make(shape, spacing), 3.0
+    dense, grid, band, foot, state = started(psi, spacing)
+    want, later = reference.march_by_rounds(dense.psi, grid, band.cells, foot, state, half_width)
+    got = known_after_rounds(psi, spacing, half_width)
+    assert set(got) == set(want)
+    for cell, own in got.items():
+        np.testing.assert_array_equal(own, want[cell])
+    assert later > 0 or shape != (11, 9, 12)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), UNEQUAL])
