@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.config import RunConfig
 from accelsurf.metrics import dice
 from accelsurf.segmentation import segment
 from benchmarks.peers.measure import (
@@ -45,21 +44,14 @@ SEARCH_S = (60.0, 40.0)
 CARRIED = 2
 
 
-def levels() -> list[dict[str, Any]]:
-    """The choices of `levels`, where this accelsurf has it."""
-    return [{"levels": 1}, {"levels": "auto"}] if "levels" in RunConfig.model_fields else [{}]
-
-
 def own_noise_grid() -> list[dict[str, Any]]:
     """Settings of accelsurf in noise."""
-    grid = combinations(presmooth=(1.0, 1.5, 0.0), smoothness=(0.0, 0.1), cfl=(0.9, 0.5))
-    return [{**settings, **more} for settings in grid for more in levels()]
+    return combinations(epsilon=(0.0, 1.5), presmooth=(1.5, 1.0, 2.0), smoothness=(0.1, 0.2, 0.0), levels=("auto", 3))
 
 
 def own_real_grid() -> list[dict[str, Any]]:
     """Settings of accelsurf on the brain scan; the first are those of docs/real-scans.md."""
-    grid = combinations(epsilon=(0.0,), balance=(2.0, 3.0), cfl=(0.5, 0.9))
-    return [{**settings, **more} for settings in grid for more in levels()]
+    return combinations(epsilon=(0.0,), smoothness=(0.0, 0.1), balance=(2.0, 3.0))
 
 
 # -- in noise ----------------------------------------------------------------------------------------------
