@@ -155,6 +155,8 @@ class CoarseToFine:
         if before.stop.reason in FAILED:
             self._warn(coarse, before.stop.message, "went on from the start")
             return self._evolution(self._starts[-1], before, None)
+        # The start there is not needed any more; a whole volume on the finest level.
+        self._starts[-1] = np.zeros((0, 0, 0), np.float32)
         psi = refined(before.surface.psi, coarse, fine)
         return self._evolution(psi, before, (before.surface, coarse, fine))
 

@@ -225,9 +225,13 @@ def smallest_depth(psi: NDArray[np.float32]) -> float:
     2.0
     """
     inside = psi < 0
-    parts, count = ndimage.label(inside)
-    if count == 0 or inside.all():
+    if not inside.any() or inside.all():
         return 0.0
+    # Only where the object is, and a voxel around it: the distances take much memory.
+    for axis in range(3):
+        on = np.flatnonzero(inside.any(axis=tuple(other for other in range(3) if other != axis)))
+        inside = inside[(slice(None),) * axis + (slice(max(on[0] - 1, 0), on[-1] + 2),)]
+    parts, count = ndimage.label(inside)
     depth = ndimage.distance_transform_edt(inside)
     return float(np.min(ndimage.maximum(depth, parts, np.arange(1, count + 1))))
 
