@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import differences
-from accelsurf.kernels.grid import Band
-from accelsurf.kernels.stencils import TOGETHER
+from accelsurf.kernels.grid import TOGETHER, Band
 from tests import reference
 
 pytestmark = pytest.mark.nojit

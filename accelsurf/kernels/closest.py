@@ -6,7 +6,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.cubic import cubic
-from accelsurf.kernels.grid import unravel
+from accelsurf.kernels.grid import TOGETHER, unravel
 from accelsurf.kernels.interpolate import value_and_gradient
 
 MAX_ITERATIONS = 6
@@ -19,10 +19,6 @@ TOLERANCE = 0.05
 LEAST_SLOPE2 = 0.04
 #: Longest correction in one iteration, voxels: the interpolant is trusted only near the front.
 MAX_MOVE = 1.5
-
-
-#: Cells whose feet are moved together: independent of each other, they overlap in the processor.
-TOGETHER = 128
 #: How a foot stands in `closest_points`.
 ACTIVE, FOUND, LOST = 0.0, 1.0, 2.0
 #: Rows of the memory of `closest_points`, `TOGETHER` long each, one array for the compiler to see that they are apart:
@@ -31,6 +27,13 @@ ACTIVE, FOUND, LOST = 0.0, 1.0, 2.0
 FOOT, STATUS, LAST, SQUARE, RELAX, START, LEVEL = (np.uint64(row * TOGETHER) for row in (0, 3, 4, 7, 8, 9, 10))
 NEXT = np.uint64(TOGETHER)
 ROWS = 14
+
+
+@kernel
+def feet_memory():
+    """Memory for `closest_points`, and in it the feet (3, `TOGETHER`) and how they stand (`TOGETHER`,)."""
+    memory = np.zeros(ROWS * TOGETHER, np.float32)
+    return memory, memory[: 3 * TOGETHER].reshape(3, TOGETHER), memory[3 * TOGETHER : 4 * TOGETHER]
 
 
 @kernel

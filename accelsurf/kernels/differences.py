@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import unravel
-from accelsurf.kernels.stencils import TOGETHER, gather_cross, godunov_norms
+from accelsurf.kernels.grid import TOGETHER, unravel
+from accelsurf.kernels.stencils import gather_cross, godunov_norms
 
 
 @kernel

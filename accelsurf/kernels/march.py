@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.closest import FOUND, ROWS, TOGETHER, closest_points, crossing_point
-from accelsurf.kernels.grid import neighbours, unravel, voxels_along
+from accelsurf.kernels.closest import FOUND, closest_points, crossing_point, feet_memory
+from accelsurf.kernels.grid import TOGETHER, neighbours, unravel, voxels_along
 
 #: What is known of a slot's foot.
 OPEN, FROZEN, EDGE = 0, 1, 2
@@ -115,9 +115,7 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
     guess = np.empty(3)
     plane = np.empty(3)
     w = np.empty(24)
-    memory = np.zeros(ROWS * TOGETHER, np.float32)
-    feet = memory[: 3 * TOGETHER].reshape(3, TOGETHER)
-    status = memory[3 * TOGETHER : 4 * TOGETHER]
+    memory, feet, status = feet_memory()
     beside = np.empty(TOGETHER, np.bool_)
     for first in range(start, stop, TOGETHER):
         count = min(TOGETHER, stop - first)
@@ -336,9 +334,7 @@ def polish_feet(start, stop, psi, grid, cells, on, foot):
     """
     out = np.empty(3)
     w = np.empty(24)
-    memory = np.zeros(ROWS * TOGETHER, np.float32)
-    feet = memory[: 3 * TOGETHER].reshape(3, TOGETHER)
-    status = memory[3 * TOGETHER : 4 * TOGETHER]
+    memory, feet, status = feet_memory()
     at = np.empty(TOGETHER, np.int64)
     for first in range(start, stop, TOGETHER):
         count = min(TOGETHER, stop - first)

@@ -6,8 +6,8 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import curvature_at_foot, curvatures, gradient
-from accelsurf.kernels.grid import BLOCK, unravel, voxels_along
-from accelsurf.kernels.stencils import TOGETHER, block_curvatures, gather_block
+from accelsurf.kernels.grid import BLOCK, TOGETHER, unravel, voxels_along
+from accelsurf.kernels.stencils import block_curvatures, gather_block
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane
 #: along an axis add up to 1 exactly.

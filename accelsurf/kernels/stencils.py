@@ -11,9 +11,6 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import unravel
 
-#: Cells that are gathered together.
-TOGETHER = 128
-
 
 @kernel
 def gather_cross(first, count, psi, grid, cells, wanted, rows, well_inside):

@@ -38,12 +38,10 @@ class Clock:
 
     @property
     def stages(self) -> dict[str, float]:
-        """The package's own record of seconds by stage; empty where it keeps none."""
-        return dict(getattr(self._workers, "seconds", {}))
+        """The package's own record of seconds by kernel, those that run on one thread among them."""
+        return dict(self._workers.seconds)
 
     def reset(self) -> None:
         """Forget what was counted."""
         self.kernels.clear()
-        seconds = getattr(self._workers, "seconds", None)
-        if isinstance(seconds, dict):
-            seconds.clear()
+        self._workers.seconds.clear()
