@@ -91,11 +91,24 @@ class Stop(NamedTuple):
     message: str
 
 
+class Felt(NamedTuple):
+    """What acted in a step, per cell of the band that it began on: raveled ``cells`` (n,) in raster order, ``force``
+    (n,), which counts at the front, and ``speed`` (n,), mm per unit time; along N, so that above 0 shrinks.
+    """
+
+    cells: np.ndarray
+    force: np.ndarray
+    speed: np.ndarray
+
+
 class Step(NamedTuple):
-    """What the loop yields: the ledger's row, and the surface as it is now (look, do not touch)."""
+    """What the loop yields: the ledger's row, the surface as it is now, and what moved it there last on this grid
+    (look, do not touch); the latter is None where no step was made on the grid.
+    """
 
     row: Row
     surface: LevelSet
+    felt: Felt | None = None
 
 
 class StopRule(NamedTuple):
@@ -225,6 +238,7 @@ class Evolution:
         self._time = 0.0
         self._potential = 0.0
         self._snapshot: Snapshot | None = None
+        self._felt: Felt | None = None
         self._books = Books()
         self._fields = fields
         # What the other level had at the end, and not that level itself, which would be kept alive. What was won
@@ -257,7 +271,7 @@ class Evolution:
             if self._goes_on():
                 return
             self.ledger.append(row)
-            yield Step(row, self.surface)
+            yield Step(row, self.surface, self._felt)
 
     # -- one step ------------------------------------------------------------------------------------------
 
@@ -297,6 +311,8 @@ class Evolution:
         entries = self._books.enter(move.account, move.dt)
         rates = voxel_rates(surface, area > 0, move.speed)
         motion = move.dt * float((area * rates).sum()) / max(state["area_mm2"], 1e-300)
+        # The arrays of the old band, which nothing writes to any more.
+        self._felt = Felt(surface.band.cells, force, move.speed)
         removed = self._drift(move)
         self._time += move.dt
         return Row(
