@@ -162,6 +162,10 @@ class CoarseToFine:
         energy = self._take(parts, new_energy)
         self._now = self._now.edited(energy, self.flow, self.limits, self.restart, self._half_width, push)
 
+    def look(self) -> Step:
+        """Return the state between two steps, as the row of a step that moves nothing."""
+        return self._now.look()
+
     def keep(self) -> Kept:
         """Put aside the state between two steps."""
         return self._now.keep()

@@ -96,11 +96,24 @@ class Stop(NamedTuple):
     message: str
 
 
+class Felt(NamedTuple):
+    """What acted in a step, per cell of the band that it began on: raveled ``cells`` (n,) in raster order, ``force``
+    (n,), which counts at the front, and ``speed`` (n,), mm per unit time; along N, so that above 0 shrinks.
+    """
+
+    cells: np.ndarray
+    force: np.ndarray
+    speed: np.ndarray
+
+
 class Step(NamedTuple):
-    """What the loop yields: the ledger's row, and the surface as it is now (look, do not touch)."""
+    """What the loop yields: the ledger's row, the surface as it is now, and what moved it there last on this grid
+    (look, do not touch); the latter is None where no step was made on the grid.
+    """
 
     row: Row
     surface: LevelSet
+    felt: Felt | None = None
 
 
 class StopRule(NamedTuple):
@@ -184,10 +197,11 @@ class Kept(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes, rows that it shares with other states left out."""
+        """Memory that it takes at most; rows are not counted, and what states may share is."""
         fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
-        before = self.scalars["_snapshot"]
-        return self.surface.nbytes + fields + 8 * len(self.ledger) + (12 * before.psi.size if before else 0)
+        before, felt = self.scalars["_snapshot"], self.scalars["_felt"]
+        shared = (12 * before.psi.size if before else 0) + (16 * felt.speed.size if felt else 0)
+        return self.surface.nbytes + fields + 8 * len(self.ledger) + shared
 
 
 class Evolution:
@@ -251,6 +265,7 @@ class Evolution:
         self._time = 0.0
         self._potential = 0.0
         self._snapshot: Snapshot | None = None
+        self._felt: Felt | None = None
         self._books = Books()
         self._fields = fields
         self._begun = False
@@ -300,7 +315,15 @@ class Evolution:
             return None
         self._edits = 0
         self.ledger.append(row)
-        return Step(row, self.surface)
+        return Step(row, self.surface, self._felt)
+
+    def look(self) -> Step:
+        """Return the state between two steps, as the row of a step that moves nothing; changes nothing of the run."""
+        self.begin()
+        began = time.perf_counter()
+        part, area = self.surface.cut()
+        state = self._state(len(self.ledger), self.energy.value(self.surface, part, area), part, area)
+        return Step(self._still(state, began), self.surface, self._felt)
 
     # -- changed by hand -----------------------------------------------------------------------------------
 
@@ -356,11 +379,11 @@ class Evolution:
         # Potentials of two energies do not compare.
         following._won_before = 0.0 if energy is not None else self._won
         following._potential_before = potential - flow.energy(surface.cut()[1])
-        following._edits, following._asked = self._edits + 1, self._asked
+        following._edits, following._asked, following._felt = self._edits + 1, self._asked, self._felt
         return following
 
     _SCALARS = (
-        "_time", "_potential", "_snapshot", "_won_before", "_potential_before", "_first", "level",
+        "_time", "_potential", "_snapshot", "_won_before", "_potential_before", "_first", "_felt", "level",
     )
 
     def keep(self) -> Kept:
@@ -398,15 +421,7 @@ class Evolution:
             self._books.drop(self._potential_before - potential)
             self._potential_before = math.nan
         self._potential = potential
-        state: dict[str, Any] = {
-            "step": n,
-            "level": self.level,
-            "t": self._time,
-            "potential": potential,
-            "volume_mm3": surface.volume(part),
-            "area_mm2": float(area.sum()),
-            "band_cells": surface.size,
-        }
+        state = self._state(n, potential, part, area)
         reason = self._reason_to_stop(n, potential)
         if reason is not None:
             self._end(*reason, n)
@@ -424,6 +439,8 @@ class Evolution:
         entries = self._books.enter(move.account, move.dt)
         rates = voxel_rates(surface, area > 0, move.speed)
         motion = move.dt * float((area * rates).sum()) / max(state["area_mm2"], 1e-300)
+        # The arrays of the old band, which nothing writes to any more.
+        self._felt = Felt(surface.band.cells, force, move.speed)
         removed = self._drift(move)
         self._time += move.dt
         return Row(
@@ -439,6 +456,18 @@ class Evolution:
             removed_components=removed,
             seconds=time.perf_counter() - began,
         )
+
+    def _state(self, n: int, potential: float, part: np.ndarray, area: np.ndarray) -> dict[str, Any]:
+        """The columns of a row that say where the surface is."""
+        return {
+            "step": n,
+            "level": self.level,
+            "t": self._time,
+            "potential": potential,
+            "volume_mm3": self.surface.volume(part),
+            "area_mm2": float(area.sum()),
+            "band_cells": self.surface.size,
+        }
 
     def _drift(self, move: Move) -> int:
         """Move the surface, and everything that lives on it; returns how many components were removed."""
