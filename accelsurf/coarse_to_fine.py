@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import Energy
-from accelsurf.evolution import Evolution, Kept, Restart, Row, Step, Stop, StopReason, StopRule
+from accelsurf.evolution import Evolution, Felt, Kept, Restart, Row, Step, Stop, StopReason, StopRule
 from accelsurf.flows import Flow, Limits
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.pyramid import Level, carried, coarsened, refined
@@ -161,6 +161,15 @@ class CoarseToFine:
         """
         energy = self._take(parts, new_energy)
         self._now = self._now.edited(energy, self.flow, self.limits, self.restart, self._half_width, push)
+
+    def extend(self, max_steps: int) -> None:
+        """Have another limit of the steps of all levels together."""
+        self.max_steps = self._now.max_steps = max_steps
+
+    @property
+    def felt(self) -> Felt | None:
+        """What moved the surface last on this grid."""
+        return self._now.felt
 
     def look(self) -> Step:
         """Return the state between two steps, as the row of a step that moves nothing."""

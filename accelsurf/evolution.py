@@ -317,13 +317,18 @@ class Evolution:
         self.ledger.append(row)
         return Step(row, self.surface, self._felt)
 
+    @property
+    def felt(self) -> Felt | None:
+        """What moved the surface last."""
+        return self._felt
+
     def look(self) -> Step:
         """Return the state between two steps, as the row of a step that moves nothing; changes nothing of the run."""
         self.begin()
         began = time.perf_counter()
         part, area = self.surface.cut()
         state = self._state(len(self.ledger), self.energy.value(self.surface, part, area), part, area)
-        return Step(self._still(state, began), self.surface, self._felt)
+        return Step(self._still(state, began)._replace(edits=self._edits), self.surface, self._felt)
 
     # -- changed by hand -----------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""A run made ready: the image prepared, the start built, the parts chosen; steered by edits, put aside and taken back."""
+"""A run made ready: image prepared, start built, parts chosen; steered by edits, put aside and taken back."""
 
 from __future__ import annotations
 
@@ -43,6 +43,11 @@ class KeptRun(NamedTuple):
     evolution: Kept
 
     @property
+    def level(self) -> int:
+        """The level that it is of."""
+        return int(self.evolution.scalars["level"])
+
+    @property
     def nbytes(self) -> int:
         """Memory that it takes."""
         return self.evolution.nbytes
@@ -77,13 +82,11 @@ class Run:
     def __init__(self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None) -> None:
         began = time.perf_counter()
         check_image(volume)
-        if config.noise > 0 and config.seed is None:
-            # Drawn once and kept: the report's settings then repeat the run.
-            config = config.replace(seed=secrets.randbelow(2**31))
+        config = _seeded(config)
         self.volume, self.config, self._energy = volume, config, energy
         self.now, self._done = config.model_copy(update={"edit": ()}), 0
         for edit in config.edit:
-            self._check(edit)
+            self.check(edit)
         smoothed = presmoothed(volume, config.presmooth)
         psi = starts.build(config.start, volume, smoothed)
         self.start = psi.copy() if volume.geometry.slice_axis is not None else None
@@ -170,7 +173,7 @@ class Run:
             edit = self.config.edit[self._done]
             if edit.step > self.step_number:
                 break
-            now = self.now.replace(**edit.settings) if edit.settings else self.now
+            now = self.now.replace(**edit.settings, seed=self.config.seed) if edit.settings else self.now
             push = functools.partial(self._push, edit.balls) if edit.balls else None
             self.evolution.edit(self._parts(now), _energy_key(now) != _energy_key(self.now), push)
             self.now, self._done = now, self._done + 1
@@ -194,11 +197,17 @@ class Run:
         while same < min(len(edits), len(self.config.edit)) and edits[same] == self.config.edit[same]:
             same += 1
         for edit in edits[same:]:
-            self._check(edit)
-        config = self.config.replace(edit=edits)
+            self.check(edit)
+        config = _seeded(self.config.replace(edit=edits))
         if config.edit[: self._done] != self.config.edit[: self._done]:
             raise ValueError("an edit that has been applied cannot change: go back to before it first")
         self.config = config
+
+    def look(self) -> Step:
+        """Return the state now: the last row once the run has ended, else one of a step that moves nothing."""
+        if self.evolution.stop is None:
+            return self.evolution.look()
+        return Step(self.evolution.ledger[-1], self.evolution.surface, self.evolution.felt)
 
     def keep(self) -> KeptRun:
         """Put the state aside, between two steps and before the edits of the coming one are applied."""
@@ -210,7 +219,7 @@ class Run:
         self.evolution.resume(kept.evolution, self._parts(kept.now), changed)
         self.now, self._done = kept.now, kept.done
 
-    def _check(self, edit: Edit) -> None:
+    def check(self, edit: Edit) -> None:
         """Refuse what this run cannot do: a ball outside the volume, a setting that an energy of one's own has not."""
         for _, ball in edit.balls:
             try:
@@ -245,6 +254,12 @@ class Run:
                 np.minimum(part, inside, out=part)
             else:
                 np.maximum(part, -inside, out=part)
+
+
+def _seeded(config: RunConfig) -> RunConfig:
+    """The configuration, with a seed if it has noise at any time; drawn once and kept, so that it repeats the run."""
+    noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
+    return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config
 
 
 def _energy_key(config: RunConfig) -> tuple[Any, ...]:

@@ -23,6 +23,7 @@ from accelsurf.run import EnergyLike, Run
 from accelsurf.surface import Surface, extract
 from accelsurf.volume import Volume
 
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """What a run left.
@@ -264,16 +265,15 @@ def _resolved(
 
 
 def result_of(run: Run) -> Result:
-    """Return what a run left, once it has stopped; the result is not changed when the run goes back and on.
+    """Return what a run left, or has reached between two steps: then with the reason ``interrupted``.
 
-    Raises
-    ------
-    ValueError
-        When it has not stopped.
+    The ledger is a copy; ``psi`` is a view of the surface, which goes on if the run does.
     """
-    surface, stop = run.evolution.surface, run.evolution.stop
+    surface, stop, ledger = run.evolution.surface, run.evolution.stop, list(run.evolution.ledger)
     if stop is None:
-        raise ValueError("the run has not stopped")
+        row = run.look().row
+        ledger.append(row)
+        stop = Stop("interrupted", row.step, row.t, f"looked at after {row.step} steps")
     missed = run.config.edit[run.edits_done :]
     return Result(
         labels=surface.labels,
@@ -282,7 +282,7 @@ def result_of(run: Run) -> Result:
         geometry=run.volume.geometry,
         config=run.config,
         energy=run.energy_name,
-        ledger=list(run.evolution.ledger),
+        ledger=ledger,
         stop=stop,
         levels=run.evolution.passed,
         seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},

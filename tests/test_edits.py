@@ -72,8 +72,8 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
 def test_going_back_and_on_is_the_same_run(flow, energy):
     noise = {"noise": 0.05, "seed": 3, "noise_time": 50} if flow in ("constant-density", "flowable-mass") else {}
     config = RunConfig(
-        start="ball:17,15,16,6", flow=flow, energy=energy, smoothness=0.1, balloon=-0.5, levels=1, threads=1, max_steps=60,
-        **noise,
+        start="ball:17,15,16,6", flow=flow, energy=energy, smoothness=0.1, balloon=-0.5, levels=1, threads=1,
+        max_steps=60, **noise,
     )
     straight, back = Run(volume(), config), Run(volume(), config)
     stepped(straight, 33)
