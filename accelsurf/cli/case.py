@@ -269,6 +269,8 @@ def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
     reference : ndarray, optional
         Labels to draw as a second contour.
     """
+    from accelsurf.headers import of_patient
+
     result, volume = case.result, case.volume
     assert result is not None and volume is not None and case.config is not None
     return preview.Scene(
@@ -279,19 +281,9 @@ def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
         surface=None if case.one_slice or result.stop.reason in ("vanished", "filled") else result.surface,
         start=result.start,
         title=title or f"{case.name}: {case.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}",
-        anatomical=_is_patient(volume),
+        anatomical=of_patient(volume.metadata),
         reference=reference,
     )
-
-
-def _is_patient(volume: Volume) -> bool:
-    """Whether the header says that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name."""
-    from accelsurf.headers import NRRD_KEY
-    from accelsurf.nifti import METADATA_KEY
-
-    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
-    coded = any(bytes.fromhex(volume.metadata.get(METADATA_KEY, ""))[17:21])
-    return coded or "space: left-" in volume.metadata.get(NRRD_KEY, "")
 
 
 def _shortcoming(case: Case) -> AccelsurfError | None:
