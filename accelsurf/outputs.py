@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, get_args
 from accelsurf import preview, report
 from accelsurf.config import LabelFormat, RunConfig
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.headers import of_patient
 
 if TYPE_CHECKING:
     from accelsurf.geometry import Geometry
     from accelsurf.segmentation import Result
-    from accelsurf.volume import Volume
 
 CONTOUR_FORMATS = ("vtp", "csv")
 SURFACE_FORMATS = ("ply", "stl", "obj", "vtp")
@@ -241,16 +241,6 @@ def scene(result: Result, title: str, reference: Any = None) -> preview.Scene:
         surface=None if flat or result.stop.reason in ("vanished", "filled") else result.surface,
         start=result.start,
         title=title,
-        anatomical=_is_patient(result.volume),
+        anatomical=of_patient(result.volume.metadata),
         reference=reference,
     )
-
-
-def _is_patient(volume: Volume) -> bool:
-    """Whether the header says that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name."""
-    from accelsurf.headers import NRRD_KEY
-    from accelsurf.nifti import METADATA_KEY
-
-    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
-    coded = any(bytes.fromhex(volume.metadata.get(METADATA_KEY, ""))[17:21])
-    return coded or "space: left-" in volume.metadata.get(NRRD_KEY, "")
