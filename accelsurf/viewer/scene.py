@@ -23,6 +23,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
+from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution import Row
@@ -37,7 +38,7 @@ from accelsurf.viewer.headless import require_graphics
 from accelsurf.viewer.overlay import Label
 from accelsurf.viewer.shapes import label_surface, slice_of
 from accelsurf.viewer.slices import SliceTile
-from accelsurf.viewer.space import SpaceTile
+from accelsurf.viewer.space import VIEWS, SpaceTile
 from accelsurf.volume import Volume
 
 #: Size of a window or picture unless another is asked for, pixels.
@@ -207,7 +208,7 @@ class Scene:
 
     @property
     def dice(self) -> float | None:
-        """Dice of the surface drawn now and the reference; None without either. Coarse frames count their own voxels."""
+        """Dice of the surface drawn now and the reference; None without either. A coarse frame counts its own voxels."""
         frame = self.frame
         if self._reference is None or frame is None:
             return None
@@ -315,6 +316,19 @@ class Scene:
 
     # -- pictures ------------------------------------------------------------------------------------------
 
+    def look_from(self, view: str) -> None:
+        """Look at the whole image from one of `space.VIEWS`: corner, front, back, left, right, top or bottom.
+
+        Raises
+        ------
+        UsageError
+            For another view.
+        """
+        if view not in VIEWS:
+            raise UsageError(f"view: {view} was given, expected {', '.join(VIEWS)}")
+        if self.space is not None:
+            self.space.look_from(view)
+
     def orbit(self, degrees: float) -> None:
         """Turn the camera around the vertical axis."""
         if self.space is not None:
@@ -335,6 +349,10 @@ class Scene:
             return Picked("space", self.space.pick(x, y))
         return Picked("energies", None)
 
+    def smooth_edges(self, on: bool) -> None:
+        """Draw edges smoothly (the default), or two to four times faster, where there is no graphics card."""
+        self.plotter.render_window.SetMultiSamples(8 if on else 0)
+
     def render(self) -> None:
         """Draw what has changed."""
         self.plotter.render_window.Render()
@@ -342,7 +360,14 @@ class Scene:
     def screenshot(self, path: str | Path | None = None) -> NDArray[np.uint8]:
         """Render, and return the picture (height, width, 3), uint8; with a path write it there as PNG."""
         self.render()
-        picture = np.asarray(self.plotter.screenshot(None, return_img=True))[..., :3]
+        grab = vtkWindowToImageFilter()
+        grab.SetInput(self.plotter.render_window)
+        grab.ReadFrontBufferOff()
+        grab.ShouldRerenderOff()
+        grab.Update()
+        image = pv.wrap(grab.GetOutput())
+        width, height, _ = image.dimensions
+        picture = np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
         if path is not None:
             write_atomically(Path(path), png_bytes(picture))
         return picture

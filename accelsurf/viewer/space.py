@@ -16,8 +16,16 @@ from accelsurf.viewer.shapes import GreyTexture, isosurface
 
 #: Voxels along an axis of the image as it is drawn in 3D: more take longer than a person wants to wait.
 MOST_ALONG = 160
-#: From where the camera looks at first: the patient's front, a little from the left and above.
-VIEW = (0.55, -1.0, 0.5)
+#: Where the camera looks from, as a direction (x, y, z) in LPS, and what is up there; `corner` is where it begins.
+VIEWS = {
+    "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
+    "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+    "back": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    "left": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "right": ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "top": ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
+    "bottom": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+}
 
 
 class SpaceTile:
@@ -44,7 +52,8 @@ class SpaceTile:
         self._mesh = pv.PolyData()
         self._color = "plain"
         self._surface = self._add(self._mesh, SURFACE)
-        self._surface.prop.specular, self._surface.prop.specular_power = 0.25, 20.0
+        style = self._surface.prop
+        style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
         self._box = self._add(_box(geometry), theme.lines)
         self._box.prop.lighting, self._box.prop.line_width = False, 1.0
         self._reference: pv.Actor | None = None
@@ -54,10 +63,11 @@ class SpaceTile:
         self._planes_on = False
         self._table = pv.LookupTable()
         self._scale = _color_scale(self.renderer)
+        self._quantity = Label(self.renderer, theme.ink, (0.5, 0.155))
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
         self._bar = ScaleBar(self.renderer, theme.ink)
         plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
-        self.reset_camera()
+        self.look_from()
 
     # -- the surface ---------------------------------------------------------------------------------------
 
@@ -70,6 +80,7 @@ class SpaceTile:
         shaded = color in mesh.point_data
         mapper.SetScalarVisibility(shaded)
         self._scale.SetVisibility(shaded)
+        self._quantity.text = SHADES[color].title if shaded else ""
         if not shaded:
             return
         shade = SHADES[color]
@@ -81,7 +92,6 @@ class SpaceTile:
         self._table.scalar_range = color_range(mesh.point_data[color], shade.signed)
         mapper.SetUseLookupTableScalarRange(True)
         self._scale.SetLookupTable(self._table)
-        self._scale.SetTitle(shade.title)
 
     @property
     def mesh(self) -> pv.PolyData:
@@ -161,17 +171,18 @@ class SpaceTile:
 
     # -- camera --------------------------------------------------------------------------------------------
 
-    def reset_camera(self) -> None:
-        """Look at the whole image from where one looks first."""
+    def look_from(self, view: str = "corner") -> None:
+        """Look at the whole image from one of `VIEWS`."""
+        toward, upright = VIEWS[view]
         camera = self.renderer.camera
         middle, corners = self._geometry.center_world(), self._geometry.corners_world()
         reach = float(np.linalg.norm(corners - middle, axis=1).max()) or 1.0
         camera.parallel_projection = True
         camera.focal_point = tuple(middle)
-        camera.position = tuple(middle + 4.0 * reach * np.array(VIEW) / np.linalg.norm(VIEW))
-        camera.up = (0.0, 0.0, 1.0)
-        side = np.cross(VIEW, (0.0, 0.0, 1.0))
-        upward = np.cross(side, VIEW)
+        camera.position = tuple(middle + 4.0 * reach * np.array(toward) / np.linalg.norm(toward))
+        camera.up = upright
+        side = np.cross(toward, upright)
+        upward = np.cross(side, toward)
         wide, high = (
             float(np.abs((corners - middle) @ (axis / np.linalg.norm(axis))).max()) for axis in (side, upward)
         )
@@ -201,18 +212,16 @@ class SpaceTile:
         """Make text readable, and the bar as long as the camera's scale asks for."""
         self.title.fit(window_height)
         self._bar.fit(window_height)
-        size = max(LEAST_TEXT, round(window_height * TEXT))
-        self._scale.GetTitleTextProperty().SetFontSize(size)
-        self._scale.GetLabelTextProperty().SetFontSize(size)
+        self._quantity.fit(window_height)
+        self._scale.GetLabelTextProperty().SetFontSize(max(LEAST_TEXT, round(window_height * TEXT)))
 
     def paint(self, theme: Theme) -> None:
         """Take up a theme."""
         self.renderer.background_color = theme.background
-        for part in (self.title, self._bar):
+        for part in (self.title, self._bar, self._quantity):
             part.paint(theme.ink)
         self._box.prop.color = theme.lines
-        for text in (self._scale.GetTitleTextProperty(), self._scale.GetLabelTextProperty()):
-            text.SetColor(pv.Color(theme.ink).float_rgb)
+        self._scale.GetLabelTextProperty().SetColor(pv.Color(theme.ink).float_rgb)
 
     def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
         mapper = vtkPolyDataMapper()
@@ -240,18 +249,17 @@ def _color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
     scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     scale.SetPosition(0.2, 0.075)
     scale.SetWidth(0.6)
-    scale.SetHeight(0.08)
+    scale.SetHeight(0.07)
     scale.SetNumberOfLabels(5)
     scale.SetLabelFormat("%.3g")
     scale.SetTextPositionToPrecedeScalarBar()
     scale.SetMaximumNumberOfColors(256)
-    scale.SetVerticalTitleSeparation(4)
     scale.UnconstrainedFontSizeOn()
-    for text in (scale.GetTitleTextProperty(), scale.GetLabelTextProperty()):
-        text.SetFontFamilyToArial()
-        text.SetItalic(False)
-        text.SetBold(False)
-        text.SetShadow(False)
+    text = scale.GetLabelTextProperty()
+    text.SetFontFamilyToArial()
+    text.SetItalic(False)
+    text.SetBold(False)
+    text.SetShadow(False)
     scale.VisibilityOff()
     renderer.AddViewProp(scale)
     return scale
