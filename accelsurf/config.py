@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from accelsurf.edits import Edit, edits_of, refuse_unknown
 from accelsurf.errors import UsageError
 
 EnergyName = Literal["chan-vese", "geodesic"]
@@ -165,7 +166,9 @@ class RunConfig(BaseModel):
         "auto", description="auto puts the surface at rest when its energy rises, after it has travelled; off never."
     )
     cfl: float = Field(0.5, gt=0, le=1, description="Largest motion of the surface in one step, in voxels.")
-    max_steps: int = Field(1000, ge=1, description="The run ends after this many steps, converged or not.")
+    max_steps: int = Field(
+        1000, ge=0, description="The run ends after this many steps, converged or not; 0 leaves the start."
+    )
     levels: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         "auto",
         description="Grids to run on, coarsest first, each with half the voxels along an axis of the next; 1 is the "
@@ -210,6 +213,11 @@ class RunConfig(BaseModel):
     threads: Literal["auto"] | Annotated[int, Field(ge=1)] = Field(
         "auto", description="Number of threads; auto: one for each core. The result does not depend on it."
     )
+    edit: Annotated[tuple[Edit, ...], BeforeValidator(edits_of)] = Field(
+        (),
+        description="Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
+        "(or remove=); in TOML tables [[edit]].",
+    )
 
     def __init__(self, **values: Any) -> None:
         try:
@@ -231,6 +239,10 @@ class RunConfig(BaseModel):
                 f"t0: 0 was given, expected a number greater than 0 with k = {self.k:g}",
                 "for k <= 1 the accelerated flow has no start from rest at time 0; auto chooses a time",
             )
+        for edit in self.edit:
+            refuse_unknown(edit, type(self).model_fields)
+        if self.edit:
+            self.at(self.edit[-1].step)
 
     def unused(self) -> list[str]:
         """Return the settings that were changed from their defaults and mean nothing to this flow and energy.
@@ -275,6 +287,35 @@ class RunConfig(BaseModel):
         """
         return type(self)(**{**self.model_dump(), **changes})
 
+    def at(self, step: int) -> Self:
+        """Return the settings in force when a step is made: with the edits up to it, and without any to come.
+
+        Parameters
+        ----------
+        step : int
+            Number of the step; its own edits have happened.
+
+        Raises
+        ------
+        UsageError
+            When an edit has a value that is out of bounds.
+
+        Examples
+        --------
+        >>> config = RunConfig(edit=["step=30 smoothness=0.5"])
+        >>> config.at(29).smoothness, config.at(30).smoothness
+        (0.0, 0.5)
+        """
+        now = self.model_copy(update={"edit": ()})
+        for edit in self.edit:
+            if edit.step > step:
+                break
+            try:
+                now = now.replace(**edit.settings) if edit.settings else now
+            except UsageError as error:
+                raise UsageError(f"edit at step {edit.step}: {error.message}", error.hint) from None
+        return now
+
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a configuration file; keys that are not in it keep their defaults.
@@ -298,7 +339,7 @@ class RunConfig(BaseModel):
         Returns
         -------
         str
-            One line per field; fields that are ``None`` are left out.
+            One line per field, a table per edit; fields that are ``None`` are left out.
 
         Examples
         --------
@@ -308,7 +349,11 @@ class RunConfig(BaseModel):
         mesh = ["ply", "stl"]
         ...
         """
-        lines = [f"{key} = {_toml(value)}" for key, value in self.model_dump().items() if value is not None]
+        values = self.model_dump()
+        edits = values.pop("edit")
+        lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
+        for edit in edits:
+            lines += ["", "[[edit]]", *(f"{key} = {_toml(value)}" for key, value in edit.items())]
         return "\n".join(lines) + "\n"
 
     @classmethod
@@ -413,6 +458,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
         case "number" | "integer":
             noun = "a number" if schema["type"] == "number" else "a whole number"
             return [noun + _bounds(schema)]
+        case "array" if "$ref" in schema["items"]:
+            return ["changes, each with the step that it comes before"]
         case "array":
             names = _in_words(schema["items"])
             return ["one or more of " + ", ".join(names) if len(names) > 1 else "one text or a list of them"]

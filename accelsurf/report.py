@@ -56,6 +56,7 @@ TRACE_COLUMNS = (
     "restarted",
     "removed_components",
     "seconds",
+    "edits",
 )
 #: Parts of a run that are timed, in the order they happen.
 TIMED = ("load", "start", "evolve", "mesh", "write", "total")
@@ -144,8 +145,8 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         With None every value is null.
     """
     if result is None:
-        keys = ("stop", "levels", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
-        return dict.fromkeys((*keys, "touches_border"))
+        keys = ("stop", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm")
+        return dict.fromkeys((*keys, "components", "touches_border"))
     last = result.ledger[-1] if result.ledger else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
     first = next((row for row in result.ledger if row.level == 0), None)
@@ -157,6 +158,10 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "message": result.stop.message,
         },
         "levels": describe_levels(result),
+        "edits": [
+            {**edit.model_dump(mode="json"), "done": number < result.edits_done}
+            for number, edit in enumerate(result.config.edit)
+        ],
         "energy": {
             "name": result.energy,
             "first": first.potential if first else None,

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import os
-import secrets
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -15,25 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf import contours, pyramid, report, starts
-from accelsurf.coarse_to_fine import CoarseToFine, Passed
+from accelsurf import contours, report
+from accelsurf.coarse_to_fine import Passed
 from accelsurf.config import RunConfig
 from accelsurf.contours import Contours
-from accelsurf.energies import Energy
-from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution import Restart, Row, Step, Stop, StopRule
-from accelsurf.flows import Limits
+from accelsurf.errors import InputError
+from accelsurf.evolution import Row, Step, Stop
 from accelsurf.geometry import Geometry
-from accelsurf.levelset import Workers
+from accelsurf.run import EnergyLike, Run
 from accelsurf.surface import Surface, extract
-from accelsurf.systems import half_width, is_maker, make_energy, make_flow, own_energy
-from accelsurf.volume import Volume, check_image
-
-#: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
-SCALE_PERCENTILES = (0.5, 99.5)
-#: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
-#: `Result.image`, and the spacing, (hz, hy, hx) mm.
-EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
+from accelsurf.volume import Volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +35,7 @@ class Result:
     psi : ndarray (nz, ny, nx), float32
         Signed distance in the band, mm, negative inside; +-gamma outside it.
     image : ndarray (nz, ny, nx), float32
-        The image as the energy saw it: presmoothed, 0 and 1 at its `SCALE_PERCENTILES`.
+        The image as the energy saw it: presmoothed, 0 and 1 at its `accelsurf.run.SCALE_PERCENTILES`.
     geometry : Geometry
     config : RunConfig
     energy : str
@@ -67,6 +55,8 @@ class Result:
         The input.
     start : ndarray or None
         psi of the start, for an image of one slice; None for volumes, where it would cost memory.
+    edits_done : int
+        How many of the edits of ``config`` the run came to.
     """
 
     labels: NDArray[np.uint8]
@@ -82,6 +72,7 @@ class Result:
     levels: list[Passed] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
+    edits_done: int = 0
     kernels: dict[str, float] = field(default_factory=dict)
 
     @cached_property
@@ -212,10 +203,10 @@ def segment(
     """
     run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
     with run.workers:
-        for step in run.evolution:
+        for step in run:
             if on_step is not None and on_step(step.row):
                 run.evolution.ask_to_stop()
-    return run.result()
+    return result_of(run)
 
 
 def evolve(
@@ -253,7 +244,7 @@ def evolve(
     """
     run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
     with run.workers:
-        yield from run.evolution
+        yield from run
 
 
 def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
@@ -273,140 +264,36 @@ def _resolved(
     return (config or RunConfig()).replace(**options) if options else config or RunConfig(), energy
 
 
-class Run:
-    """A run made ready: image prepared, start built, flow chosen.
+def result_of(run: Run) -> Result:
+    """Return what a run left, or has reached between two steps: then with the reason ``interrupted``.
 
-    Parameters
-    ----------
-    volume : Volume
-    config : RunConfig
-    energy : Energy or callable, optional
-        In place of the energy that ``config`` names; see `segment`.
+    The ledger is a copy; ``psi`` is a view of the surface, which goes on if the run does.
     """
-
-    def __init__(self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None) -> None:
-        began = time.perf_counter()
-        check_image(volume)
-        if config.noise > 0 and config.seed is None:
-            # Drawn once and kept: the report's settings then repeat the run.
-            config = config.replace(seed=secrets.randbelow(2**31))
-        self.volume, self.config = volume, config
-        smoothed = presmoothed(volume, config.presmooth)
-        psi = starts.build(config.start, volume, smoothed)
-        self.start = psi.copy() if volume.geometry.slice_axis is not None else None
-        self.image = scaled(smoothed)
-        # On a large image each volume counts: this one is the energy's from here on.
-        del smoothed
-        self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
-        grids = self._grids(psi, energy)
-        self.evolution = CoarseToFine(
-            grids,
-            self.image,
-            psi,
-            self._energy_maker(energy, len(grids)),
-            make_flow(config),
-            Limits(config.cfl, config.percentile),
-            config.max_steps,
-            Restart() if config.restart == "auto" else None,
-            StopRule(),
-            half_width(config),
-            self.workers,
-        )
-        self._start_seconds = time.perf_counter() - began
-        self.workers.seconds.clear()
-        self._began = time.perf_counter()
-
-    def _grids(self, psi: NDArray[np.float32], energy: EnergyLike | None) -> list[pyramid.Level]:
-        """The levels that the configuration asks for; see record 0015 for what ``auto`` is."""
-        shape, spacing, wanted = self.volume.geometry.shape, self.volume.geometry.spacing, self.config.levels
-        if wanted == "auto":
-            if energy is not None or self.config.energy != "chan-vese":
-                return pyramid.levels(shape, spacing, 1)
-            grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
-            return grids[: pyramid.resolved(grids, psi)]
-        grids = pyramid.levels(shape, spacing, wanted)
-        if len(grids) < wanted:
-            raise UsageError(
-                f"levels: {wanted} was given, expected at most {len(grids)} for this image",
-                f"the coarsest grid has at least {pyramid.FEWEST} voxels along an axis that is halved",
-            )
-        return grids
-
-    def _energy_maker(
-        self, energy: EnergyLike | None, levels: int
-    ) -> Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]:
-        """What makes the energy of each level; an energy that is made already is only for one."""
-        config = self.config
-        self.energy_name: str = config.energy
-        if energy is None or isinstance(energy, str):
-            return functools.partial(make_energy, config)
-        if levels > 1 and not is_maker(energy):
-            raise UsageError(
-                f"levels: {levels} was given, expected 1: the energy has one image, and each level needs its own",
-                "give a class or function that makes the energy of (image, spacing), or levels=1",
-            )
-
-        def made(image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
-            own = own_energy(energy, config, image, spacing)
-            self.energy_name = own.name
-            return own
-
-        return made
-
-    def result(self) -> Result:
-        """What the run left, once its evolution has stopped."""
-        surface, stop = self.evolution.surface, self.evolution.stop
-        assert stop is not None
-        return Result(
-            labels=surface.labels,
-            psi=surface.psi,
-            image=self.image,
-            geometry=self.volume.geometry,
-            config=self.config,
-            energy=self.energy_name,
-            ledger=self.evolution.ledger,
-            stop=stop,
-            levels=self.evolution.passed,
-            seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
-            volume=self.volume,
-            start=self.start,
-            kernels=dict(self.workers.seconds),
-            warnings=self.evolution.warnings
-            + [
-                f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.energy_name}"
-                for key in self.config.unused()
-            ],
-        )
-
-
-def available_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
-    """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
-    image = volume.as_float32()
-    if sigma > 0:
-        axes = zip(volume.geometry.shape, volume.geometry.spacing, strict=True)
-        widths = [sigma / h if n > 1 else 0.0 for n, h in axes]
-        image = ndimage.gaussian_filter(image, widths, output=np.float32)
-    return image
-
-
-def scaled(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The image with its `SCALE_PERCENTILES` at 0 and 1; by its extremes where those two are equal.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = scaled(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
-    >>> [float(v) for v in np.percentile(image, SCALE_PERCENTILES).round(6)]
-    [0.0, 1.0]
-    """
-    low, high = np.percentile(image, SCALE_PERCENTILES)
-    if not high > low:
-        low, high = image.min(), image.max()
-    return (image - np.float32(low)) * np.float32(1.0 / (float(high) - float(low)))
+    surface, stop, ledger = run.evolution.surface, run.evolution.stop, list(run.evolution.ledger)
+    if stop is None:
+        row = run.look().row
+        ledger.append(row)
+        stop = Stop("interrupted", row.step, row.t, f"looked at after {row.step} steps")
+    missed = run.config.edit[run.edits_done :]
+    return Result(
+        labels=surface.labels,
+        psi=surface.psi,
+        image=run.image,
+        geometry=run.volume.geometry,
+        config=run.config,
+        energy=run.energy_name,
+        ledger=ledger,
+        stop=stop,
+        levels=run.evolution.passed,
+        seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
+        volume=run.volume,
+        start=run.start,
+        kernels=dict(run.workers.seconds),
+        edits_done=run.edits_done,
+        warnings=run.evolution.warnings
+        + [
+            f"{key} was given, but means nothing to flow {run.config.flow} with energy {run.energy_name}"
+            for key in run.config.unused()
+        ]
+        + [f"edit at step {edit.step} was not made: the run ended after {stop.steps} steps" for edit in missed],
+    )

@@ -50,8 +50,9 @@ def compare(
         Replace outputs that exist.
     """
     from accelsurf import io
-    from accelsurf.cli.case import Case, refuse_existing
+    from accelsurf.cli.case import Case
     from accelsurf.cli.progress import Watcher
+    from accelsurf.outputs import refuse_existing
     from accelsurf.report import describe_input
 
     display = display or Display()
@@ -118,8 +119,9 @@ def conclude(
     """
     from accelsurf import metrics, preview, report
     from accelsurf.cli import INTERRUPTED
-    from accelsurf.cli.case import scene, write_bytes
+    from accelsurf.cli.case import scene
     from accelsurf.cli.progress import table
+    from accelsurf.outputs import write_bytes
 
     runs: list[dict[str, Any]] = []
     rows: list[tuple[str, ...]] = []

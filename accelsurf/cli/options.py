@@ -23,7 +23,7 @@ Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_defa
 _GROUPS = {
     **dict.fromkeys(("energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), RUN),
-    **dict.fromkeys(("levels", "max_steps", "seed", "reproducible", "threads"), RUN),
+    **dict.fromkeys(("levels", "max_steps", "edit", "seed", "reproducible", "threads"), RUN),
     **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
 }
 _METAVARS = {
@@ -41,6 +41,7 @@ _METAVARS = {
         "epsilon": "VOXELS",
         "percentile": "PERCENT",
     },
+    "edit": "CHANGE",
     **{"levels": "N|auto", "diffusion": "D|free|auto", "friction": "t|A", "restart": "auto|off", "mesh": "NAMES"},
 }
 
@@ -55,7 +56,7 @@ def _settings(name: str, leave_out: tuple[str, ...] = ()) -> type:
     for key, field in RunConfig.model_fields.items():
         if key in leave_out:
             continue
-        kind: Any = bool if key in SWITCHES else tuple[str, ...] if key == "start" else str
+        kind: Any = bool if key in SWITCHES else tuple[str, ...] if key in ("start", "edit") else str
         parameter = Parameter(
             name="--" + key.replace("_", "-"),
             help=field.description,
@@ -74,6 +75,8 @@ def _shown(value: Any) -> str | bool:
     """Return a default as it would be typed; nothing for a field that has none."""
     if value is None:
         return False
+    if value == ():
+        return "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
     return ",".join(value) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)

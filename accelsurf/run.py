@@ -1,0 +1,300 @@
+"""A run made ready: image prepared, start built, parts chosen; steered by edits, put aside and taken back."""
+
+from __future__ import annotations
+
+import functools
+import os
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf import pyramid, starts
+from accelsurf.coarse_to_fine import CoarseToFine, Parts
+from accelsurf.config import RunConfig
+from accelsurf.edits import Edit
+from accelsurf.energies import Energy
+from accelsurf.errors import InputError, UsageError
+from accelsurf.evolution import Kept, Restart, Step, StopRule
+from accelsurf.flows import Limits
+from accelsurf.levelset import LevelSet, Workers
+from accelsurf.systems import ENERGY_SETTINGS, half_width, is_maker, make_energy, make_flow, own_energy
+from accelsurf.volume import Volume, check_image
+
+#: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
+SCALE_PERCENTILES = (0.5, 99.5)
+#: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
+#: `Result.image`, and the spacing, (hz, hy, hx) mm.
+EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
+
+
+class KeptRun(NamedTuple):
+    """A run between two steps, before the edits of the coming one: the number of that ``step``; the settings ``now`` in
+    force; how many edits were ``done``; and the ``evolution``.
+    """
+
+    step: int
+    now: RunConfig
+    done: int
+    evolution: Kept
+
+    @property
+    def level(self) -> int:
+        """The level that it is of."""
+        return int(self.evolution.scalars["level"])
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes."""
+        return self.evolution.nbytes
+
+
+class Run:
+    """A run, one step at a time; iterate over it to run to the end.
+
+    Between two steps it can be put aside (`keep`) and taken back (`resume`), and its edits can be changed
+    (`set_edits`): those whose step has come are applied right before it.
+
+    Parameters
+    ----------
+    volume : Volume
+    config : RunConfig
+    energy : Energy or callable, optional
+        In place of the energy that ``config`` names; see `accelsurf.segment`.
+
+    Attributes
+    ----------
+    config : RunConfig
+        As given, with the edits there are now, and with the seed that was drawn if none was given.
+    now : RunConfig
+        The settings in force.
+    evolution : CoarseToFine
+    workers : Workers
+        To be closed at the end.
+    start_seconds, began : float
+        What the preparation took, and the clock (`time.perf_counter`) when it was done.
+    """
+
+    def __init__(self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None) -> None:
+        began = time.perf_counter()
+        check_image(volume)
+        config = _seeded(config)
+        self.volume, self.config, self._energy = volume, config, energy
+        self.now, self._done = config.model_copy(update={"edit": ()}), 0
+        for edit in config.edit:
+            self.check(edit)
+        smoothed = presmoothed(volume, config.presmooth)
+        psi = starts.build(config.start, volume, smoothed)
+        self.start = psi.copy() if volume.geometry.slice_axis is not None else None
+        self.image = scaled(smoothed)
+        # On a large image each volume counts: this one is the energy's from here on.
+        del smoothed
+        self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
+        grids = self._grids(psi, energy)
+        self._levels = len(grids)
+        self.evolution = CoarseToFine(
+            grids, self.image, psi, self._parts(self.now), config.max_steps, StopRule(), self.workers
+        )
+        self.start_seconds = time.perf_counter() - began
+        self.workers.seconds.clear()
+        self.began = time.perf_counter()
+
+    def _grids(self, psi: NDArray[np.float32], energy: EnergyLike | None) -> list[pyramid.Level]:
+        """The levels that the configuration asks for; see record 0015 for what ``auto`` is."""
+        shape, spacing, wanted = self.volume.geometry.shape, self.volume.geometry.spacing, self.config.levels
+        if wanted == "auto":
+            if energy is not None or self.config.energy != "chan-vese":
+                return pyramid.levels(shape, spacing, 1)
+            grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
+            return grids[: pyramid.resolved(grids, psi)]
+        grids = pyramid.levels(shape, spacing, wanted)
+        if len(grids) < wanted:
+            raise UsageError(
+                f"levels: {wanted} was given, expected at most {len(grids)} for this image",
+                f"the coarsest grid has at least {pyramid.FEWEST} voxels along an axis that is halved",
+            )
+        return grids
+
+    def _parts(self, now: RunConfig) -> Parts:
+        """What moves the surface under these settings."""
+        return Parts(
+            self._energy_maker(now),
+            make_flow(now),
+            Limits(now.cfl, now.percentile),
+            Restart() if now.restart == "auto" else None,
+            half_width(now),
+        )
+
+    def _energy_maker(
+        self, now: RunConfig
+    ) -> Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]:
+        """What makes the energy of each level; an energy that is made already is only for one."""
+        energy = self._energy
+        self.energy_name: str = now.energy
+        if energy is None or isinstance(energy, str):
+            return functools.partial(make_energy, now)
+        if self._levels > 1 and not is_maker(energy):
+            raise UsageError(
+                f"levels: {self._levels} was given, expected 1: the energy has one image, and each level needs its own",
+                "give a class or function that makes the energy of (image, spacing), or levels=1",
+            )
+
+        def made(image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
+            own = own_energy(energy, now, image, spacing)
+            self.energy_name = own.name
+            return own
+
+        return made
+
+    # -- to run --------------------------------------------------------------------------------------------
+
+    @property
+    def step_number(self) -> int:
+        """Number of the step that comes next."""
+        return len(self.evolution.ledger)
+
+    def __iter__(self) -> Iterator[Step]:
+        """Run, yielding a Step after each step of the surface."""
+        while (step := self.step()) is not None:
+            yield step
+
+    def step(self) -> Step | None:
+        """Apply the edits that come before it and make one step; None when the run has ended."""
+        self.apply()
+        return self.evolution.step()
+
+    def apply(self) -> None:
+        """Apply the edits whose step has come, if that has not been done; `step` does it by itself."""
+        while self.evolution.stop is None and self._done < len(self.config.edit):
+            edit = self.config.edit[self._done]
+            if edit.step > self.step_number:
+                break
+            now = self.now.replace(**edit.settings, seed=self.config.seed) if edit.settings else self.now
+            push = functools.partial(self._push, edit.balls) if edit.balls else None
+            self.evolution.edit(self._parts(now), _energy_key(now) != _energy_key(self.now), push)
+            self.now, self._done = now, self._done + 1
+
+    @property
+    def edits_done(self) -> int:
+        """How many of the edits have been applied."""
+        return self._done
+
+    def set_edits(self, edits: tuple[Edit, ...]) -> None:
+        """Have other edits; those that have been applied must stay as they are.
+
+        Raises
+        ------
+        UsageError
+            When one makes no sense.
+        InputError
+            When a ball lies outside the volume.
+        """
+        same = 0
+        while same < min(len(edits), len(self.config.edit)) and edits[same] == self.config.edit[same]:
+            same += 1
+        for edit in edits[same:]:
+            self.check(edit)
+        config = _seeded(self.config.replace(edit=edits))
+        if config.edit[: self._done] != self.config.edit[: self._done]:
+            raise ValueError("an edit that has been applied cannot change: go back to before it first")
+        self.config = config
+
+    def look(self) -> Step:
+        """Return the state now: the last row once the run has ended, else one of a step that moves nothing."""
+        if self.evolution.stop is None:
+            return self.evolution.look()
+        return Step(self.evolution.ledger[-1], self.evolution.surface, self.evolution.felt)
+
+    def keep(self) -> KeptRun:
+        """Put the state aside, between two steps and before the edits of the coming one are applied."""
+        return KeptRun(self.step_number, self.now, self._done, self.evolution.keep())
+
+    def resume(self, kept: KeptRun) -> None:
+        """Go back to a state of this run and level: the same edits then make the same steps, bit for bit."""
+        changed = _energy_key(kept.now) != _energy_key(self.now)
+        self.evolution.resume(kept.evolution, self._parts(kept.now), changed)
+        self.now, self._done = kept.now, kept.done
+
+    def check(self, edit: Edit) -> None:
+        """Refuse what this run cannot do: a ball outside the volume, a setting that an energy of one's own has not."""
+        for _, ball in edit.balls:
+            try:
+                starts.ball_of(ball, self.volume.geometry)
+            except (UsageError, InputError) as error:
+                raise type(error)(f"edit at step {edit.step}: {error.message}", error.hint) from None
+        if self._energy is not None and not isinstance(self._energy, str):
+            for key in edit.settings:
+                if key == "energy" or key in ENERGY_SETTINGS:
+                    raise UsageError(
+                        f"edit at step {edit.step}: {key} was given, but the energy is one of your own",
+                        "it has its own settings, which do not change while it runs",
+                    )
+
+    def _push(self, balls: tuple[tuple[str, str], ...], surface: LevelSet) -> None:
+        """Unite the object with balls, or take them away from it: psi near them, negative inside."""
+        level = self.evolution.level
+        psi = surface.dense.psi.reshape(surface.shape)
+        for kind, text in balls:
+            centre, radius = starts.ball_of(text, self.volume.geometry)
+            middle = (np.array(centre) + 0.5) / level.factors - 0.5
+            reach = (radius + float(surface.gamma)) / np.array(level.spacing)
+            low = np.maximum(np.floor(middle - reach), 0).astype(int)
+            high = np.minimum(np.ceil(middle + reach) + 1, surface.shape).astype(int)
+            box = tuple(slice(a, max(a, b)) for a, b in zip(low, high, strict=True))
+            axes = [np.arange(s.start, s.stop) for s in box]
+            squares = [((x - m) * h) ** 2 for x, m, h in zip(axes, middle, level.spacing, strict=True)]
+            far = np.sqrt(squares[0][:, None, None] + squares[1][None, :, None] + squares[2][None, None, :])
+            inside = (far - radius).astype(np.float32)
+            part = psi[box]
+            if kind == "add":
+                np.minimum(part, inside, out=part)
+            else:
+                np.maximum(part, -inside, out=part)
+
+
+def _seeded(config: RunConfig) -> RunConfig:
+    """The configuration, with a seed if it has noise at any time; drawn once and kept, so that it repeats the run."""
+    noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
+    return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config
+
+
+def _energy_key(config: RunConfig) -> tuple[Any, ...]:
+    """The settings that make the energy what it is."""
+    return tuple(getattr(config, key) for key in ("energy", *ENERGY_SETTINGS))
+
+
+def available_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
+    """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
+    image = volume.as_float32()
+    if sigma > 0:
+        axes = zip(volume.geometry.shape, volume.geometry.spacing, strict=True)
+        widths = [sigma / h if n > 1 else 0.0 for n, h in axes]
+        image = ndimage.gaussian_filter(image, widths, output=np.float32)
+    return image
+
+
+def scaled(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The image with its `SCALE_PERCENTILES` at 0 and 1; by its extremes where those two are equal.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = scaled(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
+    >>> [float(v) for v in np.percentile(image, SCALE_PERCENTILES).round(6)]
+    [0.0, 1.0]
+    """
+    low, high = np.percentile(image, SCALE_PERCENTILES)
+    if not high > low:
+        low, high = image.min(), image.max()
+    return (image - np.float32(low)) * np.float32(1.0 / (float(high) - float(low)))
