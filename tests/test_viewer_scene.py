@@ -285,3 +285,15 @@ def test_screenshots_are_files_too(scene_of, tmp_path):
     picture = scene.screenshot(tmp_path / "a.png")
     assert np.array_equal((image.imread(tmp_path / "a.png") * 255).round().astype(np.uint8)[..., :3], picture)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+
+
+@pytest.mark.parametrize("name", DIRECTIONS)
+def test_triangles_face_the_way_of_their_normals(name):
+    volume, center = viewing.ball_image(direction=DIRECTIONS[name])
+    frames, _ = viewing.run_frames(volume, center, levels=1, max_steps=3)
+    for mesh in (
+        shapes.isosurface(frames[-1], volume.geometry), shapes.label_surface(volume.array > 0, volume.geometry)
+    ):
+        a, b, c = (np.asarray(mesh.points)[corner] for corner in np.asarray(mesh.faces).reshape(-1, 4)[:, 1:].T)
+        outward = (np.cross(b - a, c - a) * (a - center)).sum(axis=1)
+        assert (outward > 0).mean() > 0.999

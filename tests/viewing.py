@@ -5,7 +5,7 @@ import pytest
 
 from accelsurf import Volume
 from accelsurf.config import RunConfig
-from accelsurf.segmentation import Run
+from accelsurf.run import Run
 from accelsurf.viewer.frame import Frame
 from accelsurf.viewer.headless import GraphicsError, require_graphics
 

@@ -88,7 +88,7 @@ def movie(
     from accelsurf import io
     from accelsurf.cli.case import refuse_existing
     from accelsurf.cli.progress import Watcher
-    from accelsurf.segmentation import Run
+    from accelsurf.run import Run
     from accelsurf.viewer import movie as films
     from accelsurf.viewer.headless import require_graphics
     from accelsurf.viewer.scene import Scene

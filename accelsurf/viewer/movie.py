@@ -19,7 +19,7 @@ from accelsurf.config import RunConfig
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.evolution import Row
 from accelsurf.files import staging
-from accelsurf.segmentation import Run
+from accelsurf.run import Run
 from accelsurf.viewer.frame import Frame
 from accelsurf.viewer.scene import SIZE, Scene
 

@@ -112,7 +112,7 @@ class Scene:
         self.frame: Frame | None = None
         self._history: Sequence[Row] = ()
         self._color = "plain"
-        self._title = (volume.source.name if volume.source else "") if title is None else title
+        self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
         self._reference = None if reference is None else np.asarray(reference.array > 0)
@@ -191,7 +191,7 @@ class Scene:
             value = self.dice
             self._legend[0].text = "surface"
             self._legend[1].text = "reference" if value is None else f"reference, Dice {value:.3f}"
-        lines = [line for line in (self._title, *self._told(frame)) if line]
+        lines = [line for line in (self.title, *self._told(frame)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
@@ -352,6 +352,10 @@ class Scene:
     def smooth_edges(self, on: bool) -> None:
         """Draw edges smoothly (the default), or two to four times faster, where there is no graphics card."""
         self.plotter.render_window.SetMultiSamples(8 if on else 0)
+
+    def resize(self, width: int, height: int) -> None:
+        """Take another size, pixels."""
+        self.plotter.render_window.SetSize(width, height)
 
     def render(self) -> None:
         """Draw what has changed."""

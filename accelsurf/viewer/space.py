@@ -196,6 +196,35 @@ class SpaceTile:
         self.renderer.camera.Azimuth(degrees)
         self.renderer.ResetCameraClippingRange()
 
+    def turn(self, degrees: float, up: float) -> None:
+        """Turn the camera around the middle, sideways and up."""
+        camera = self.renderer.camera
+        camera.Azimuth(degrees)
+        camera.Elevation(up)
+        camera.OrthogonalizeViewUp()
+        self.renderer.ResetCameraClippingRange()
+
+    def zoom(self, factor: float) -> None:
+        """Show things larger by a factor; within reason."""
+        camera, reach = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
+        camera.parallel_scale = float(np.clip(camera.parallel_scale / factor, 1e-3 * reach, 10.0 * reach))
+
+    def shift(self, right: float, up: float) -> None:
+        """Shift the picture by pixels."""
+        camera = self.renderer.camera
+        height = self.renderer.GetSize()[1]
+        mm = 2.0 * camera.parallel_scale / max(height, 1)
+        position, focus, upward = (np.array(v) for v in (camera.position, camera.focal_point, camera.up))
+        side = np.cross(focus - position, upward)
+        side /= max(float(np.linalg.norm(side)), 1e-30)
+        upward = np.cross(side, focus - position)
+        upward /= max(float(np.linalg.norm(upward)), 1e-30)
+        way = -mm * (right * side + up * upward)
+        # Never so far that the image is lost.
+        if np.linalg.norm(focus + way - self._geometry.center_world()) < 3.0 * np.linalg.norm(self._geometry.extent_mm):
+            camera.focal_point, camera.position = tuple(focus + way), tuple(position + way)
+            self.renderer.ResetCameraClippingRange()
+
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
         """Point (x, y, z) of the surface under a pixel of the window; None beside it."""
         picker = vtkCellPicker()
