@@ -17,7 +17,7 @@ from tests import viewing
 
 START = "ball:{},{},{},5"
 needs_ffmpeg = pytest.mark.skipif(
-    importlib.util.find_spec("imageio_ffmpeg") is None, reason='imageio-ffmpeg is missing: pip install "accelsurf[viewer]"'
+    importlib.util.find_spec("imageio_ffmpeg") is None, reason='no mp4 encoder: pip install "accelsurf[viewer]"'
 )
 
 
@@ -81,7 +81,8 @@ def test_the_camera_turns(image, tmp_path):
     pictures = {}
     for orbit in ("0", "90"):
         out = tmp_path / f"{orbit}.gif"
-        look = ["--size", "320x180", "--orbit", orbit, "--hold", "0.5", "--every", "1000", "--fps", "10", "--view", "front"]
+        look = ["--size", "320x180", "--orbit", orbit, "--hold", "0.5", "--every", "1000", "--fps", "10"]
+        look += ["--view", "front"]
         assert cli.run(["movie", str(path), "-o", str(out), *options, *look, "--quiet"]) == 0
         pictures[orbit] = decoded(out)
     # Pillow leaves out frames in which nothing changed, and shows the last one longer.

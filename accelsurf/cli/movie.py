@@ -86,8 +86,8 @@ def movie(
         One PNG of the last frame, no movie.
     """
     from accelsurf import io
-    from accelsurf.cli.case import refuse_existing
     from accelsurf.cli.progress import Watcher
+    from accelsurf.outputs import refuse_existing
     from accelsurf.run import Run
     from accelsurf.viewer import movie as films
     from accelsurf.viewer.headless import require_graphics

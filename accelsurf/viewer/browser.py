@@ -277,8 +277,7 @@ def _guarded(handler: Any) -> Any:
                 body = msgpack.packb({**call, "args": [HARMLESS[call["method"]]], "kwargs": {}})
                 message = message._replace(data=_HEADER.pack(0, 0, len(body)) + body)
             await inner(is_binary, message, client)
-        except Exception as e:
-            print("GUARD", repr(e), is_binary, message.data[:300], flush=True)
+        except Exception:
             connection = handler.connections.get(client)
             if connection is not None:
                 await connection.close(code=1008, message=b"not understood")

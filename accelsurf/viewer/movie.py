@@ -229,11 +229,12 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         if not isinstance(settings, dict):
             raise TypeError
     except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{path}: not the report of a run that can be repeated", "run accelsurf segment anew") from None
+        told = f"{path}: not the report of a run that can be repeated"
+        raise InputError(told, "run accelsurf segment anew") from None
     if str(settings.get("energy", "")).startswith("custom: "):
         raise InputError(f"{path}: the energy was one of your own ({settings['energy']})", "make the movie in Python")
     if not image.is_file():
         raise InputError(f"{path}: the image {image} is not there any more", "give the image and --config instead")
     if checksum is not None and io.sha256(image) != checksum:
-        raise InputError(f"{image}: not the image of {path.name} any more: it has changed", "run accelsurf segment anew")
+        raise InputError(f"{image}: has changed, it is not the image of {path.name} any more", "run segment anew")
     return image, RunConfig(**settings)

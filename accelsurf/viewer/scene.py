@@ -32,7 +32,7 @@ from accelsurf.headers import of_patient
 from accelsurf.surface import write_atomically
 from accelsurf.upright import Upright
 from accelsurf.viewer.chart import EnergyChart
-from accelsurf.viewer.colors import REFERENCE, SURFACE, theme_named
+from accelsurf.viewer.colors import REFERENCE, SURFACE, Theme, theme_named
 from accelsurf.viewer.frame import COLORS, Frame
 from accelsurf.viewer.headless import require_graphics
 from accelsurf.viewer.overlay import Label
@@ -207,8 +207,18 @@ class Scene:
         return [where, f"area {_number(row.volume_mm3 / thickness)} mm2"]
 
     @property
+    def theme(self) -> Theme:
+        """The colours in use."""
+        return self._theme
+
+    @property
+    def legend(self) -> tuple[str, ...]:
+        """What is written about the reference: what each colour is, and Dice; empty without one."""
+        return tuple(label.text for label in self._legend if label.text)
+
+    @property
     def dice(self) -> float | None:
-        """Dice of the surface drawn now and the reference; None without either. A coarse frame counts its own voxels."""
+        """Dice of the surface drawn now and the reference; None without either. Coarse frames count their voxels."""
         frame = self.frame
         if self._reference is None or frame is None:
             return None
@@ -355,7 +365,10 @@ class Scene:
 
     def resize(self, width: int, height: int) -> None:
         """Take another size, pixels."""
+        before = None if self.space is None else self.space.fitted()
         self.plotter.render_window.SetSize(width, height)
+        if self.space is not None and before is not None:
+            self.space.zoom(before / self.space.fitted())
 
     def render(self) -> None:
         """Draw what has changed."""

@@ -54,9 +54,11 @@ class SpaceTile:
         self._surface = self._add(self._mesh, SURFACE)
         style = self._surface.prop
         style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
-        self._box = self._add(_box(geometry), theme.lines)
+        #: Edges of the volume; the reference's surface, None without one; both world mm.
+        self.box = _box(geometry)
+        self.reference: pv.PolyData | None = None
+        self._box = self._add(self.box, theme.lines)
         self._box.prop.lighting, self._box.prop.line_width = False, 1.0
-        self._reference: pv.Actor | None = None
         self._ball: pv.Actor | None = None
         self._volume: pv.Volume | None = None
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
@@ -94,13 +96,19 @@ class SpaceTile:
         self._scale.SetLookupTable(self._table)
 
     @property
+    def color(self) -> str:
+        """The quantity that colours the surface drawn now, or ``plain``."""
+        return self._color if self._color in self._mesh.point_data else "plain"
+
+    @property
     def mesh(self) -> pv.PolyData:
         """The surface drawn now, world mm."""
         return self._mesh
 
     def show_reference(self, mesh: pv.PolyData) -> None:
         """Draw a second surface, translucent."""
-        self._reference = self._add(mesh, REFERENCE, opacity=0.35)
+        self.reference = mesh
+        self._add(mesh, REFERENCE, opacity=0.35)
 
     def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
         """Draw a translucent ball (world mm); nothing for None."""
@@ -181,13 +189,7 @@ class SpaceTile:
         camera.focal_point = tuple(middle)
         camera.position = tuple(middle + 4.0 * reach * np.array(toward) / np.linalg.norm(toward))
         camera.up = upright
-        side = np.cross(toward, upright)
-        upward = np.cross(side, toward)
-        wide, high = (
-            float(np.abs((corners - middle) @ (axis / np.linalg.norm(axis))).max()) for axis in (side, upward)
-        )
-        width, height = self.renderer.GetSize()
-        camera.parallel_scale = 1.12 * (max(high, wide * height / width if width else wide) or reach)
+        camera.parallel_scale = self.fitted()
         self.renderer.camera_set = True
         self.renderer.ResetCameraClippingRange()
 
@@ -195,6 +197,19 @@ class SpaceTile:
         """Turn the camera around the vertical axis."""
         self.renderer.camera.Azimuth(degrees)
         self.renderer.ResetCameraClippingRange()
+
+    def fitted(self) -> float:
+        """Half the mm that the tile must be high for the whole image to be seen from where the camera is."""
+        camera = self.renderer.camera
+        toward = np.array(camera.position) - np.array(camera.focal_point)
+        side = np.cross(camera.up, toward)
+        corners = self._geometry.corners_world() - self._geometry.center_world()
+        wide, high = (
+            float(np.abs(corners @ (axis / max(float(np.linalg.norm(axis)), 1e-30))).max())
+            for axis in (side, np.cross(toward, side))
+        )
+        width, height = self.renderer.GetSize()
+        return 1.12 * (max(high, wide * height / width if width else wide) or 1.0)
 
     def turn(self, degrees: float, up: float) -> None:
         """Turn the camera around the middle, sideways and up."""
