@@ -244,6 +244,17 @@ class RunConfig(BaseModel):
         if self.edit:
             self.at(self.edit[-1].step)
 
+    def matters(self, key: str) -> bool:
+        """Whether a setting means something to this flow and energy.
+
+        Examples
+        --------
+        >>> RunConfig(flow="gradient").matters("gravity"), RunConfig().matters("smoothness")
+        (False, True)
+        """
+        users = _ONLY_FOR.get(key)
+        return users is None or self.flow in users or self.energy in users
+
     def unused(self) -> list[str]:
         """Return the settings that were changed from their defaults and mean nothing to this flow and energy.
 
@@ -254,8 +265,8 @@ class RunConfig(BaseModel):
         """
         return [
             key
-            for key, users in _ONLY_FOR.items()
-            if self.flow not in users and self.energy not in users and getattr(self, key) != _default(key)
+            for key in _ONLY_FOR
+            if not self.matters(key) and getattr(self, key) != _default(key)
         ]
 
     @model_validator(mode="before")

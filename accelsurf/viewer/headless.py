@@ -35,8 +35,9 @@ _SECONDS = 120
 
 
 class GraphicsError(AccelsurfError):
-    """Nothing can be drawn on this machine (exit 1)."""
+    """Nothing can be drawn on this machine (exit 8)."""
 
+    exit_code = 8
     kind = "graphics"
 
 
