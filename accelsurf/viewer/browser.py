@@ -12,10 +12,12 @@ import contextlib
 import hmac
 import io
 import secrets
+import socket
 import struct
 import sys
+import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
@@ -30,6 +32,7 @@ from accelsurf.viewer.frame import COLORS
 from accelsurf.viewer.scene import Scene
 from accelsurf.viewer.session import Session, Status
 from accelsurf.viewer.steering import Steering
+from accelsurf.volume import Volume
 
 LOCAL = "127.0.0.1"
 #: Seconds between looks at the session; pictures a second at most follow from `Session.take`.
@@ -69,6 +72,8 @@ class Page:
         Address to listen on; of this machine alone unless told.
     port : int, optional
         0 takes a free one.
+    overwrite : bool, optional
+        Replace files in the folder that this session has not written.
 
     Attributes
     ----------
@@ -85,11 +90,17 @@ class Page:
     """
 
     def __init__(
-        self, session: Session, scene: Scene, folder: Path, host: str = LOCAL, port: int = 0
+        self,
+        session: Session,
+        scene: Scene,
+        folder: Path,
+        host: str = LOCAL,
+        port: int = 0,
+        overwrite: bool = False,
     ) -> None:
         self._trame = _trame()
         self.session, self.scene = session, scene
-        self.steering = Steering(session, scene, folder)
+        self.steering = Steering(session, scene, folder, overwrite)
         self.token, self.address = secrets.token_urlsafe(24), ""
         self._host, self._port = host, port
         self._drawing, self._changed_at, self._smooth = 0.0, time.perf_counter(), True
@@ -161,7 +172,8 @@ class Page:
             while not serving.done():
                 await asyncio.sleep(PAUSE)
                 if self._server.running and not self.address:
-                    self.address = f"http://{self._host}:{self._server.port}/index.html?secret={self.token}"
+                    name = socket.gethostname() if self._host in ("0.0.0.0", "::") else self._host
+                    self.address = f"http://{name}:{self._server.port}/index.html?secret={self.token}"
                 self._look()
             await serving
         except OSError as error:
@@ -311,3 +323,60 @@ def _trame() -> tuple[Any, Any, Any]:
     except ImportError:
         raise UsageError("browser: trame is not installed", 'pip install "accelsurf[viewer]"') from None
     return get_server, DivLayout, Style
+
+
+def serve(
+    session: Session,
+    reference: Volume | None,
+    folder: Path | None,
+    theme: str,
+    overwrite: bool = False,
+    host: str = LOCAL,
+    port: int = 0,
+    tell: Callable[[str], None] | None = None,
+) -> None:
+    """Serve a session in a page until Ctrl-C.
+
+    Parameters
+    ----------
+    session : Session
+    reference : Volume or None
+        Labels to compare with.
+    folder : Path or None
+        Where files are saved; None: a folder that is gone afterwards, from which they can be downloaded.
+    theme : str
+        "dark" or "light".
+    overwrite : bool, optional
+        Replace files there that this session has not written.
+    host, port : str, int, optional
+        As of `Page`.
+    tell : callable, optional
+        Called with the address, once the page is there.
+
+    Raises
+    ------
+    UsageError
+        When trame is not installed.
+    OutputError
+        When the address cannot be listened on.
+    GraphicsError
+        When nothing can be drawn here.
+    """
+    _trame()
+    scene = Scene(session.volume, theme=theme, reference=reference)
+    with contextlib.ExitStack() as stack:
+        stack.callback(scene.close)
+        home = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-")))
+        page = Page(session, scene, home, host, port, overwrite)
+        page.steering.theme = theme
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(_serve(page, tell))
+
+
+async def _serve(page: Page, tell: Callable[[str], None] | None) -> None:
+    serving = asyncio.ensure_future(page.serve())
+    while not page.address and not serving.done():
+        await asyncio.sleep(PAUSE)
+    if page.address and tell is not None:
+        tell(page.address)
+    await serving

@@ -25,7 +25,7 @@ from accelsurf.viewer.space import VIEWS
 SETTINGS = ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")
 MOST_LETTERS = 40
 #: Smallest and largest size of a picture, pixels.
-LEAST_SIZE, MOST_SIZE = (480, 270), (2560, 1600)
+LEAST_SIZE, MOST_SIZE = (480, 272), (2560, 1600)
 _FAR = 1e6
 
 
@@ -38,6 +38,8 @@ class Steering:
     scene : Scene
     folder : Path
         Where files are saved; nothing is read or written elsewhere.
+    overwrite : bool, optional
+        Replace files there that this session has not written.
 
     Attributes
     ----------
@@ -49,8 +51,8 @@ class Steering:
         What has been saved, by name.
     """
 
-    def __init__(self, session: Session, scene: Scene, folder: Path) -> None:
-        self.session, self.scene, self.folder = session, scene, folder
+    def __init__(self, session: Session, scene: Scene, folder: Path, overwrite: bool = False) -> None:
+        self.session, self.scene, self.folder, self._overwrite = session, scene, folder, overwrite
         self.mouse = Mouse(scene)
         self.changed, self.message = True, ""
         self.files: dict[str, Path] = {}
@@ -133,7 +135,7 @@ class Steering:
 
     def _save(self, *what: Any) -> None:
         kinds = [_word(kind, KINDS) for kind in what] or list(KINDS)
-        self._ask(self.session.save(self.folder, kinds, overwrite=False), self._saved)
+        self._ask(self.session.save(self.folder, kinds, self._overwrite), self._saved)
 
     def _saved(self, paths: list[Path]) -> None:
         home = self.folder.resolve()
