@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from collections.abc import Callable
@@ -170,7 +171,7 @@ class Window(QMainWindow):
             "H": self.toggle_help,
             "Escape": self._escape,
             "Ctrl+Q": self.close,
-            **{key: lambda name=name: self.take_tool(name) for name, (key, _, _) in TOOLS.items()},
+            **{key: functools.partial(self.take_tool, name) for name, (key, _, _) in TOOLS.items()},
         }
         for key, work in keys.items():
             action = QAction(self)

@@ -193,8 +193,8 @@ class Session:
         return self._do(lambda: self._start_running(step))
 
     def single_step(self) -> Future[None]:
-        """Make one step."""
-        return self._do(lambda: self._start_running(self._place + 1))
+        """Make one step; asked for twice at once, two. A run that runs rests after it."""
+        return self._do(lambda: self._start_running(1 + (self._until if self._running else self._place)))
 
     def pause(self) -> Future[None]:
         """Rest after the present step."""
@@ -466,6 +466,9 @@ class Session:
             self._edit((*self._edits_so_far(), Edit(step=self._place)))
         if self._place >= run.evolution.max_steps:
             run.evolution.extend(self._place + max(run.config.max_steps, 1))
+        if 0 <= until <= self._place:
+            # Asked of a run without an end.
+            until = self._place + 1 if self._running else until
         if 0 <= until <= self._place:
             return
         self._running, self._until = True, until
