@@ -84,8 +84,8 @@ def test_run_pause_back_change_undo_save(steering, tmp_path):
 
 
 BAD = [
-    None, True, -1, 1e308, -1e308, math.inf, math.nan, 10**400, "", "x" * 100_000, "../../etc/passwd", "a\x00b", "\ud800",
-    "<script>", [], {}, [[[[]]]], {"a": {"b": 1}}, b"\xff" * 1000, object(), ["run"], 3.5, "nan", "1e999",
+    None, True, -1, 1e308, -1e308, math.inf, math.nan, 10**400, "", "x" * 100_000, "../../etc/passwd", "a\x00b",
+    "\ud800", "<script>", [], {}, [[[[]]]], {"a": {"b": 1}}, b"\xff" * 1000, object(), ["run"], 3.5, "nan", "1e999",
 ]  # fmt: skip
 
 

@@ -17,6 +17,7 @@ import struct
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
@@ -103,7 +104,9 @@ class Page:
         self.steering = Steering(session, scene, folder, overwrite)
         self.token, self.address = secrets.token_urlsafe(24), ""
         self._host, self._port = host, port
-        self._drawing, self._changed_at, self._smooth = 0.0, time.perf_counter(), True
+        #: Seconds of the last pictures; the fastest counts: the first of a size takes long.
+        self._drawing: deque[float] = deque([0.0], maxlen=3)
+        self._changed_at, self._smooth = time.perf_counter(), True
         self._sent_at, self._shown = 0.0, True
         self._server = self._made()
 
@@ -189,13 +192,15 @@ class Page:
         """Draw what is new, and tell the page."""
         now = time.perf_counter()
         self.steering.look_after()
-        view = self.session.take(self._drawing)
+        view = self.session.take(min(self._drawing))
         if view is not None:
             self.scene.update(view.frame, view.rows)
         if view is not None or self.steering.changed:
             self._changed_at, self._smooth = now, False
-            self._drawing = self._draw(False) if self._may_send(now) else self._drawing
-            self.steering.changed = not self._just_sent(now)
+            may = self._may_send(now)
+            if may:
+                self._drawing.append(self._draw(False))
+            self.steering.changed = not may
         elif not self._smooth and now - self._changed_at > CALM and self._may_send(now):
             self._draw(True)
             self._smooth = True
@@ -205,9 +210,6 @@ class Page:
     def _may_send(self, now: float) -> bool:
         """Whether the page has shown the last picture: one that is slow is not buried in them."""
         return self._shown or now - self._sent_at > PATIENCE
-
-    def _just_sent(self, now: float) -> bool:
-        return self._sent_at >= now
 
     def _draw(self, smoothly: bool) -> float:
         """Draw and send a picture; returns the seconds that it took."""

@@ -11,7 +11,7 @@ from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
 from accelsurf.geometry import Geometry
 from accelsurf.viewer.colors import MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
 from accelsurf.viewer.frame import Frame
-from accelsurf.viewer.overlay import LEAST_TEXT, TEXT, Label, ScaleBar, orientation_cube
+from accelsurf.viewer.overlay import Label, ScaleBar, orientation_cube
 from accelsurf.viewer.shapes import GreyTexture, isosurface
 
 #: Voxels along an axis of the image as it is drawn in 3D: more take longer than a person wants to wait.
@@ -65,7 +65,9 @@ class SpaceTile:
         self._planes_on = False
         self._table = pv.LookupTable()
         self._scale = _color_scale(self.renderer)
-        self._quantity = Label(self.renderer, theme.ink, (0.5, 0.155))
+        self._quantity = Label(self.renderer, theme.ink, (0.5, 0.135))
+        # VTK's own labels come to lie on the colours in a picture that is drawn once.
+        self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
         self._bar = ScaleBar(self.renderer, theme.ink)
         plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
@@ -84,6 +86,8 @@ class SpaceTile:
         self._scale.SetVisibility(shaded)
         self._quantity.text = SHADES[color].title if shaded else ""
         if not shaded:
+            for label in self._ends:
+                label.text = ""
             return
         shade = SHADES[color]
         if color != self._color:
@@ -91,7 +95,10 @@ class SpaceTile:
             self._color = color
         mapper.SetLookupTable(self._table)
         mapper.SetScalarModeToUsePointData()
-        self._table.scalar_range = color_range(mesh.point_data[color], shade.signed)
+        low, high = color_range(mesh.point_data[color], shade.signed)
+        self._table.scalar_range = low, high
+        for label, value in zip(self._ends, (low, 0.5 * (low + high), high), strict=True):
+            label.text = f"{value:.3g}"
         mapper.SetUseLookupTableScalarRange(True)
         self._scale.SetLookupTable(self._table)
 
@@ -256,16 +263,16 @@ class SpaceTile:
         """Make text readable, and the bar as long as the camera's scale asks for."""
         self.title.fit(window_height)
         self._bar.fit(window_height)
-        self._quantity.fit(window_height)
-        self._scale.GetLabelTextProperty().SetFontSize(max(LEAST_TEXT, round(window_height * TEXT)))
+        for label in (self._quantity, *self._ends):
+            label.fit(window_height)
 
     def paint(self, theme: Theme) -> None:
         """Take up a theme."""
         self.renderer.background_color = theme.background
-        for part in (self.title, self._bar, self._quantity):
-            part.paint(theme.ink)
+        for label in (self.title, self._quantity, *self._ends):
+            label.paint(theme.ink)
+        self._bar.paint(theme.ink)
         self._box.prop.color = theme.lines
-        self._scale.GetLabelTextProperty().SetColor(pv.Color(theme.ink).float_rgb)
 
     def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
         mapper = vtkPolyDataMapper()
@@ -291,19 +298,13 @@ def _color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
     scale = vtkScalarBarActor()
     scale.SetOrientationToHorizontal()
     scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    scale.SetPosition(0.2, 0.075)
+    scale.SetPosition(0.2, 0.1)
     scale.SetWidth(0.6)
-    scale.SetHeight(0.07)
-    scale.SetNumberOfLabels(5)
-    scale.SetLabelFormat("%.3g")
-    scale.SetTextPositionToPrecedeScalarBar()
+    scale.SetHeight(0.025)
+    scale.SetBarRatio(1.0)
+    scale.SetNumberOfLabels(0)
+    scale.DrawTickLabelsOff()
     scale.SetMaximumNumberOfColors(256)
-    scale.UnconstrainedFontSizeOn()
-    text = scale.GetLabelTextProperty()
-    text.SetFontFamilyToArial()
-    text.SetItalic(False)
-    text.SetBold(False)
-    text.SetShadow(False)
     scale.VisibilityOff()
     renderer.AddViewProp(scale)
     return scale
