@@ -233,7 +233,7 @@ def test_bad_commands_are_one_line_and_change_nothing(session):
 def test_an_error_in_the_solver_is_one_line_and_a_kept_step_is_sound(session, tmp_path, monkeypatch):
     straight = labels_of(at(session, 8), tmp_path / "a")[0]
     session.back(4).result(60)
-    energy = session._run.evolution._now.energy
+    energy = session._timeline.run.evolution._now.energy
     monkeypatch.setattr(energy, "follow", lambda *a: 1 / 0)
     session.run().result(60)
     assert session.wait(60)

@@ -66,17 +66,12 @@ def _stretches(cells: np.ndarray, surface: LevelSet) -> np.ndarray:
     The surface crosses no pair of neighbours outside the band, so a stretch within a row is on one side.
     """
     nx, total = surface.grid.nx, surface.dense.psi.size
-    after = cells + 1
+    # Few cells of the band are the last ones of a run of neighbours.
+    after = cells[np.diff(cells, append=total + 1) != 1] + 1 if cells.size else cells
     after = after[(after < total) & (after % nx != 0)]
     rows = np.arange(0, total, nx)
+    if cells.size:
+        rows = rows[cells[np.minimum(np.searchsorted(cells, rows), cells.size - 1)] != rows]
     first = np.concatenate([after, rows])
     first.sort(kind="stable")
-    return first[~_among(first, cells)]
-
-
-def _among(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Which of ``values`` are in the sorted ``cells``."""
-    if cells.size == 0:
-        return np.zeros(values.size, np.bool_)
-    at = np.minimum(np.searchsorted(cells, values), cells.size - 1)
-    return np.asarray(cells[at] == values)
+    return first

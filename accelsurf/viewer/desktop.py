@@ -37,6 +37,8 @@ from accelsurf.volume import Volume
 
 #: How often the window looks for something new, milliseconds.
 POLL_MS = 15
+#: Samples of a pixel, and the names of renderers without a graphics card.
+SAMPLES, SOFTWARE = 8, ("llvmpipe", "softpipe", "SWR", "Software")
 #: A brush that is drawn along makes a ball each time it has gone this part of its radius.
 BRUSH_STEP = 0.5
 
@@ -79,6 +81,7 @@ class Window(QMainWindow):
         self._brushed: NDArray[np.float64] | None = None
         self._dragging = ""
         self._drawing = 0.0
+        self._software: bool | None = None
         self._shown: Status | None = None
         self._saving: Future[list[Path]] | None = None
         self._note, self._note_until = "", 0.0
@@ -273,12 +276,14 @@ class Window(QMainWindow):
     def _poll(self) -> None:
         view = self.session.take(self._drawing)
         if view is not None:
-            began = time.perf_counter()
+            began, spent = time.perf_counter(), time.thread_time()
+            self._smooth(not view.status.running)
             self.scene.update(view.frame, view.rows)
             if not self._dragging:
                 self.scene.mark_ball(None)
             self.scene.render()
-            self._drawing = time.perf_counter() - began
+            # What a graphics card does costs the solver nothing.
+            self._drawing = time.perf_counter() - began if self._software else time.thread_time() - spent
         status = self.session.status
         if status is not self._shown:
             self._show_status(status)
@@ -287,6 +292,15 @@ class Window(QMainWindow):
             self._show_message(status)
         if self._saving is not None and self._saving.done():
             self._saved(self._saving)
+
+    def _smooth(self, on: bool) -> None:
+        """Smooth edges while nothing moves; a processor that draws needs three times as long for it."""
+        window = self.canvas.render_window
+        if self._software is None:
+            self._software = any(name in window.ReportCapabilities() for name in SOFTWARE)
+        samples = SAMPLES if on or not self._software else 0
+        if window.GetMultiSamples() != samples:
+            window.SetMultiSamples(samples)
 
     def _show_status(self, status: Status) -> None:
         if self._shown is None or status.message != self._shown.message:
@@ -353,8 +367,9 @@ class Window(QMainWindow):
                 return self._press(x, y)
             if kind == QEvent.Type.MouseMove and self._dragging:
                 return self._drag(x, y)
-            if kind == QEvent.Type.MouseButtonRelease and self._dragging:
-                return self._release()
+            if kind == QEvent.Type.MouseButtonRelease:
+                self._smooth(not self.session.status.running)
+                return self._release() if self._dragging else self._settle()
         return super().eventFilter(watched, event)
 
     def _pixel(self, x: float, y: float) -> tuple[float, float]:
@@ -364,6 +379,7 @@ class Window(QMainWindow):
 
     def _press(self, x: float, y: float) -> bool:
         tile, world = self.scene.pick(x, y)
+        self._smooth(False)
         if world is None or (tile == "space" and self._tool == "look"):
             return tile in self.scene.slice_tiles
         self._dragging = tile
@@ -384,6 +400,11 @@ class Window(QMainWindow):
         # What was marked is seen as the surface as soon as that is there.
         self._brushed = None
         return True
+
+    def _settle(self) -> bool:
+        """The camera was turned: VTK is to know that the button is up, and then to draw once more."""
+        QTimer.singleShot(0, self.scene.render)
+        return False
 
     def _act(self, world: NDArray[np.float64]) -> None:
         """What the tool in the hand does at a point."""

@@ -92,6 +92,9 @@ def sheet(theme: str) -> str:
     QSlider::handle:horizontal {{ width: 14px; height: 14px; margin: -5px 0; border-radius: 7px;
         background: {coat.ink}; }}
     QSlider::handle:horizontal:disabled {{ background: {coat.weak}; }}
+    QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {coat.weak}; border-radius: 3px;
+        background: {coat.field}; }}
+    QCheckBox::indicator:checked {{ background: {SURFACE}; border-color: {SURFACE}; }}
     QLabel#help {{ background: {coat.field}; border: 1px solid {SURFACE}; border-radius: 8px; padding: 14px 22px; }}
     QLabel#message {{ color: {coat.weak}; }}
     QLabel#message[failed="true"] {{ color: {ALARM[theme]}; font-weight: bold; }}

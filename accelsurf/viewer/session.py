@@ -19,10 +19,9 @@ from accelsurf.config import RunConfig
 from accelsurf.edits import Edit
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.evolution import Row, Stop
-from accelsurf.run import KeptRun, Run
 from accelsurf.viewer import saving
 from accelsurf.viewer.frame import Frame
-from accelsurf.viewer.kept import KeptStates
+from accelsurf.viewer.timeline import Timeline
 from accelsurf.volume import Volume
 
 #: Frames a second at most, and the part of the time that making and drawing them may take while the solver runs.
@@ -31,8 +30,6 @@ FRAME_RATE, DRAWING_SHARE = 15.0, 0.1
 RUNNING_VOXELS = 3_000_000
 #: Memory for kept states unless another is given, MB.
 KEPT_MB = 512.0
-#: Why a run ended for good: there is nothing to go on from.
-ENDED = ("vanished", "filled", "diverged")
 
 
 class Status(NamedTuple):
@@ -97,10 +94,9 @@ class Session:
     kept_mb : float, optional
         Memory for kept states, MB.
 
-    Notes
-    -----
-    A state is kept at each step, before the edits of that step. Going back keeps what comes after, edits too, so going
-    on makes the same steps again; a change made then takes their place.
+    See Also
+    --------
+    accelsurf.viewer.timeline.Timeline : what going back and changing mean.
 
     Examples
     --------
@@ -109,7 +105,7 @@ class Session:
     >>> image = Volume.from_array((x**2 + y**2 + z**2 < 8**2) * 100.0)
     >>> with Session(image, RunConfig(start="ball:9,9,9,4")) as session:
     ...     session.run_to(5).result()
-    ...     session.wait()
+    ...     at_rest = session.wait()
     ...     session.change(smoothness=0.2).result()
     ...     session.status.step, session.status.settings.smoothness, session.status.edits[0].step
     (5, 0.2, 5)
@@ -129,13 +125,9 @@ class Session:
             config = config.replace(levels=1)
         self.volume, self.source = volume, source or volume.source
         self.name = name or "surface"
-        self._config = config
-        self._run: Run | None = None
-        self._here: KeptRun | None = None
-        self._kept = KeptStates(kept_mb)
-        self._past: list[tuple[RunConfig, int]] = []
-        self._own: set[Path] = set()
-        self._running, self._until = False, -1
+        self._config, self._kept_mb = config, kept_mb
+        self._timeline: Timeline | None = None
+        self._running = False
         self._message, self._failed = "preparing", False
         self._commands: queue.SimpleQueue[tuple[Callable[[], Any] | None, Future[Any]]] = queue.SimpleQueue()
         #: Guards what is waited for (commands not carried out yet) and what is handed over (the view).
@@ -186,27 +178,27 @@ class Session:
 
     def run(self) -> Future[None]:
         """Run until it ends or is paused; one that has converged goes on, its stop rule begins anew."""
-        return self._do(lambda: self._start_running(-1))
+        return self._do(lambda: self._ready.go_on(-1))
 
     def run_to(self, step: int) -> Future[None]:
         """Run until so many steps have been made."""
-        return self._do(lambda: self._start_running(step))
+        return self._do(lambda: self._ready.go_on(step))
 
     def single_step(self) -> Future[None]:
         """Make one step; asked for twice at once, two. A run that runs rests after it."""
-        return self._do(lambda: self._start_running(1 + (self._until if self._running else self._place)))
+        return self._do(lambda: self._ready.one_more())
 
     def pause(self) -> Future[None]:
         """Rest after the present step."""
-        return self._do(self._pause)
+        return self._do(lambda: self._ready.pause())
 
     def back(self, step: int) -> Future[None]:
         """Go back (or, among kept states, forward) to a step; from one not kept the steps in between are made again."""
-        return self._do(lambda: self._go_back(step))
+        return self._do(lambda: self._ready.go_back(step))
 
     def restart(self) -> Future[None]:
         """Begin again from the start with the settings in force; balls added or taken are gone."""
-        return self._do(self._restart)
+        return self._do(lambda: self._ready.restart())
 
     def change(self, **settings: Any) -> Future[None]:
         """Change settings from the present step on.
@@ -216,7 +208,7 @@ class Session:
         UsageError
             From the Future, when a setting makes no sense; nothing is changed then.
         """
-        return self._do(lambda: self._change_settings(settings))
+        return self._do(lambda: self._ready.change(settings))
 
     def push(self, kind: Literal["add", "remove"], ball: str) -> Future[None]:
         """Unite the object with a ball, ``ball:X,Y,Z,R``, or take one away from it.
@@ -226,15 +218,15 @@ class Session:
         UsageError, InputError
             From the Future, when it is no ball or lies outside the volume.
         """
-        return self._do(lambda: self._push(kind, ball))
+        return self._do(lambda: self._ready.push(kind, ball))
 
     def start_from(self, start: Sequence[str]) -> Future[None]:
         """Begin another run from another start, with the settings in force."""
-        return self._do(lambda: self._start_from(tuple(start)))
+        return self._do(lambda: self._ready.start_from(tuple(start)))
 
     def undo(self) -> Future[None]:
         """Take the last change back, and go to the step that it was made at."""
-        return self._do(self._undo)
+        return self._do(lambda: self._ready.undo())
 
     def save(
         self, folder: Path, what: Sequence[str] = saving.KINDS, overwrite: bool = False
@@ -255,7 +247,7 @@ class Session:
         OutputError, UsageError
             From the Future; files written before stay whole.
         """
-        return self._do(lambda: self._save(Path(folder), tuple(what), overwrite))
+        return self._do(lambda: self._ready.save(Path(folder), self.name, self.source, tuple(what), overwrite))
 
     def close(self, timeout: float = 10.0) -> bool:
         """End the run after the present step; what was asked for before, saving too, is done first.
@@ -290,10 +282,16 @@ class Session:
     def _end(self) -> None:
         raise _End
 
+    @property
+    def _ready(self) -> Timeline:
+        if self._timeline is None:
+            raise UsageError(self._message or "the run is not ready")
+        return self._timeline
+
     def _loop(self) -> None:
         try:
-            self._build(self._config)
-            self._say("")
+            self._timeline = Timeline(self.volume, self._config, self._kept_mb)
+            self._message = ""
             self._status = self._status_now()
             self.ready.set_result(None)
         except BaseException as error:
@@ -306,8 +304,9 @@ class Session:
         except _End:
             pass
         finally:
-            if self._run is not None:
-                self._run.workers.close()
+            if self._timeline is not None:
+                self._timeline.running = False
+                self._timeline.close()
             with self._rest:
                 self._running, self._pending = False, 0
                 self._rest.notify_all()
@@ -318,7 +317,7 @@ class Session:
         try:
             work, future = self._commands.get(block=not self._running)
         except queue.Empty:
-            self._make_step()
+            self._work(self._ready.advance)
         else:
             self._carry_out(work, future)
         if self._commands.empty():
@@ -334,71 +333,57 @@ class Session:
         if work is None:
             return
         try:
-            self._answer(work, future)
+            answer, error = self._work(work)
+            if error is not None:
+                future.set_exception(error)
+            else:
+                future.set_result(answer)
         finally:
             with self._rest:
                 self._pending -= 1
 
-    def _answer(self, work: Callable[[], Any], future: Future[Any]) -> None:
+    def _work(self, work: Callable[[], Any]) -> tuple[Any, BaseException | None]:
+        """Do something to the run, and tell how that went; an error ends the running, not the session."""
+        answer, failure = None, None
         try:
-            if self._run is None and work != self._end:
-                raise UsageError(self._message or "the run is not ready")
             answer = work()
-            if not self._running and self._run is not None:
-                self._run.apply()
+            timeline = self._ready
+            timeline.settle()
+            self._message, self._failed = timeline.message, False
         except _End:
             raise
         except BaseException as error:
+            if work == getattr(self._timeline, "advance", None):
+                self._ready.pause()
             self._tell(error)
-            self._status = self._status_now()
-            future.set_exception(error)
-            return
+            failure = error
+        self._running = self._timeline is not None and self._timeline.running
         self._version += 1
         self._status = self._status_now()
-        future.set_result(answer)
-
-    def _make_step(self) -> None:
-        run = self._ready_run
-        try:
-            run.step()
-            if run.evolution.stop is None:
-                self._arrive()
-                if self._until >= 0 and self._place >= self._until:
-                    self._running = False
-                    run.apply()
-            else:
-                self._running = False
-                self._say(f"{run.evolution.stop.reason}: {run.evolution.stop.message}")
-        except BaseException as error:
-            self._running = False
-            self._tell(error)
-        self._version += 1
-        self._status = self._status_now()
+        return answer, failure
 
     def _publish(self) -> None:
         """Make a frame if one is wanted and it is time."""
         now = time.perf_counter()
-        if not self._wanted or self._run is None or self._shown == self._version:
+        if not self._wanted or self._timeline is None or self._shown == self._version:
             return
+        run = self._timeline.run
         if self._running and now < self._next_frame:
             return
         try:
-            step = self._run.look()
+            step = run.look()
             most = RUNNING_VOXELS if self._running else None
-            frame = Frame.of(step, self.volume.geometry, self._run.evolution.flow, most)
+            frame = Frame.of(step, self.volume.geometry, run.evolution.flow, most)
         except Exception as error:
             self._tell(error)
             self._status, self._wanted = self._status_now(), False
             return
-        ledger = self._run.evolution.ledger
-        rows = tuple(ledger) if self._run.evolution.stop is not None else (*ledger, step.row)
+        ledger = run.evolution.ledger
+        rows = tuple(ledger) if run.evolution.stop is not None else (*ledger, step.row)
         with self._handing:
             self._view, self._wanted, self._shown = View(frame, rows, self._status), False, self._version
         spent = time.perf_counter() - now + self._drawing
         self._next_frame = now + max(1.0 / FRAME_RATE, spent / DRAWING_SHARE)
-
-    def _say(self, message: str) -> None:
-        self._message, self._failed = message, False
 
     def _tell(self, error: BaseException) -> None:
         """Show an error in one line."""
@@ -410,188 +395,24 @@ class Session:
             self._message = f"internal error, going back to a kept step may help: {self._message}"
 
     def _status_now(self) -> Status:
-        run, here = self._run, self._here
-        config = self._config if run is None else run.config
+        timeline = self._timeline
+        if timeline is None:
+            settings = self._config.at(0)
+            return Status(
+                False, False, 0, (), settings, self._config.edit, None, self._message, self._failed, 0
+            )
         return Status(
-            ready=run is not None,
-            running=self._running,
-            step=0 if here is None else here.step,
-            kept=self._kept.steps,
-            settings=config.at(0) if run is None else run.now,
-            edits=config.edit,
-            stop=None if run is None else run.evolution.stop,
+            ready=True,
+            running=timeline.running,
+            step=timeline.place,
+            kept=timeline.kept.steps,
+            settings=timeline.run.now,
+            edits=timeline.run.config.edit,
+            stop=timeline.run.evolution.stop,
             message=self._message,
             failed=self._failed,
-            undoable=len(self._past),
+            undoable=timeline.undoable,
         )
-
-    # -- how commands are carried out, in the thread -------------------------------------------------------
-
-    @property
-    def _ready_run(self) -> Run:
-        assert self._run is not None
-        return self._run
-
-    @property
-    def _place(self) -> int:
-        """Steps made."""
-        return 0 if self._here is None else self._here.step
-
-    def _build(self, config: RunConfig) -> None:
-        """Begin another run; the present one goes on to exist until that one is ready."""
-        before, self._run = self._run, Run(self.volume, config)
-        if before is not None:
-            before.workers.close()
-        self._kept.clear()
-        self._here = None
-        self._arrive()
-
-    def _arrive(self) -> None:
-        """Keep the state before the edits of the coming step."""
-        state = self._ready_run.keep()
-        if self._here is not None and state.level != self._here.level:
-            # States of a coarser level cannot be taken back on this one.
-            self._kept.clear()
-        self._here = state
-        self._kept.add(state)
-
-    def _start_running(self, until: int) -> None:
-        run = self._ready_run
-        stop = run.evolution.stop
-        if stop is not None and stop.reason in ENDED:
-            raise UsageError(f"the run has ended: {stop.message}", "go back, change the settings, or restart")
-        if stop is not None and stop.reason == "max-steps":
-            run.resume(self._state_here)
-        elif stop is not None:
-            self._edit((*self._edits_so_far(), Edit(step=self._place)))
-        if self._place >= run.evolution.max_steps:
-            run.evolution.extend(self._place + max(run.config.max_steps, 1))
-        if 0 <= until <= self._place:
-            # Asked of a run without an end.
-            until = self._place + 1 if self._running else until
-        if 0 <= until <= self._place:
-            return
-        self._running, self._until = True, until
-        self._say("")
-
-    def _pause(self) -> None:
-        self._running, self._until = False, -1
-
-    @property
-    def _state_here(self) -> KeptRun:
-        assert self._here is not None
-        return self._here
-
-    def _go_back(self, step: int) -> None:
-        if not 0 <= step:
-            raise UsageError(f"step {step} was given, expected a number at least 0")
-        kept = self._kept.steps
-        if step > max(self._place, kept[-1] if kept else 0):
-            raise UsageError(f"step {step} was given, expected at most {max(self._place, kept[-1])}", "run on to it")
-        self._pause()
-        self._go(step)
-        self._say(f"step {step}")
-
-    def _go(self, step: int) -> None:
-        """To the state before the edits of a step; runs there from the last kept one."""
-        run = self._ready_run
-        state = self._state_here if step == self._place else None
-        state = state or self._kept.nearest(step, self._state_here.level)
-        if state is None:
-            self._build(run.config)
-        else:
-            run.resume(state)
-            self._here = state
-        if self._place < step:
-            self._running, self._until = True, step
-
-    def _edits_so_far(self) -> tuple[Edit, ...]:
-        return tuple(edit for edit in self._ready_run.config.edit if edit.step <= self._place)
-
-    def _edit(self, edits: tuple[Edit, ...]) -> None:
-        """Go on with other edits from the present step; what came after it is forgotten."""
-        run, place = self._ready_run, self._place
-        before = run.config
-        if edits == before.edit and run.evolution.stop is None:
-            return
-        for edit in edits:
-            if edit.step >= place:
-                run.check(edit)
-        before.replace(edit=edits)
-        if run.evolution.stop is not None or run.edits_done > self._state_here.done:
-            run.resume(self._state_here)
-        run.set_edits(edits)
-        self._kept.drop_after(place)
-        self._past.append((before, place))
-
-    def _change_settings(self, settings: dict[str, Any]) -> None:
-        run, place = self._ready_run, self._place
-        edits = self._edits_so_far()
-        # Several changes at one step are one edit: a slider that is drawn to and fro.
-        last = edits[-1] if edits and edits[-1].step == place and not edits[-1].balls else None
-        earlier = edits if last is None else edits[:-1]
-        run.check(Edit(step=place, **settings))
-        run.config.replace(edit=(*earlier, Edit(step=place, **settings)))
-        before = run.config.replace(edit=earlier).at(place)
-        after = before.replace(**{**(last.settings if last else {}), **settings})
-        changed = {
-            key: getattr(after, key) for key in RunConfig.model_fields if getattr(after, key) != getattr(before, key)
-        }
-        goes_on = last is not None and not last.settings
-        altered = (*earlier, Edit(step=place, **changed)) if changed or goes_on else earlier
-        if altered != edits:
-            self._edit(altered)
-        self._say(", ".join(f"{key} {value}" for key, value in settings.items()))
-
-    def _push(self, kind: str, ball: str) -> None:
-        self._edit((*self._edits_so_far(), *RunConfig(edit=[{"step": self._place, kind: ball}]).edit))
-        self._say(f"{'added' if kind == 'add' else 'took away'} {ball}")
-
-    def _restart(self) -> None:
-        run = self._ready_run
-        base, now, config = run.config.at(-1), run.now, run.config
-        changed = {key: getattr(now, key) for key in RunConfig.model_fields if getattr(now, key) != getattr(base, key)}
-        changed.pop("seed", None)
-        self._pause()
-        self._go(0)
-        edits = (Edit(step=0, **changed),) if changed else ()
-        if edits != config.edit:
-            self._edit(edits)
-        self._say("at the start")
-
-    def _start_from(self, start: tuple[str, ...]) -> None:
-        run = self._ready_run
-        before = run.config
-        self._pause()
-        self._build(run.now.replace(start=start))
-        self._past.append((before, 0))
-        self._say("start: " + " + ".join(start))
-
-    def _undo(self) -> None:
-        if not self._past:
-            raise UsageError("there is no change to take back")
-        run = self._ready_run
-        config, place = self._past.pop()
-        self._pause()
-        state = self._kept.nearest(min(place, self._place), self._state_here.level)
-        if config.at(-1) != run.config.at(-1) or state is None:
-            self._build(config)
-        else:
-            place = min(place, self._place)
-            self._kept.drop_after(place)
-            self._go(place)
-            run.set_edits(config.edit)
-        if self._place < place:
-            self._running, self._until = True, place
-        self._say(f"took the last change back, at step {place}")
-
-    def _save(self, folder: Path, what: tuple[str, ...], overwrite: bool) -> list[Path]:
-        run = self._ready_run
-        run.apply()
-        written = saving.save(run, folder, self.name, self.source, what, None if overwrite else self._own)
-        self._own.update(written)
-        self._say(f"saved {len(written)} files in {folder}")
-        return written
 
 
 class _End(Exception):
