@@ -140,6 +140,13 @@ class Result:
         axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
         return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
 
+    def plot(self, **options: Any) -> Any:
+        """Show the result in a notebook or a window, or write a picture or a page; options as of `accelsurf.show`."""
+        # By its public name: this module does not know the viewer, and loads it for those who ask for pictures only.
+        import accelsurf
+
+        return accelsurf.show(self, **options)
+
     @property
     def report(self) -> dict[str, Any]:
         """The run as the JSON report has it, without files."""

@@ -1,11 +1,13 @@
 """What the tests of the viewer share: small images, runs of them, and whether anything can be drawn here."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from accelsurf import Volume
 from accelsurf.config import RunConfig
-from accelsurf.segmentation import Run
+from accelsurf.run import Run
 from accelsurf.viewer.frame import Frame
 from accelsurf.viewer.headless import GraphicsError, require_graphics
 
@@ -39,3 +41,17 @@ def run_frames(volume, center, **options):
         for step in run.evolution:
             frames.append(Frame.of(step, volume.geometry, run.evolution.flow))
     return frames, run.evolution.ledger
+
+
+CHROMIUM_FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+
+
+def needs_chromium():
+    """Path of Chromium; skip where it is missing."""
+    for name in ("chromium", "chromium-browser", "google-chrome"):
+        if found := shutil.which(name):
+            return found
+    pytest.skip("no Chromium: apt install chromium chromium-driver")

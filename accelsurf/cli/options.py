@@ -83,6 +83,8 @@ def _shown(value: Any) -> str | bool:
 
 
 Settings = _settings("Settings")
+#: For commands that write none of a run's files.
+RunSettings = _settings("RunSettings", leave_out=("mesh", "mesh_space", "save_sdf", "format"))
 #: For commands that choose the flow and the files themselves.
 SharedSettings = _settings("SharedSettings", leave_out=("flow", "mesh", "mesh_space", "save_sdf", "format"))
 

@@ -253,7 +253,7 @@ class Window(QMainWindow):
 
     def _reset_camera(self) -> None:
         if self.scene.space is not None:
-            self._redraw(self.scene.space.reset_camera)
+            self._redraw(self.scene.space.look_from)
 
     def _scale_radius(self, factor: float) -> None:
         self.panel.scale_radius(factor)

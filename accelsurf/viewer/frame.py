@@ -105,6 +105,17 @@ class Frame:
         psi = surface.psi[tuple(slice(a, b, stride) for a, b in ranges)].copy()
         return cls(row, grid, (ranges[0][0], ranges[1][0], ranges[2][0]), stride, psi, quantities)
 
+    @classmethod
+    def of_psi(cls, psi: NDArray[np.float32], geometry: Geometry, row: Row) -> Frame:
+        """The frame of a run that has ended, of its last ``row`` and psi (nz, ny, nx) on the image's grid."""
+        grid = pyramid.levels(geometry.shape, geometry.spacing, 1)[0]
+        inside = psi < 0
+        if not inside.any() or inside.all():
+            return cls(row, grid, (0, 0, 0), 1, np.zeros((0, 0, 0), np.float32))
+        ends = [np.flatnonzero(inside.any(axis=tuple(b for b in range(3) if b != a)))[[0, -1]] for a in range(3)]
+        box = [(max(int(a) - 2, 0), min(int(b) + 3, n)) for (a, b), n in zip(ends, psi.shape, strict=True)]
+        return cls(row, grid, (box[0][0], box[1][0], box[2][0]), 1, psi[tuple(slice(a, b) for a, b in box)].copy())
+
     @property
     def has_surface(self) -> bool:
         """Whether there is something to draw."""

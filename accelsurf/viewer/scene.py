@@ -23,6 +23,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
+from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution import Row
@@ -31,13 +32,13 @@ from accelsurf.headers import of_patient
 from accelsurf.surface import write_atomically
 from accelsurf.upright import Upright
 from accelsurf.viewer.chart import EnergyChart
-from accelsurf.viewer.colors import REFERENCE, SURFACE, theme_named
+from accelsurf.viewer.colors import REFERENCE, SURFACE, Theme, theme_named
 from accelsurf.viewer.frame import COLORS, Frame
 from accelsurf.viewer.headless import require_graphics
 from accelsurf.viewer.overlay import Label
 from accelsurf.viewer.shapes import label_surface, slice_of
 from accelsurf.viewer.slices import SliceTile
-from accelsurf.viewer.space import SpaceTile
+from accelsurf.viewer.space import VIEWS, SpaceTile
 from accelsurf.volume import Volume
 
 #: Size of a window or picture unless another is asked for, pixels.
@@ -111,7 +112,7 @@ class Scene:
         self.frame: Frame | None = None
         self._history: Sequence[Row] = ()
         self._color = "plain"
-        self._title = (volume.source.name if volume.source else "") if title is None else title
+        self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
         self._reference = None if reference is None else np.asarray(reference.array > 0)
@@ -190,7 +191,7 @@ class Scene:
             value = self.dice
             self._legend[0].text = "surface"
             self._legend[1].text = "reference" if value is None else f"reference, Dice {value:.3f}"
-        lines = [line for line in (self._title, *self._told(frame)) if line]
+        lines = [line for line in (self.title, *self._told(frame)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
@@ -206,8 +207,18 @@ class Scene:
         return [where, f"area {_number(row.volume_mm3 / thickness)} mm2"]
 
     @property
+    def theme(self) -> Theme:
+        """The colours in use."""
+        return self._theme
+
+    @property
+    def legend(self) -> tuple[str, ...]:
+        """What is written about the reference: what each colour is, and Dice; empty without one."""
+        return tuple(label.text for label in self._legend if label.text)
+
+    @property
     def dice(self) -> float | None:
-        """Dice of the surface drawn now and the reference; None without either. Coarse frames count their own voxels."""
+        """Dice of the surface drawn now and the reference; None without either. Coarse frames count their voxels."""
         frame = self.frame
         if self._reference is None or frame is None:
             return None
@@ -315,6 +326,19 @@ class Scene:
 
     # -- pictures ------------------------------------------------------------------------------------------
 
+    def look_from(self, view: str) -> None:
+        """Look at the whole image from one of `space.VIEWS`: corner, front, back, left, right, top or bottom.
+
+        Raises
+        ------
+        UsageError
+            For another view.
+        """
+        if view not in VIEWS:
+            raise UsageError(f"view: {view} was given, expected {', '.join(VIEWS)}")
+        if self.space is not None:
+            self.space.look_from(view)
+
     def orbit(self, degrees: float) -> None:
         """Turn the camera around the vertical axis."""
         if self.space is not None:
@@ -335,6 +359,17 @@ class Scene:
             return Picked("space", self.space.pick(x, y))
         return Picked("energies", None)
 
+    def smooth_edges(self, on: bool) -> None:
+        """Draw edges smoothly (the default), or two to four times faster, where there is no graphics card."""
+        self.plotter.render_window.SetMultiSamples(8 if on else 0)
+
+    def resize(self, width: int, height: int) -> None:
+        """Take another size, pixels."""
+        before = None if self.space is None else self.space.fitted()
+        self.plotter.render_window.SetSize(width, height)
+        if self.space is not None and before is not None:
+            self.space.zoom(before / self.space.fitted())
+
     def render(self) -> None:
         """Draw what has changed."""
         self.plotter.render_window.Render()
@@ -342,7 +377,14 @@ class Scene:
     def screenshot(self, path: str | Path | None = None) -> NDArray[np.uint8]:
         """Render, and return the picture (height, width, 3), uint8; with a path write it there as PNG."""
         self.render()
-        picture = np.asarray(self.plotter.screenshot(None, return_img=True))[..., :3]
+        grab = vtkWindowToImageFilter()
+        grab.SetInput(self.plotter.render_window)
+        grab.ReadFrontBufferOff()
+        grab.ShouldRerenderOff()
+        grab.Update()
+        image = pv.wrap(grab.GetOutput())
+        width, height, _ = image.dimensions
+        picture = np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
         if path is not None:
             write_atomically(Path(path), png_bytes(picture))
         return picture

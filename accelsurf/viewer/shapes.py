@@ -144,6 +144,11 @@ def _to_world(
     """Move points and normals from indices to the world; ``steps`` (hz, hy, hx) is the mm per index."""
     normals = mesh.point_data.active_normals
     mesh.points = points.astype(np.float32)
+    # Triangles that do not turn the way of the normals would be lit from behind; a left-handed grid mirrors them.
+    corners = np.asarray(mesh.faces).reshape(-1, 4)
+    if np.linalg.det(geometry.direction) > 0:
+        corners = corners[:, [0, 1, 3, 2]]
+        mesh.faces = corners.ravel()
     if normals is not None:
         # A gradient per index becomes one per mm by division.
         turned = -(np.asarray(normals, float) / steps[::-1]) @ np.asarray(geometry.direction).T

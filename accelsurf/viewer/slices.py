@@ -15,7 +15,7 @@ from accelsurf.viewer.overlay import Label, ScaleBar
 from accelsurf.viewer.shapes import GreyTexture, contour
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
-FILL = 0.86
+FILL = 0.82
 
 
 class SliceTile:

@@ -11,13 +11,21 @@ from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
 from accelsurf.geometry import Geometry
 from accelsurf.viewer.colors import MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
 from accelsurf.viewer.frame import Frame
-from accelsurf.viewer.overlay import LEAST_TEXT, TEXT, Label, ScaleBar, orientation_cube
+from accelsurf.viewer.overlay import Label, ScaleBar, orientation_cube
 from accelsurf.viewer.shapes import GreyTexture, isosurface
 
 #: Voxels along an axis of the image as it is drawn in 3D: more take longer than a person wants to wait.
 MOST_ALONG = 160
-#: From where the camera looks at first: the patient's front, a little from the left and above.
-VIEW = (0.55, -1.0, 0.5)
+#: Where the camera looks from, as a direction (x, y, z) in LPS, and what is up there; `corner` is where it begins.
+VIEWS = {
+    "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
+    "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+    "back": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    "left": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "right": ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "top": ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
+    "bottom": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+}
 
 
 class SpaceTile:
@@ -44,20 +52,26 @@ class SpaceTile:
         self._mesh = pv.PolyData()
         self._color = "plain"
         self._surface = self._add(self._mesh, SURFACE)
-        self._surface.prop.specular, self._surface.prop.specular_power = 0.25, 20.0
-        self._box = self._add(_box(geometry), theme.lines)
+        style = self._surface.prop
+        style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
+        #: Edges of the volume; the reference's surface, None without one; both world mm.
+        self.box = _box(geometry)
+        self.reference: pv.PolyData | None = None
+        self._box = self._add(self.box, theme.lines)
         self._box.prop.lighting, self._box.prop.line_width = False, 1.0
-        self._reference: pv.Actor | None = None
         self._ball: pv.Actor | None = None
         self._volume: pv.Volume | None = None
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
         self._table = pv.LookupTable()
         self._scale = _color_scale(self.renderer)
+        self._quantity = Label(self.renderer, theme.ink, (0.5, 0.135))
+        # VTK's own labels come to lie on the colours in a picture that is drawn once.
+        self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
         self._bar = ScaleBar(self.renderer, theme.ink)
         plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
-        self.reset_camera()
+        self.look_from()
 
     # -- the surface ---------------------------------------------------------------------------------------
 
@@ -70,7 +84,10 @@ class SpaceTile:
         shaded = color in mesh.point_data
         mapper.SetScalarVisibility(shaded)
         self._scale.SetVisibility(shaded)
+        self._quantity.text = SHADES[color].title if shaded else ""
         if not shaded:
+            for label in self._ends:
+                label.text = ""
             return
         shade = SHADES[color]
         if color != self._color:
@@ -78,10 +95,17 @@ class SpaceTile:
             self._color = color
         mapper.SetLookupTable(self._table)
         mapper.SetScalarModeToUsePointData()
-        self._table.scalar_range = color_range(mesh.point_data[color], shade.signed)
+        low, high = color_range(mesh.point_data[color], shade.signed)
+        self._table.scalar_range = low, high
+        for label, value in zip(self._ends, (low, 0.5 * (low + high), high), strict=True):
+            label.text = f"{value:.3g}"
         mapper.SetUseLookupTableScalarRange(True)
         self._scale.SetLookupTable(self._table)
-        self._scale.SetTitle(shade.title)
+
+    @property
+    def color(self) -> str:
+        """The quantity that colours the surface drawn now, or ``plain``."""
+        return self._color if self._color in self._mesh.point_data else "plain"
 
     @property
     def mesh(self) -> pv.PolyData:
@@ -90,7 +114,8 @@ class SpaceTile:
 
     def show_reference(self, mesh: pv.PolyData) -> None:
         """Draw a second surface, translucent."""
-        self._reference = self._add(mesh, REFERENCE, opacity=0.35)
+        self.reference = mesh
+        self._add(mesh, REFERENCE, opacity=0.35)
 
     def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
         """Draw a translucent ball (world mm); nothing for None."""
@@ -161,22 +186,17 @@ class SpaceTile:
 
     # -- camera --------------------------------------------------------------------------------------------
 
-    def reset_camera(self) -> None:
-        """Look at the whole image from where one looks first."""
+    def look_from(self, view: str = "corner") -> None:
+        """Look at the whole image from one of `VIEWS`."""
+        toward, upright = VIEWS[view]
         camera = self.renderer.camera
         middle, corners = self._geometry.center_world(), self._geometry.corners_world()
         reach = float(np.linalg.norm(corners - middle, axis=1).max()) or 1.0
         camera.parallel_projection = True
         camera.focal_point = tuple(middle)
-        camera.position = tuple(middle + 4.0 * reach * np.array(VIEW) / np.linalg.norm(VIEW))
-        camera.up = (0.0, 0.0, 1.0)
-        side = np.cross(VIEW, (0.0, 0.0, 1.0))
-        upward = np.cross(side, VIEW)
-        wide, high = (
-            float(np.abs((corners - middle) @ (axis / np.linalg.norm(axis))).max()) for axis in (side, upward)
-        )
-        width, height = self.renderer.GetSize()
-        camera.parallel_scale = 1.12 * (max(high, wide * height / width if width else wide) or reach)
+        camera.position = tuple(middle + 4.0 * reach * np.array(toward) / np.linalg.norm(toward))
+        camera.up = upright
+        camera.parallel_scale = self.fitted()
         self.renderer.camera_set = True
         self.renderer.ResetCameraClippingRange()
 
@@ -184,6 +204,48 @@ class SpaceTile:
         """Turn the camera around the vertical axis."""
         self.renderer.camera.Azimuth(degrees)
         self.renderer.ResetCameraClippingRange()
+
+    def fitted(self) -> float:
+        """Half the mm that the tile must be high for the whole image to be seen from where the camera is."""
+        camera = self.renderer.camera
+        toward = np.array(camera.position) - np.array(camera.focal_point)
+        side = np.cross(camera.up, toward)
+        corners = self._geometry.corners_world() - self._geometry.center_world()
+        wide, high = (
+            float(np.abs(corners @ (axis / max(float(np.linalg.norm(axis)), 1e-30))).max())
+            for axis in (side, np.cross(toward, side))
+        )
+        width, height = self.renderer.GetSize()
+        return 1.12 * (max(high, wide * height / width if width else wide) or 1.0)
+
+    def turn(self, degrees: float, up: float) -> None:
+        """Turn the camera around the middle, sideways and up."""
+        camera = self.renderer.camera
+        camera.Azimuth(degrees)
+        camera.Elevation(up)
+        camera.OrthogonalizeViewUp()
+        self.renderer.ResetCameraClippingRange()
+
+    def zoom(self, factor: float) -> None:
+        """Show things larger by a factor; within reason."""
+        camera, reach = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
+        camera.parallel_scale = float(np.clip(camera.parallel_scale / factor, 1e-3 * reach, 10.0 * reach))
+
+    def shift(self, right: float, up: float) -> None:
+        """Shift the picture by pixels."""
+        camera = self.renderer.camera
+        height = self.renderer.GetSize()[1]
+        mm = 2.0 * camera.parallel_scale / max(height, 1)
+        position, focus, upward = (np.array(v) for v in (camera.position, camera.focal_point, camera.up))
+        side = np.cross(focus - position, upward)
+        side /= max(float(np.linalg.norm(side)), 1e-30)
+        upward = np.cross(side, focus - position)
+        upward /= max(float(np.linalg.norm(upward)), 1e-30)
+        way = -mm * (right * side + up * upward)
+        # Never so far that the image is lost.
+        if np.linalg.norm(focus + way - self._geometry.center_world()) < 3.0 * np.linalg.norm(self._geometry.extent_mm):
+            camera.focal_point, camera.position = tuple(focus + way), tuple(position + way)
+            self.renderer.ResetCameraClippingRange()
 
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
         """Point (x, y, z) of the surface under a pixel of the window; None beside it."""
@@ -201,18 +263,16 @@ class SpaceTile:
         """Make text readable, and the bar as long as the camera's scale asks for."""
         self.title.fit(window_height)
         self._bar.fit(window_height)
-        size = max(LEAST_TEXT, round(window_height * TEXT))
-        self._scale.GetTitleTextProperty().SetFontSize(size)
-        self._scale.GetLabelTextProperty().SetFontSize(size)
+        for label in (self._quantity, *self._ends):
+            label.fit(window_height)
 
     def paint(self, theme: Theme) -> None:
         """Take up a theme."""
         self.renderer.background_color = theme.background
-        for part in (self.title, self._bar):
-            part.paint(theme.ink)
+        for label in (self.title, self._quantity, *self._ends):
+            label.paint(theme.ink)
+        self._bar.paint(theme.ink)
         self._box.prop.color = theme.lines
-        for text in (self._scale.GetTitleTextProperty(), self._scale.GetLabelTextProperty()):
-            text.SetColor(pv.Color(theme.ink).float_rgb)
 
     def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
         mapper = vtkPolyDataMapper()
@@ -238,20 +298,13 @@ def _color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
     scale = vtkScalarBarActor()
     scale.SetOrientationToHorizontal()
     scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    scale.SetPosition(0.2, 0.075)
+    scale.SetPosition(0.2, 0.1)
     scale.SetWidth(0.6)
-    scale.SetHeight(0.08)
-    scale.SetNumberOfLabels(5)
-    scale.SetLabelFormat("%.3g")
-    scale.SetTextPositionToPrecedeScalarBar()
+    scale.SetHeight(0.025)
+    scale.SetBarRatio(1.0)
+    scale.SetNumberOfLabels(0)
+    scale.DrawTickLabelsOff()
     scale.SetMaximumNumberOfColors(256)
-    scale.SetVerticalTitleSeparation(4)
-    scale.UnconstrainedFontSizeOn()
-    for text in (scale.GetTitleTextProperty(), scale.GetLabelTextProperty()):
-        text.SetFontFamilyToArial()
-        text.SetItalic(False)
-        text.SetBold(False)
-        text.SetShadow(False)
     scale.VisibilityOff()
     renderer.AddViewProp(scale)
     return scale
