@@ -166,6 +166,13 @@ class RunConfig(BaseModel):
     )
     cfl: float = Field(0.5, gt=0, le=1, description="Largest motion of the surface in one step, in voxels.")
     max_steps: int = Field(1000, ge=1, description="The run ends after this many steps, converged or not.")
+    tolerance: float = Field(
+        0.1,
+        gt=0,
+        le=2,
+        description="Converged is a surface that lies on average within this many voxels of where it lay 20 steps "
+        "before, or 5 steps before where a coarser level has gone ahead. Larger is sooner and rougher.",
+    )
     levels: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         "auto",
         description="Grids to run on, coarsest first, each with half the voxels along an axis of the next; 1 is the "

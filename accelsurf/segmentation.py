@@ -294,9 +294,8 @@ class Run:
         smoothed = presmoothed(volume, config.presmooth)
         psi = starts.build(config.start, volume, smoothed)
         self.start = psi.copy() if volume.geometry.slice_axis is not None else None
-        self.image = scaled(smoothed)
-        # On a large image each volume counts: this one is the energy's from here on.
-        del smoothed
+        # On a large image each volume counts.
+        self.image = scale(smoothed)
         self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
         grids = self._grids(psi, energy)
         self.evolution = CoarseToFine(
@@ -308,7 +307,7 @@ class Run:
             Limits(config.cfl, config.percentile),
             config.max_steps,
             Restart() if config.restart == "auto" else None,
-            StopRule(),
+            StopRule(motion=config.tolerance),
             half_width(config),
             self.workers,
         )
@@ -396,17 +395,19 @@ def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
     return image
 
 
-def scaled(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The image with its `SCALE_PERCENTILES` at 0 and 1; by its extremes where those two are equal.
+def scale(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Put the `SCALE_PERCENTILES` of the image at 0 and 1, its extremes where those two are equal; in place.
 
     Examples
     --------
     >>> import numpy as np
-    >>> image = scaled(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
+    >>> image = scale(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
     >>> [float(v) for v in np.percentile(image, SCALE_PERCENTILES).round(6)]
     [0.0, 1.0]
     """
     low, high = np.percentile(image, SCALE_PERCENTILES)
     if not high > low:
         low, high = image.min(), image.max()
-    return (image - np.float32(low)) * np.float32(1.0 / (float(high) - float(low)))
+    image -= np.float32(low)
+    image *= np.float32(1.0 / (float(high) - float(low)))
+    return image

@@ -150,7 +150,7 @@ class _Depths(NamedTuple):
         return np.asarray(np.clip((mm - self.low) / self.step, 0, _DEEPEST), np.int64)
 
     def mm(self, whole: NDArray[np.int64]) -> Floats:
-        return self.low + self.step * whole
+        return np.asarray(self.low + self.step * whole, np.float64)
 
 
 def _middles(level: int) -> Floats:

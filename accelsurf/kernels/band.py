@@ -186,12 +186,33 @@ def front_mask(start, stop, grid, band, width, front):
 
 
 @kernel
-def small_components(dense, grid, band, most, depth):
+def find_peaks(start, stop, dense, grid, band, depth, peak):
+    """Mark in ``peak`` (n,) the slots of the range with |psi| up to ``depth`` (mm) that no neighbour exceeds."""
+    near = np.empty(6, np.int64)
+    for s in range(start, stop):
+        peak[s] = abs(dense.psi[band.cells[s]]) <= depth and is_peak(dense.psi, grid, band.cells[s], near)
+
+
+@kernel
+def is_peak(psi, grid, cell, near):
+    """Whether no 6-neighbour on the cell's side of the surface has a larger |psi|; ``near`` (6,) is scratch."""
+    iz, iy, ix = unravel(cell, grid)
+    neighbours(cell, iz, iy, ix, grid, near)
+    value = psi[cell]
+    for side in range(6):
+        other = near[side]
+        if other >= 0 and (psi[other] < 0.0) == (value < 0.0) and abs(psi[other]) > abs(value):
+            return False
+    return True
+
+
+@kernel
+def small_components(dense, grid, band, peaks, most):
     """Flip the sign of psi on every component, inside or outside, of at most ``most`` cells.
 
-    A component that small has a cell with |psi| below ``depth`` (mm) that no 6-neighbour on its side
-    exceeds; the flood starts there and gives up beyond ``most`` cells. A component that touches the border
-    of the volume counts like any other. Returns (components removed inside, outside, cells flipped).
+    Each has a cell that no 6-neighbour on its side exceeds in |psi|, among the slots ``peaks``; the flood starts there
+    and gives up beyond ``most`` cells. A component that touches the border of the volume counts like any other.
+    Returns (components removed inside, outside, cells flipped).
     """
     psi = dense.psi
     near = np.empty(6, np.int64)
@@ -199,22 +220,12 @@ def small_components(dense, grid, band, most, depth):
     removed_inside = 0
     removed_outside = 0
     flipped = 0
-    for s in range(band.cells.shape[0]):
+    for s in peaks:
         cell = band.cells[s]
-        value = psi[cell]
-        if abs(value) > depth:
+        # What was removed before may have changed that.
+        if not is_peak(psi, grid, cell, near):
             continue
-        inside = value < 0.0
-        iz, iy, ix = unravel(cell, grid)
-        neighbours(cell, iz, iy, ix, grid, near)
-        peak = True
-        for side in range(6):
-            other = near[side]
-            if other >= 0 and (psi[other] < 0.0) == inside and abs(psi[other]) > abs(value):
-                peak = False
-                break
-        if not peak:
-            continue
+        inside = psi[cell] < 0.0
         count = flood_component(psi, grid, cell, inside, flood, near)
         if count > most:
             continue

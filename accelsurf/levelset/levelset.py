@@ -124,7 +124,7 @@ class LevelSet:
     @property
     def labels(self) -> np.ndarray:
         """Voxels whose centre is inside, uint8 (nz, ny, nx)."""
-        return (self.dense.psi < 0).astype(np.uint8).reshape(self.shape)
+        return (self.dense.psi < 0).view(np.uint8).reshape(self.shape)
 
     @property
     def voxel_volume(self) -> float:
@@ -247,8 +247,11 @@ class LevelSet:
         Between `advance` and `redistance`: signs are flipped, distances follow in the latter.
         """
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
-        small = band_kernels.small_components
-        inside, outside, _ = self.workers.alone(small, self.dense, self.grid, self.band, SMALLEST, depth)
+        peak, where = np.empty(self.size, np.bool_), (self.dense, self.grid, self.band)
+        self.workers.run(band_kernels.find_peaks, self.size, *where, depth, peak)
+        inside, outside, _ = self.workers.alone(
+            band_kernels.small_components, *where, np.flatnonzero(peak), SMALLEST
+        )
         return int(inside + outside)
 
     def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:
