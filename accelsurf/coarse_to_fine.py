@@ -17,8 +17,6 @@ from accelsurf.pyramid import Level, carried, coarsened, refined
 #: A coarse level only has to come near, the next one goes on anyway: its window, its motion as a multiple of the
 #: finest level's, its kinetic energy.
 COARSE_WINDOW, COARSE_MOTION, COARSE_KINETIC = 10, 2.0, 0.05
-#: The finest level begins where a coarser one ended, and is looked at more often than a run from the start.
-FINEST_WINDOW = 5
 #: How a coarse level ends without a surface that the next one could go on from.
 FAILED = ("vanished", "filled", "diverged")
 
@@ -52,8 +50,8 @@ class CoarseToFine:
         Of all levels together.
     restart : Restart or None
     rule : StopRule or None
-        Of a run from the start; after a coarser level it is looked at every `FINEST_WINDOW` steps. A coarser level is
-        left at `COARSE_MOTION` times its motion. None runs the finest level to ``max_steps``.
+        Of the finest level. A coarser level is left at `COARSE_MOTION` times its motion. None runs the finest level to
+        ``max_steps``.
     half_width : float
         Of the band, in voxels of each level.
     workers : Workers
@@ -83,8 +81,6 @@ class CoarseToFine:
         self.flow, self.limits, self.max_steps, self.restart, self.rule = flow, limits, max_steps, restart, rule
         motion = StopRule().motion if rule is None else rule.motion
         self._coarse_rule = StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC)
-        if rule is not None and len(grids) > 1:
-            self.rule = rule._replace(window=FINEST_WINDOW)
         self.warnings: list[str] = []
         self._make_energy, self._half_width, self._workers = energy, half_width, workers
         self._grids = list(grids)

@@ -171,7 +171,7 @@ class RunConfig(BaseModel):
         gt=0,
         le=2,
         description="Converged is a surface that lies on average within this many voxels of where it lay 20 steps "
-        "before, or 5 steps before where a coarser level has gone ahead. Larger is sooner and rougher.",
+        "before, or 6 steps before where a coarser level has gone ahead. Larger is sooner and rougher.",
     )
     levels: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         "auto",

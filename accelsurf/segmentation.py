@@ -21,12 +21,12 @@ from accelsurf.config import RunConfig
 from accelsurf.contours import Contours
 from accelsurf.energies import Energy
 from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution import Restart, Row, Step, Stop, StopRule
+from accelsurf.evolution import Restart, Row, Step, Stop
 from accelsurf.flows import Limits
 from accelsurf.geometry import Geometry
 from accelsurf.levelset import Workers
 from accelsurf.surface import Surface, extract
-from accelsurf.systems import half_width, is_maker, make_energy, make_flow, own_energy
+from accelsurf.systems import half_width, is_maker, make_energy, make_flow, own_energy, stop_rule
 from accelsurf.volume import Volume, check_image
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
@@ -307,7 +307,7 @@ class Run:
             Limits(config.cfl, config.percentile),
             config.max_steps,
             Restart() if config.restart == "auto" else None,
-            StopRule(motion=config.tolerance),
+            stop_rule(config, len(grids)),
             half_width(config),
             self.workers,
         )

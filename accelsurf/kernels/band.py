@@ -65,8 +65,8 @@ def gather_band(start, stop, dense_psi, grid, order, old, new):
 
 
 @kernel
-def sample_at_feet(start, stop, slot, grid, band, values, out):
-    """Extend fields to the new ``band``: their values at each foot, interpolated from the old slots.
+def sample_at_feet(start, stop, slot, grid, band, front, values, out):
+    """Fields on the ``front`` of the new ``band``: their values at each foot, interpolated from the old slots.
 
     ``values`` (m, n_old) float32 belong to the old band and ``slot`` still maps to it; ``out`` is (m, n). A cell with
     nothing known around its foot keeps its own old values, or 0 when it was not in the band.
@@ -78,6 +78,8 @@ def sample_at_feet(start, stop, slot, grid, band, values, out):
     position = np.empty(3)
     hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
     for s in range(start, stop):
+        if not front[s]:
+            continue
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
         pz, py, px = iz + band.foot[s, 0] * hz, iy + band.foot[s, 1] * hy, ix + band.foot[s, 2] * hx
