@@ -4,8 +4,8 @@ Usage: python benchmarks/viewer.py [--size 256] [--steps 40] [--display :N] [-o 
 
 Runs the same steps three times: by `accelsurf.run.Run` alone, by a Session that nobody looks at (it keeps states),
 and in the window, on the display given or a screen of its own (Xvfb, xdotool). Keys are sent by xdotool; the answer is
-timed inside the window, when what the key asked for has been taken up and drawn. Run it on a quiet machine. Software rendering competes with the solver
-for the same cores: on a machine with a graphics card the window costs less.
+timed inside the window, when what the key asked for has been taken up and drawn. Software rendering competes with the
+solver for the same cores: on a machine with a graphics card the window costs less. Run it on a quiet machine.
 """
 
 from __future__ import annotations
