@@ -6,27 +6,27 @@ import functools
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from accelsurf import pyramid, starts
+from accelsurf import expression, pyramid, starts
+from accelsurf.channels import chosen as read_channels
 from accelsurf.coarse_to_fine import CoarseToFine, Parts
 from accelsurf.config import RunConfig
 from accelsurf.edits import Edit
 from accelsurf.energies import Energy
 from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution import Kept, Restart, Step
+from accelsurf.evolution import Kept, Restart, Step, Stop
 from accelsurf.flows import Limits
+from accelsurf.geometry import Geometry
 from accelsurf.levelset import LevelSet, Workers
+from accelsurf.preparation import Prepared
 from accelsurf.systems import ENERGY_SETTINGS, half_width, is_maker, make_energy, make_flow, own_energy, stop_rule
-from accelsurf.volume import Volume, check_image
+from accelsurf.volume import Volume
 
-#: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
-SCALE_PERCENTILES = (0.5, 99.5)
 #: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
 #: `Result.image`, and the spacing, (hz, hy, hx) mm.
 EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
@@ -65,6 +65,8 @@ class Run:
     config : RunConfig
     energy : Energy or callable, optional
         In place of the energy that ``config`` names; see `accelsurf.segment`.
+    channels : sequence of Volume, optional
+        Further channels, before those that ``config`` names.
 
     Attributes
     ----------
@@ -72,6 +74,8 @@ class Run:
         As given, with the edits there are now, and with the seed that was drawn if none was given.
     now : RunConfig
         The settings in force.
+    prepared : Prepared
+        Image, start and fence, on the grid of the region of interest.
     evolution : CoarseToFine
     workers : Workers
         To be closed at the end.
@@ -79,34 +83,37 @@ class Run:
         What the preparation took, and the clock (`time.perf_counter`) when it was done.
     """
 
-    def __init__(self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None) -> None:
+    def __init__(
+        self,
+        volume: Volume,
+        config: RunConfig,
+        energy: EnergyLike | None = None,
+        channels: Sequence[Volume] = (),
+    ) -> None:
         began = time.perf_counter()
-        check_image(volume)
         config = _seeded(config)
         self.volume, self.config, self._energy = volume, config, energy
-        self.now, self._done = config.model_copy(update={"edit": ()}), 0
+        self.now, self._done, self._leaked = config.model_copy(update={"edit": ()}), 0, False
+        self.prepared = Prepared(volume, [*channels, *read_channels(config.channel)], config)
         for edit in config.edit:
             self.check(edit)
-        smoothed = presmoothed(volume, config.presmooth)
-        psi = starts.build(config.start, volume, smoothed)
-        self.start = psi.copy() if volume.geometry.slice_axis is not None else None
-        # On a large image each volume counts.
-        self.image = scale(smoothed)
         self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
-        grids = self._grids(psi, energy)
+        grids = self._grids(self.prepared.psi, energy)
         self._levels = len(grids)
         self.evolution = CoarseToFine(
-            grids, self.image, psi, self._parts(self.now), config.max_steps, self.workers
+            grids, self.prepared.image, self.prepared.psi, self._parts(self.now), config.max_steps, self.workers
         )
+        # The evolution uses its memory up.
+        del self.prepared.psi
         self.start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
         self.began = time.perf_counter()
 
     def _grids(self, psi: NDArray[np.float32], energy: EnergyLike | None) -> list[pyramid.Level]:
         """The levels that the configuration asks for; see record 0015 for what ``auto`` is."""
-        shape, spacing, wanted = self.volume.geometry.shape, self.volume.geometry.spacing, self.config.levels
+        shape, spacing, wanted = self.geometry.shape, self.geometry.spacing, self.config.levels
         if wanted == "auto":
-            if energy is not None or self.config.energy != "chan-vese":
+            if energy is not None or any(term.name == "geodesic" for term in expression.parse(self.config.energy)):
                 return pyramid.levels(shape, spacing, 1)
             grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
             return grids[: pyramid.resolved(grids, psi)]
@@ -133,10 +140,10 @@ class Run:
         self, now: RunConfig
     ) -> Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]:
         """What makes the energy of each level; an energy that is made already is only for one."""
-        energy = self._energy
+        energy, prepared = self._energy, self.prepared
         self.energy_name: str = now.energy
         if energy is None or isinstance(energy, str):
-            return functools.partial(make_energy, now)
+            return lambda image, spacing: prepared.fenced(make_energy(now, image, spacing, prepared.facts), image.shape)
         if self._levels > 1 and not is_maker(energy):
             raise UsageError(
                 f"levels: {self._levels} was given, expected 1: the energy has one image, and each level needs its own",
@@ -146,9 +153,23 @@ class Run:
         def made(image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
             own = own_energy(energy, now, image, spacing)
             self.energy_name = own.name
-            return own
+            return prepared.fenced(own, image.shape)
 
         return made
+
+    @property
+    def geometry(self) -> Geometry:
+        """The grid that the surface lives on, on the finest level: that of the region of interest."""
+        return self.prepared.geometry
+
+    @property
+    def stop(self) -> Stop | None:
+        """Why the run ended; None while it goes on."""
+        stop = self.evolution.stop
+        if stop is not None and self._leaked and stop.reason == "interrupted":
+            message = f"the object grew beyond {self.now.max_volume:g} mm3, the largest volume it may have"
+            return stop._replace(reason="leaked", message=message)
+        return stop
 
     # -- to run --------------------------------------------------------------------------------------------
 
@@ -163,9 +184,16 @@ class Run:
             yield step
 
     def step(self) -> Step | None:
-        """Apply the edits that come before it and make one step; None when the run has ended."""
+        """Apply the edits that come before it and make one step; None when the run has ended.
+
+        The run ends when the object is larger than it may be.
+        """
         self.apply()
-        return self.evolution.step()
+        step, most = self.evolution.step(), self.now.max_volume
+        if step is not None and most is not None and step.row.volume_mm3 > most and not self._leaked:
+            self._leaked = True
+            self.evolution.ask_to_stop()
+        return step
 
     def apply(self) -> None:
         """Apply the edits whose step has come, if that has not been done; `step` does it by itself."""
@@ -217,13 +245,19 @@ class Run:
         """Go back to a state of this run and level: the same edits then make the same steps, bit for bit."""
         changed = _energy_key(kept.now) != _energy_key(self.now)
         self.evolution.resume(kept.evolution, self._parts(kept.now), changed)
-        self.now, self._done = kept.now, kept.done
+        self.now, self._done, self._leaked = kept.now, kept.done, False
 
     def check(self, edit: Edit) -> None:
-        """Refuse what this run cannot do: a ball outside the volume, a setting that an energy of one's own has not."""
+        """Refuse what this run cannot do: a ball outside the grid, an energy or a setting that it has nothing for."""
+        terms = expression.parse(str(edit.settings.get("energy", self.config.energy)))
+        if self.prepared.facts.foreground is None and any(term.settings.get("update") == "no" for term in terms):
+            raise UsageError(
+                f"edit at step {edit.step}: likelihood:update=no was given, and the run has nothing to learn from",
+                "give --foreground to the run, or use update=yes",
+            )
         for _, ball in edit.balls:
             try:
-                starts.ball_of(ball, self.volume.geometry)
+                starts.ball_of(ball, self.geometry)
             except (UsageError, InputError) as error:
                 raise type(error)(f"edit at step {edit.step}: {error.message}", error.hint) from None
         if self._energy is not None and not isinstance(self._energy, str):
@@ -239,7 +273,7 @@ class Run:
         level = self.evolution.level
         psi = surface.dense.psi.reshape(surface.shape)
         for kind, text in balls:
-            centre, radius = starts.ball_of(text, self.volume.geometry)
+            centre, radius = starts.ball_of(text, self.geometry)
             middle = (np.array(centre) + 0.5) / level.factors - 0.5
             reach = (radius + float(surface.gamma)) / np.array(level.spacing)
             low = np.maximum(np.floor(middle - reach), 0).astype(int)
@@ -254,6 +288,7 @@ class Run:
                 np.minimum(part, inside, out=part)
             else:
                 np.maximum(part, -inside, out=part)
+        self.prepared.hold(psi)
 
 
 def _seeded(config: RunConfig) -> RunConfig:
@@ -272,31 +307,3 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
-    """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
-    image = volume.as_float32()
-    if sigma > 0:
-        axes = zip(volume.geometry.shape, volume.geometry.spacing, strict=True)
-        widths = [sigma / h if n > 1 else 0.0 for n, h in axes]
-        image = ndimage.gaussian_filter(image, widths, output=np.float32)
-    return image
-
-
-def scale(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Put the `SCALE_PERCENTILES` of the image at 0 and 1, its extremes where those two are equal; in place.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = scale(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
-    >>> [float(v) for v in np.percentile(image, SCALE_PERCENTILES).round(6)]
-    [0.0, 1.0]
-    """
-    low, high = np.percentile(image, SCALE_PERCENTILES)
-    if not high > low:
-        low, high = image.min(), image.max()
-    image -= np.float32(low)
-    image *= np.float32(1.0 / (float(high) - float(low)))
-    return image

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -19,9 +19,13 @@ from accelsurf.contours import Contours
 from accelsurf.errors import InputError
 from accelsurf.evolution import Row, Step, Stop
 from accelsurf.geometry import Geometry
+from accelsurf.preparation import SCALE_PERCENTILES, presmoothed, scale
+from accelsurf.quality import Quality, assess
 from accelsurf.run import EnergyLike, Run
 from accelsurf.surface import Surface, extract
 from accelsurf.volume import Volume
+
+__all__ = ["SCALE_PERCENTILES", "EnergyLike", "Result", "Run", "evolve", "presmoothed", "result_of", "scale", "segment"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +39,7 @@ class Result:
     psi : ndarray (nz, ny, nx), float32
         Signed distance in the band, mm, negative inside; +-gamma outside it.
     image : ndarray (nz, ny, nx), float32
-        The image as the energy saw it: presmoothed, 0 and 1 at its `accelsurf.run.SCALE_PERCENTILES`.
+        The image as the energy saw it: presmoothed, 0 and 1 at its `SCALE_PERCENTILES`.
     geometry : Geometry
     config : RunConfig
     energy : str
@@ -57,6 +61,8 @@ class Result:
         psi of the start, for an image of one slice; None for volumes, where it would cost memory.
     edits_done : int
         How many of the edits of ``config`` the run came to.
+    terms : list of dict
+        The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
     """
 
     labels: NDArray[np.uint8]
@@ -74,6 +80,7 @@ class Result:
     start: NDArray[np.float32] | None = None
     edits_done: int = 0
     kernels: dict[str, float] = field(default_factory=dict)
+    terms: list[dict[str, Any]] = field(default_factory=list)
 
     @cached_property
     def surface(self) -> Surface:
@@ -147,6 +154,11 @@ class Result:
 
         return accelsurf.show(self, **options)
 
+    @cached_property
+    def quality(self) -> Quality:
+        """What tells, without a reference, whether to trust the result."""
+        return assess(self.labels, self.image, self.geometry.spacing, self.ledger, self.stop)
+
     @property
     def report(self) -> dict[str, Any]:
         """The run as the JSON report has it, without files."""
@@ -163,6 +175,7 @@ def segment(
     volume: Volume | NDArray[Any],
     *,
     spacing: float | tuple[float, float, float] | None = None,
+    channels: Sequence[Volume | NDArray[Any]] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     on_step: Callable[[Row], bool | None] | None = None,
@@ -176,6 +189,8 @@ def segment(
         The image; never modified. From `accelsurf.read`, or an array with ``spacing``.
     spacing : float or (hz, hy, hx), optional
         mm, for an array only; 1 by default.
+    channels : sequence of Volume or ndarray, optional
+        Further channels of the image, on the same grid.
     config : RunConfig, optional
         Settings; the defaults otherwise.
     energy : str or Energy or callable, optional
@@ -208,7 +223,8 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
-    run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
+    first = _as_volume(volume, spacing)
+    run = Run(first, *_resolved(config, energy, options), [_as_channel(one, first) for one in channels])
     with run.workers:
         for step in run:
             if on_step is not None and on_step(step.row):
@@ -220,6 +236,7 @@ def evolve(
     volume: Volume | NDArray[Any],
     *,
     spacing: float | tuple[float, float, float] | None = None,
+    channels: Sequence[Volume | NDArray[Any]] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     **options: Any,
@@ -228,7 +245,7 @@ def evolve(
 
     Parameters
     ----------
-    volume, spacing, config, energy, **options
+    volume, spacing, channels, config, energy, **options
         As for `segment`.
 
     Yields
@@ -249,7 +266,8 @@ def evolve(
     >>> step.surface.labels.shape
     (24, 24, 24)
     """
-    run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
+    first = _as_volume(volume, spacing)
+    run = Run(first, *_resolved(config, energy, options), [_as_channel(one, first) for one in channels])
     with run.workers:
         yield from run
 
@@ -260,6 +278,13 @@ def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, floa
             raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
         return volume
     return Volume.from_array(volume, 1.0 if spacing is None else spacing)
+
+
+def _as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
+    if isinstance(volume, Volume):
+        return volume
+    array = np.asarray(volume)
+    return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)
 
 
 def _resolved(
@@ -274,18 +299,20 @@ def _resolved(
 def result_of(run: Run) -> Result:
     """Return what a run left, or has reached between two steps: then with the reason ``interrupted``.
 
-    The ledger is a copy; ``psi`` is a view of the surface, which goes on if the run does.
+    The ledger is a copy; ``psi`` may be a view of the surface, which goes on if the run does.
     """
-    surface, stop, ledger = run.evolution.surface, run.evolution.stop, list(run.evolution.ledger)
+    stop, ledger = run.stop, list(run.evolution.ledger)
     if stop is None:
         row = run.look().row
         ledger.append(row)
         stop = Stop("interrupted", row.step, row.t, f"looked at after {row.step} steps")
     missed = run.config.edit[run.edits_done :]
+    prepared, chosen = run.prepared, run.prepared.facts.chosen
+    psi = prepared.finished(run.evolution.surface.psi)
     return Result(
-        labels=surface.labels,
-        psi=surface.psi,
-        image=run.image,
+        labels=(psi < 0).view(np.uint8),
+        psi=psi,
+        image=prepared.shown(),
         geometry=run.volume.geometry,
         config=run.config,
         energy=run.energy_name,
@@ -294,7 +321,8 @@ def result_of(run: Run) -> Result:
         levels=run.evolution.passed,
         seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
         volume=run.volume,
-        start=run.start,
+        start=prepared.start,
+        terms=[chosen[place] for place in sorted(chosen)],
         kernels=dict(run.workers.seconds),
         edits_done=run.edits_done,
         warnings=run.evolution.warnings

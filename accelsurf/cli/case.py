@@ -33,6 +33,13 @@ class NotConvergedError(AccelsurfError):
     kind = "not-converged"
 
 
+class DoubtfulError(AccelsurfError):
+    """There is a result, but its quality is in doubt, and --strict asks for more."""
+
+    exit_code = 5
+    kind = "doubtful"
+
+
 class DivergedError(AccelsurfError):
     """The energy became infinite or no number."""
 
@@ -56,7 +63,7 @@ class Case:
     overwrite : bool
         Whether existing outputs may be replaced.
     strict : bool
-        Whether a run that did not converge counts as failed.
+        Whether a run that did not converge, or whose result is doubtful, counts as failed.
     """
 
     source: Path
@@ -148,11 +155,11 @@ def run_case(case: Case, watcher: Watcher) -> int:
 
 
 def _compute(case: Case, watcher: Watcher) -> None:
-    from accelsurf import io, pictures
+    from accelsurf import channels, io, pictures
     from accelsurf.segmentation import segment
 
     assert case.config is not None
-    case.volume = _timed(case, "load", lambda: io.read(case.source))
+    case.volume, *more = _timed(case, "load", lambda: channels.read(case.source))
     case.checksum = _timed(case, "load", lambda: io.sha256(case.source))
     if note := case.volume.metadata.get(io.WARNING_KEY):
         case.warnings.append(note)
@@ -161,7 +168,7 @@ def _compute(case: Case, watcher: Watcher) -> None:
     if not pictures.keeps(case.volume.geometry, f".{labels}"):
         case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     with watcher.watch(case.name, case.config.max_steps):
-        case.result = segment(case.volume, config=case.config, on_step=watcher.on_step)
+        case.result = segment(case.volume, channels=more, config=case.config, on_step=watcher.on_step)
     case.warnings.extend(case.result.warnings)
 
 
@@ -212,6 +219,11 @@ def _shortcoming(case: Case) -> AccelsurfError | None:
             return NotConvergedError(told, "raise --max-steps; the outputs show how far it got")
         case "max-steps" | "stalled":
             case.warnings.append(told)
+    doubts = case.result.quality.warnings
+    if doubts and case.strict:
+        more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
+        return DoubtfulError(f"{case.name}: {doubts[0]}{more}", "look at the picture; without --strict it is a warning")
+    case.warnings.extend(doubts)
     return None
 
 

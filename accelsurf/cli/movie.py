@@ -85,7 +85,7 @@ def movie(
     preview
         One PNG of the last frame, no movie.
     """
-    from accelsurf import io
+    from accelsurf import channels, io
     from accelsurf.cli.progress import Watcher
     from accelsurf.outputs import refuse_existing
     from accelsurf.run import Run
@@ -113,7 +113,7 @@ def movie(
         image, run_settings = source, run_config(settings, config)
     refuse_existing({"movie": target}, overwrite)
     require_graphics()
-    volume = io.read(image)
+    volume, *more = channels.read(image)
     scene = Scene(
         volume, theme=look.theme, reference=None if reference is None else io.read_labels(reference), size=film.size
     )
@@ -124,7 +124,7 @@ def movie(
     watcher = Watcher(display)
     try:
         with watcher.watch(image.name, run_settings.max_steps):
-            run = Run(volume, run_settings)
+            run = Run(volume, run_settings, None, more)
             if preview:
                 films.run_to_last(run, scene, watcher.on_step)
                 scene.screenshot(target)
@@ -134,7 +134,7 @@ def movie(
     finally:
         scene.close()
     if not display.quiet:
-        stop = run.evolution.stop
+        stop = run.stop
         assert stop is not None
         what = "picture" if preview else f"{count} frames, {count / film.fps:.1f} s"
         print(f"{image.name}: {stop.reason} after {stop.steps} steps ({stop.message})\n  {what}  {target.absolute()}")

@@ -66,7 +66,7 @@ def view(
         for name, value in {"--host": host, "--port": port, "--no-open": None if open_page else True}.items():
             if value is not None:
                 raise UsageError(f"{name} was given for a window", "it means something with --browser only")
-    from accelsurf import io
+    from accelsurf import channels, io
 
     if browser:
         from accelsurf.viewer.headless import require_graphics
@@ -76,11 +76,11 @@ def view(
         from accelsurf.viewer.display import require_display
 
         require_display()
-    volume = io.read(source)
+    volume, *more = channels.read(source)
     truth = None if reference is None else io.read_labels(reference)
     from accelsurf.viewer.session import Session
 
-    with Session(volume, made, name=io.split_name(source)[0], source=source, kept_mb=keep) as session:
+    with Session(volume, made, name=io.split_name(source)[0], source=source, kept_mb=keep, channels=more) as session:
         if browser:
             from accelsurf.viewer.browser import LOCAL, serve
 

@@ -23,7 +23,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from accelsurf.config import ENERGIES, FLOWS, RunConfig
+from accelsurf.config import FLOWS, RunConfig
+from accelsurf.expression import SIMPLE
 from accelsurf.geometry import Geometry
 from accelsurf.viewer.frame import COLORS
 
@@ -177,7 +178,7 @@ class Panel(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 6, 8, 6)
         column.setSpacing(6)
-        self.choices = {"energy": _choice(ENERGIES), "flow": _choice(FLOWS)}
+        self.choices = {"energy": _choice(SIMPLE), "flow": _choice(FLOWS)}
         finest = min(steps)
         self.amounts = {
             "smoothness": Amount(0.0, 5.0 * finest, power=2.0),
@@ -267,6 +268,9 @@ class Panel(QWidget):
         """Show what is in force; what a hand is on is left alone."""
         for key, choice in self.choices.items():
             if not choice.view().isVisible():
+                if choice.findText(getattr(settings, key)) < 0:
+                    # An expression of the run's own.
+                    choice.addItem(getattr(settings, key))
                 choice.setCurrentText(getattr(settings, key))
         for key, amount in self.amounts.items():
             if not amount.is_being_moved:

@@ -49,6 +49,9 @@ class Frame:
         What the surface can be coloured by besides ``plain``: ``speed`` (mm per unit of flow time) and ``force``
         along the *outward* normal, so that above 0 the surface grows, as the last step on this grid had them;
         ``density`` for a flow that has one. Empty before the first step.
+    first : (int, int, int)
+        Index (z, y, x) in the image of the first voxel of the finest grid: other than 0 where the run sees a region of
+        interest only.
     """
 
     row: Row
@@ -57,9 +60,13 @@ class Frame:
     step: int
     psi: NDArray[np.float32]
     quantities: Mapping[str, OnBand] = field(default_factory=dict)
+    first: tuple[int, int, int] = (0, 0, 0)
 
     @classmethod
-    def of(cls, step: Step, geometry: Geometry, flow: Flow | None = None, most_voxels: int | None = None) -> Frame:
+    def of(
+        cls, step: Step, geometry: Geometry, flow: Flow | None = None, most_voxels: int | None = None,
+        first: tuple[int, int, int] = (0, 0, 0),
+    ) -> Frame:
         """The frame of a step that the loop yielded; call it before the loop goes on.
 
         Costs O(band) and a copy of the box around it, and changes nothing.
@@ -68,12 +75,14 @@ class Frame:
         ----------
         step : Step
         geometry : Geometry
-            Of the image.
+            Of the image, or of the region of interest.
         flow : Flow, optional
             Of the run, for its density.
         most_voxels : int, optional
             If the box has more voxels, psi is taken at every second one along each axis, or third, ...: pictures of a
             large volume while it runs. Parts thinner than that may be missing from them.
+        first : (int, int, int), optional
+            Index (z, y, x) in the image of the region's first voxel.
 
         Examples
         --------
@@ -97,13 +106,13 @@ class Frame:
             quantities["density"] = OnBand(surface.band.cells, density.copy())
         ranges = _box(surface)
         if ranges is None:
-            return cls(row, grid, (0, 0, 0), 1, np.zeros((0, 0, 0), np.float32), quantities)
+            return cls(row, grid, (0, 0, 0), 1, np.zeros((0, 0, 0), np.float32), quantities, first)
         stride = 1
         if most_voxels is not None:
             while math.prod(-(-(b - a) // stride) for a, b in ranges) > most_voxels:
                 stride += 1
         psi = surface.psi[tuple(slice(a, b, stride) for a, b in ranges)].copy()
-        return cls(row, grid, (ranges[0][0], ranges[1][0], ranges[2][0]), stride, psi, quantities)
+        return cls(row, grid, (ranges[0][0], ranges[1][0], ranges[2][0]), stride, psi, quantities, first)
 
     @classmethod
     def of_psi(cls, psi: NDArray[np.float32], geometry: Geometry, row: Row) -> Frame:
@@ -125,12 +134,12 @@ class Frame:
         """Where (continuous) indices (z, y, x) of ``psi`` lie in the image, as indices of its voxels, (..., 3)."""
         factors = np.array(self.grid.factors, float)
         on_grid = np.asarray(self.offset) + self.step * np.asarray(places, float)
-        return np.asarray(on_grid * factors + 0.5 * (factors - 1.0))
+        return np.asarray(on_grid * factors + 0.5 * (factors - 1.0) + np.asarray(self.first))
 
     def from_image(self, indices: ArrayLike) -> Floats:
         """The inverse of `to_image`."""
         factors = np.array(self.grid.factors, float)
-        on_grid = (np.asarray(indices, float) - 0.5 * (factors - 1.0)) / factors
+        on_grid = (np.asarray(indices, float) - np.asarray(self.first) - 0.5 * (factors - 1.0)) / factors
         return np.asarray((on_grid - np.asarray(self.offset)) / self.step)
 
     def sample(self, name: str, places: ArrayLike) -> NDArray[np.float32]:

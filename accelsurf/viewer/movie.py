@@ -110,11 +110,11 @@ def pictures(
     """
     turn, evolution = film.orbit / film.fps, run.evolution
     with run.workers:
-        for step in evolution:
+        for step in run:
             if on_step is not None and on_step(step.row):
                 evolution.ask_to_stop()
             if step.row.step % film.every == 0 or evolution.stop is not None:
-                scene.update(Frame.of(step, run.volume.geometry, evolution.flow), evolution.ledger)
+                scene.update(Frame.of(step, run.geometry, evolution.flow, first=run.prepared.first), evolution.ledger)
                 yield scene.screenshot()
                 scene.orbit(turn)
     for _ in range(math.ceil(film.hold * film.fps)):
@@ -126,11 +126,11 @@ def run_to_last(run: Run, scene: Scene, on_step: Callable[[Row], bool | None] | 
     """Run to the end and put its last frame into a scene; parameters as of `pictures`."""
     evolution = run.evolution
     with run.workers:
-        for step in evolution:
+        for step in run:
             if on_step is not None and on_step(step.row):
                 evolution.ask_to_stop()
             if evolution.stop is not None:
-                scene.update(Frame.of(step, run.volume.geometry, evolution.flow), evolution.ledger)
+                scene.update(Frame.of(step, run.geometry, evolution.flow, first=run.prepared.first), evolution.ledger)
 
 
 def write(path: Path, frames: Iterable[Picture], film: Film) -> int:

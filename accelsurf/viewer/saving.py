@@ -98,7 +98,7 @@ def _kind(output: str) -> str:
 
 def repeating(run: Run) -> RunConfig:
     """Return the configuration that makes this run, up to where it is, from the start."""
-    stop = run.evolution.stop
+    stop = run.stop
     steps = run.step_number if stop is None else stop.steps
     edits = tuple(edit for edit in run.config.edit if edit.step <= steps)
     # A run that has ended by itself does so again; one that was paused ends here.

@@ -93,6 +93,8 @@ class Session:
         The image's file, for the report.
     kept_mb : float, optional
         Memory for kept states, MB.
+    channels : sequence of Volume, optional
+        Further channels of the image.
 
     See Also
     --------
@@ -119,13 +121,14 @@ class Session:
         name: str = "",
         source: Path | None = None,
         kept_mb: float = KEPT_MB,
+        channels: Sequence[Volume] = (),
     ) -> None:
         config = config or RunConfig()
         if config.levels == "auto":
             config = config.replace(levels=1)
         self.volume, self.source = volume, source or volume.source
         self.name = name or "surface"
-        self._config, self._kept_mb = config, kept_mb
+        self._config, self._kept_mb, self._channels = config, kept_mb, tuple(channels)
         self._timeline: Timeline | None = None
         self._running = False
         self._message, self._failed = "preparing", False
@@ -290,7 +293,7 @@ class Session:
 
     def _loop(self) -> None:
         try:
-            self._timeline = Timeline(self.volume, self._config, self._kept_mb)
+            self._timeline = Timeline(self.volume, self._config, self._kept_mb, self._channels)
             self._message = ""
             self._status = self._status_now()
             self.ready.set_result(None)
@@ -373,13 +376,13 @@ class Session:
         try:
             step = run.look()
             most = RUNNING_VOXELS if self._running else None
-            frame = Frame.of(step, self.volume.geometry, run.evolution.flow, most)
+            frame = Frame.of(step, run.geometry, run.evolution.flow, most, run.prepared.first)
         except Exception as error:
             self._tell(error)
             self._status, self._wanted = self._status_now(), False
             return
         ledger = run.evolution.ledger
-        rows = tuple(ledger) if run.evolution.stop is not None else (*ledger, step.row)
+        rows = tuple(ledger) if run.stop is not None else (*ledger, step.row)
         with self._handing:
             self._view, self._wanted, self._shown = View(frame, rows, self._status), False, self._version
         spent = time.perf_counter() - now + self._drawing
@@ -408,7 +411,7 @@ class Session:
             kept=timeline.kept.steps,
             settings=timeline.run.now,
             edits=timeline.run.config.edit,
-            stop=timeline.run.evolution.stop,
+            stop=timeline.run.stop,
             message=self._message,
             failed=self._failed,
             undoable=timeline.undoable,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from accelsurf.viewer.kept import KeptStates
 from accelsurf.volume import Volume
 
 #: Why a run ended for good: there is nothing to go on from.
-ENDED = ("vanished", "filled", "diverged")
+ENDED = ("vanished", "filled", "diverged", "leaked")
 
 
 class Timeline:
@@ -29,6 +30,8 @@ class Timeline:
     config : RunConfig
     kept_mb : float
         Memory for kept states, MB.
+    channels : sequence of Volume, optional
+        Further channels of the image.
 
     Attributes
     ----------
@@ -42,13 +45,15 @@ class Timeline:
         One line: what was done last.
     """
 
-    def __init__(self, volume: Volume, config: RunConfig, kept_mb: float) -> None:
-        self.volume, self.kept = volume, KeptStates(kept_mb)
+    def __init__(
+        self, volume: Volume, config: RunConfig, kept_mb: float, channels: Sequence[Volume] = ()
+    ) -> None:
+        self.volume, self._channels, self.kept = volume, tuple(channels), KeptStates(kept_mb)
         self.running, self.until, self.message = False, -1, ""
         self._past: list[tuple[RunConfig, int]] = []
         self._own: set[Path] = set()
         self._here: KeptRun
-        self.run = Run(volume, config)
+        self.run = Run(volume, config, None, self._channels)
         self._arrive()
 
     @property
@@ -68,7 +73,7 @@ class Timeline:
     def advance(self) -> None:
         """Make one step, and rest when the run has ended or the wanted step is there."""
         self.run.step()
-        stop = self.run.evolution.stop
+        stop = self.run.stop
         if stop is not None:
             self.running, self.message = False, f"{stop.reason}: {stop.message}"
             return
@@ -84,7 +89,7 @@ class Timeline:
 
     def _build(self, config: RunConfig) -> None:
         """Begin another run; the present one goes on to exist until that one is ready."""
-        before, self.run = self.run, Run(self.volume, config)
+        before, self.run = self.run, Run(self.volume, config, None, self._channels)
         before.workers.close()
         self._arrive()
 
@@ -112,7 +117,7 @@ class Timeline:
             When there is no surface left.
         """
         run = self.run
-        stop = run.evolution.stop
+        stop = run.stop
         if stop is not None and stop.reason in ENDED:
             raise UsageError(f"the run has ended: {stop.message}", "go back, change the settings, or restart")
         if stop is not None and stop.reason == "max-steps":
@@ -174,13 +179,13 @@ class Timeline:
         """Go on with other edits from the present step; what came after it is forgotten."""
         run, place = self.run, self.place
         before = run.config
-        if edits == before.edit and run.evolution.stop is None:
+        if edits == before.edit and run.stop is None:
             return
         for edit in edits:
             if edit.step >= place:
                 run.check(edit)
         before.replace(edit=edits)
-        if run.evolution.stop is not None or run.edits_done > self._here.done:
+        if run.stop is not None or run.edits_done > self._here.done:
             run.resume(self._here)
         run.set_edits(edits)
         self.kept.drop_after(place)
