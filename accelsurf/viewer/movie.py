@@ -110,7 +110,7 @@ def pictures(
     """
     turn, evolution = film.orbit / film.fps, run.evolution
     with run.workers:
-        for step in evolution:
+        for step in run:
             if on_step is not None and on_step(step.row):
                 evolution.ask_to_stop()
             if step.row.step % film.every == 0 or evolution.stop is not None:
@@ -126,7 +126,7 @@ def run_to_last(run: Run, scene: Scene, on_step: Callable[[Row], bool | None] | 
     """Run to the end and put its last frame into a scene; parameters as of `pictures`."""
     evolution = run.evolution
     with run.workers:
-        for step in evolution:
+        for step in run:
             if on_step is not None and on_step(step.row):
                 evolution.ask_to_stop()
             if evolution.stop is not None:
