@@ -16,7 +16,8 @@ from accelsurf.segmentation import Result
 from accelsurf.viewer.export import html_page, write_html
 from accelsurf.viewer.frame import Frame
 from accelsurf.viewer.headless import GraphicsError, require_graphics
-from accelsurf.viewer.scene import SIZE, Scene, png_bytes
+from accelsurf.viewer.pictures import png_bytes
+from accelsurf.viewer.scene import SIZE, Scene
 from accelsurf.volume import Volume
 
 #: PyVista's backends for notebooks.
