@@ -14,11 +14,9 @@ from accelsurf.flows import Flow, Limits
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.pyramid import Level, carried, coarsened, refined
 
-#: A coarse level only has to come near: the next one goes on anyway.
-COARSE_RULE = StopRule(window=10, motion=0.2, kinetic=0.05)
-#: The finest level begins where a coarser one ended: it is looked at more often than a run from the start, and must
-#: be as slow.
-FINEST_WINDOW = 10
+#: A coarse level only has to come near, the next one goes on anyway: its window, its motion as a multiple of the
+#: finest level's, its kinetic energy.
+COARSE_WINDOW, COARSE_MOTION, COARSE_KINETIC = 10, 2.0, 0.05
 #: How a coarse level ends without a surface that the next one could go on from.
 FAILED = ("vanished", "filled", "diverged")
 
@@ -35,7 +33,8 @@ class Parts(NamedTuple):
     """What moves a surface.
 
     ``energy`` makes the energy of an image and its spacing, for each level; ``flow``; ``limits``; ``restart`` or None;
-    ``half_width`` of the band, in voxels of each level.
+    ``half_width`` of the band, in voxels of each level; ``rule`` of stop of the finest level, None to run to the last
+    step: a coarser level is left at `COARSE_MOTION` times its motion.
     """
 
     energy: Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
@@ -43,6 +42,7 @@ class Parts(NamedTuple):
     limits: Limits
     restart: Restart | None
     half_width: float
+    rule: StopRule | None
 
 
 class CoarseToFine:
@@ -61,8 +61,6 @@ class CoarseToFine:
     parts : Parts
     max_steps : int
         Of all levels together.
-    rule : StopRule or None
-        Of the finest level; the coarser ones have `COARSE_RULE`.
     workers : Workers
 
     Attributes
@@ -80,13 +78,10 @@ class CoarseToFine:
         start: NDArray[np.float32],
         parts: Parts,
         max_steps: int,
-        rule: StopRule | None,
         workers: Workers,
     ) -> None:
-        self._make_energy, self.flow, self.limits, self.restart, self._half_width = parts
-        self.max_steps, self.rule = max_steps, rule
-        if rule is not None and len(grids) > 1:
-            self.rule = rule._replace(window=FINEST_WINDOW, motion=rule.motion * FINEST_WINDOW / rule.window)
+        self._make_energy, self.flow, self.limits, self.restart, self._half_width, self.rule = parts
+        self.max_steps = max_steps
         self.warnings: list[str] = []
         self._workers = workers
         self._grids = list(grids)
@@ -160,7 +155,8 @@ class CoarseToFine:
             Changes the dense psi of the surface, which is then made a distance again.
         """
         energy = self._take(parts, new_energy)
-        self._now = self._now.edited(energy, self.flow, self.limits, self.restart, self._half_width, push)
+        rule = self._rule_of(self._now.level)
+        self._now = self._now.edited(energy, self.flow, self.limits, self.restart, rule, self._half_width, push)
 
     def extend(self, max_steps: int) -> None:
         """Have another limit of the steps of all levels together."""
@@ -192,10 +188,18 @@ class CoarseToFine:
         energy = self._take(parts, new_energy)
         now, self._asked = self._now, False
         now.energy, now.flow, now.limits, now.restart = energy or now.energy, self.flow, self.limits, self.restart
+        now.rule = self._rule_of(now.level)
         now.resume(kept)
 
+    def _rule_of(self, number: int) -> StopRule | None:
+        """The rule of stop on a level."""
+        if number == 0:
+            return self.rule
+        motion = StopRule().motion if self.rule is None else self.rule.motion
+        return StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC)
+
     def _take(self, parts: Parts, new_energy: bool) -> Energy | None:
-        self._make_energy, self.flow, self.limits, self.restart, self._half_width = parts
+        self._make_energy, self.flow, self.limits, self.restart, self._half_width, self.rule = parts
         return self._make_energy(self._images[-1], self.level.spacing) if new_energy else None
 
     # -- levels --------------------------------------------------------------------------------------------
@@ -252,7 +256,7 @@ class CoarseToFine:
             self.limits,
             self.max_steps,
             self.restart,
-            self.rule if number == 0 else COARSE_RULE,
+            self._rule_of(number),
             number,
             before,
             fields,

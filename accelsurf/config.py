@@ -169,6 +169,13 @@ class RunConfig(BaseModel):
     max_steps: int = Field(
         1000, ge=0, description="The run ends after this many steps, converged or not; 0 leaves the start."
     )
+    tolerance: float = Field(
+        0.1,
+        gt=0,
+        le=2,
+        description="Converged is a surface that lies on average within this many voxels of where it lay 20 steps "
+        "before, or 6 steps before where a coarser level has gone ahead. Larger is sooner and rougher.",
+    )
     levels: Annotated[int, Field(ge=1)] | Literal["auto"] = Field(
         "auto",
         description="Grids to run on, coarsest first, each with half the voxels along an axis of the next; 1 is the "

@@ -338,6 +338,7 @@ class Evolution:
         flow: Flow,
         limits: Limits,
         restart: Restart | None,
+        rule: StopRule | None,
         half_width: float,
         push: Callable[[LevelSet], None] | None = None,
     ) -> Evolution:
@@ -353,7 +354,7 @@ class Evolution:
             None keeps the one there is.
         flow : Flow
             Not started yet.
-        limits, restart
+        limits, restart, rule
             From here on.
         half_width : float
             Of the band, voxels.
@@ -378,7 +379,7 @@ class Evolution:
             here = Level(0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx))
             fields = carried(fields, flow.absent, cells, here, surface, here)
         following = Evolution(
-            surface, energy or self.energy, flow, limits, self.max_steps, restart, self.rule, self.level, self, fields
+            surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, self, fields
         )
         following.begin()
         # Potentials of two energies do not compare.

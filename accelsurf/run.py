@@ -19,10 +19,10 @@ from accelsurf.config import RunConfig
 from accelsurf.edits import Edit
 from accelsurf.energies import Energy
 from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution import Kept, Restart, Step, StopRule
+from accelsurf.evolution import Kept, Restart, Step
 from accelsurf.flows import Limits
 from accelsurf.levelset import LevelSet, Workers
-from accelsurf.systems import ENERGY_SETTINGS, half_width, is_maker, make_energy, make_flow, own_energy
+from accelsurf.systems import ENERGY_SETTINGS, half_width, is_maker, make_energy, make_flow, own_energy, stop_rule
 from accelsurf.volume import Volume, check_image
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
@@ -90,14 +90,13 @@ class Run:
         smoothed = presmoothed(volume, config.presmooth)
         psi = starts.build(config.start, volume, smoothed)
         self.start = psi.copy() if volume.geometry.slice_axis is not None else None
-        self.image = scaled(smoothed)
-        # On a large image each volume counts: this one is the energy's from here on.
-        del smoothed
+        # On a large image each volume counts.
+        self.image = scale(smoothed)
         self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
         grids = self._grids(psi, energy)
         self._levels = len(grids)
         self.evolution = CoarseToFine(
-            grids, self.image, psi, self._parts(self.now), config.max_steps, StopRule(), self.workers
+            grids, self.image, psi, self._parts(self.now), config.max_steps, self.workers
         )
         self.start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
@@ -127,6 +126,7 @@ class Run:
             Limits(now.cfl, now.percentile),
             Restart() if now.restart == "auto" else None,
             half_width(now),
+            stop_rule(now, self._levels),
         )
 
     def _energy_maker(
@@ -284,17 +284,19 @@ def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
     return image
 
 
-def scaled(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The image with its `SCALE_PERCENTILES` at 0 and 1; by its extremes where those two are equal.
+def scale(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Put the `SCALE_PERCENTILES` of the image at 0 and 1, its extremes where those two are equal; in place.
 
     Examples
     --------
     >>> import numpy as np
-    >>> image = scaled(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
+    >>> image = scale(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
     >>> [float(v) for v in np.percentile(image, SCALE_PERCENTILES).round(6)]
     [0.0, 1.0]
     """
     low, high = np.percentile(image, SCALE_PERCENTILES)
     if not high > low:
         low, high = image.min(), image.max()
-    return (image - np.float32(low)) * np.float32(1.0 / (float(high) - float(low)))
+    image -= np.float32(low)
+    image *= np.float32(1.0 / (float(high) - float(low)))
+    return image

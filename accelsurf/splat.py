@@ -1,6 +1,6 @@
 """A picture of a triangle mesh, in numpy alone: no window, no graphics driver, the same pixels everywhere.
 
-Each triangle is covered with points at most about one pixel apart, which go into a depth buffer (orthographic view).
+Each triangle is covered with points less than a pixel apart, which go into a depth buffer (orthographic view).
 Marching-cubes meshes have triangles of a few pixels, so this is as sharp as drawing them and much simpler.
 """
 
@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 #: Direction from the object to the viewer in LPS: from the front, the patient's left and above.
 VIEW = (0.55, -0.90, 0.50)
 _SAMPLES_AT_ONCE = 2_000_000
+#: Depths are told apart to this part of their range.
+_DEEPEST = 2**30
 
 
 @dataclass(frozen=True)
@@ -108,50 +110,63 @@ def _vertex_normals(points: Floats, triangles: NDArray[np.intp]) -> Floats:
 
 def _fill(seen: Floats, triangles: NDArray[np.intp], normals: Floats, fine: int) -> tuple[Floats, Floats]:
     """Depth buffer (-inf where empty) and the normal at each pixel, both flat."""
-    target = _Target(np.full(fine * fine, -np.inf), np.zeros((fine * fine, 3)), np.empty(fine * fine, np.intp))
     corners = seen[triangles]
     side, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     front = side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0] > 0  # the rest face away, behind these
     triangles, corners = triangles[front], corners[front]
     edges = np.abs(corners[:, [1, 2, 0], :2] - corners[:, :, :2]).max(axis=(1, 2), initial=0.0)
     levels = np.clip(np.ceil(edges * 1.1), 1, None).astype(np.intp)
+    low, high = seen[:, 2].min(), seen[:, 2].max()
+    depths = _Depths(low, (high - low) / _DEEPEST or 1.0)
+    # Per pixel the depth of the nearest point, and in the lower half of the bits which point that is.
+    nearest = np.full(fine * fine, -1, np.int64)
+    drawn, parts = 0, []
     for level in np.unique(levels):
-        weights = _barycentric(int(level))
+        weights = _middles(int(level))
         members = np.flatnonzero(levels == level)
         chunk = max(1, _SAMPLES_AT_ONCE // len(weights))
         for first in range(0, len(members), chunk):
-            some = triangles[members[first : first + chunk]]
-            _splat(target, (weights @ seen[some]).reshape(-1, 3), (weights @ normals[some]).reshape(-1, 3), fine)
-    return target.depth, target.normals
+            some = members[first : first + chunk]
+            _splat(nearest, (weights @ corners[some]).reshape(-1, 3), depths, drawn, fine)
+            parts.append((drawn, weights, triangles[some]))
+            drawn += len(some) * len(weights)
+    depth, turned = np.full(fine * fine, -np.inf), np.zeros((fine * fine, 3))
+    depth[nearest >= 0] = depths.mm(nearest[nearest >= 0] >> 32)
+    point = np.where(nearest >= 0, nearest & 0xFFFFFFFF, -1)
+    for begin, weights, some in parts:
+        at = np.flatnonzero((point >= begin) & (point < begin + len(some) * len(weights)))
+        which, sample = np.divmod(point[at] - begin, len(weights))
+        turned[at] = np.einsum("pi,pic->pc", weights[sample], normals[some[which]])
+    return depth, turned
 
 
-class _Target(NamedTuple):
-    """What points are drawn into; all arrays have one entry per pixel."""
+class _Depths(NamedTuple):
+    """Depths as whole numbers 0 .. `_DEEPEST`."""
 
-    depth: Floats
-    normals: Floats
-    winner: NDArray[np.intp]  # scratch: the nearest of the points being drawn
+    low: float
+    step: float
 
+    def whole(self, mm: Floats) -> NDArray[np.int64]:
+        return np.asarray(np.clip((mm - self.low) / self.step, 0, _DEEPEST), np.int64)
 
-def _barycentric(level: int) -> Floats:
-    """Weights of a triangular grid with `level` intervals along each edge, moved slightly inside, (n, 3)."""
-    i, j = np.meshgrid(np.arange(level + 1), np.arange(level + 1), indexing="ij")
-    keep = i + j <= level
-    weights = np.stack([i[keep], j[keep], level - i[keep] - j[keep]], axis=1) / level
-    return np.asarray(0.999 * weights + 0.001 / 3)
+    def mm(self, whole: NDArray[np.int64]) -> Floats:
+        return np.asarray(self.low + self.step * whole, np.float64)
 
 
-def _splat(target: _Target, points: Floats, normals: Floats, fine: int) -> None:
+def _middles(level: int) -> Floats:
+    """Weights of the middles of the `level`^2 triangles that a triangle is divided into, (n, 3)."""
+    i, j, up = (a.ravel() for a in np.meshgrid(np.arange(level), np.arange(level), (1, 2), indexing="ij"))
+    keep = i + j + up <= level
+    a, b = (3 * i + up)[keep], (3 * j + up)[keep]
+    return np.stack([a, b, 3 * level - a - b], axis=1) / (3.0 * level)
+
+
+def _splat(nearest: NDArray[np.int64], points: Floats, depths: _Depths, drawn: int, fine: int) -> None:
+    """Draw points, numbered from ``drawn`` on, into ``nearest``."""
     column, row = points[:, 0].astype(np.intp), points[:, 1].astype(np.intp)
-    inside = (column >= 0) & (column < fine) & (row >= 0) & (row < fine)
-    pixel, height = np.where(inside, row * fine + column, 0), points[:, 2]
-    nearer = np.flatnonzero(inside & (height > target.depth[pixel]))
-    # The last write to a pixel wins, so the nearest points are written last.
-    order = nearer[np.argsort(height[nearer], kind="stable")]
-    target.winner[pixel[order]] = order
-    best = order[target.winner[pixel[order]] == order]
-    target.depth[pixel[best]] = height[best]
-    target.normals[pixel[best]] = normals[best]
+    inside = np.flatnonzero((column >= 0) & (column < fine) & (row >= 0) & (row < fine))
+    key = (depths.whole(points[inside, 2]) << 32) + drawn + inside
+    np.maximum.at(nearest, row[inside] * fine + column[inside], key)
 
 
 def _shade(depth: Floats, normals: Floats, color: Floats, scale: float) -> Floats:

@@ -11,10 +11,25 @@ from numpy.typing import NDArray
 from accelsurf.config import RunConfig
 from accelsurf.energies import ChanVese, Checked, Energy, Geodesic, edge_indicator
 from accelsurf.errors import UsageError
+from accelsurf.evolution import StopRule
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Momentum, Noise, Sobolev
 
 #: Settings of the energies that have a name; an energy of one's own has its own.
 ENERGY_SETTINGS = ("smoothness", "balance", "epsilon", "edge_scale", "edge_contrast", "balloon")
+
+
+def stop_rule(config: RunConfig, levels: int) -> StopRule:
+    """When a run on so many levels has converged on the finest one.
+
+    After a coarser level it begins near its end and is looked at more often. Over an even number of steps: what
+    flickers from step to step is where it was. Steps of flowable-mass are kept short by its waves: a slow surface is
+    not at its end yet.
+    """
+    if levels == 1:
+        return StopRule(motion=config.tolerance)
+    if config.flow == "flowable-mass":
+        return StopRule(10, 0.4 * config.tolerance)
+    return StopRule(6, config.tolerance)
 
 
 def half_width(config: RunConfig) -> float:

@@ -2,8 +2,8 @@
 
 Usage: python benchmarks/viewer.py [--size 256] [--steps 40] [--display :N] [-o benchmarks/results/viewer.json]
 
-Runs the same steps three times: by `accelsurf.run.Run` alone, by a Session that nobody looks at (it keeps states), and in
-the window, on the display given or a screen of its own (Xvfb, xdotool). Keys are sent by xdotool; the answer is timed
+Runs the same steps three times: by `accelsurf.run.Run` alone, by a Session that nobody looks at (it keeps states), and
+in the window, on the display given or a screen of its own (Xvfb, xdotool). Keys are sent by xdotool; the answer is timed
 inside the window, when what the key asked for has been taken up and drawn. Software rendering competes with the solver
 for the same cores: on a machine with a graphics card the window costs less.
 """
@@ -63,7 +63,8 @@ def phantom(n: int, folder: Path) -> tuple[Path, str]:
     from accelsurf import io
     from accelsurf.volume import Volume
 
-    z, y, x = (np.arange(n, dtype=np.float32).reshape(shape) - 0.5 * n for shape in ((-1, 1, 1), (1, -1, 1), (1, 1, -1)))
+    shapes = ((-1, 1, 1), (1, -1, 1), (1, 1, -1))
+    z, y, x = (np.arange(n, dtype=np.float32).reshape(shape) - 0.5 * n for shape in shapes)
     image = np.random.default_rng(0).normal(0, 25, (n, n, n)).astype(np.float32)
     image += 100.0 * (z**2 + y**2 + x**2 < (0.4 * n) ** 2)
     path = folder / "scan.nii"
@@ -129,7 +130,8 @@ def in_window(source: Path, start: str, steps: int, display: str, folder: Path) 
         sent = []
         while not told.with_suffix(".running").exists() and child.poll() is None:
             time.sleep(0.1)
-        subprocess.run(["xdotool", "search", "--onlyvisible", "--name", "accelsurf - ", "windowfocus"], env=env, check=True)
+        focus = ["xdotool", "search", "--onlyvisible", "--name", "accelsurf - ", "windowfocus"]
+        subprocess.run(focus, env=env, check=True)
         while not told.exists() and child.poll() is None:
             time.sleep(0.3)
         # The time is over; it goes on, and keys come while it does.

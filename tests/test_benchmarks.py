@@ -126,10 +126,10 @@ def test_the_clock_counts_kernels_and_stages() -> None:
 
 def test_memory_is_split_into_voxels_and_band() -> None:
     lines = [
-        {"side": n, "hold_bytes": 1e6, "run_bytes": 1e6 + 10.0 * n**3 + 50.0 * 7 * n**2, "band_cells": 7 * n**2}
+        {"side": n, "hold_bytes": 1e6, "run_bytes": 3e6 + 10.0 * n**3 + 50.0 * 7 * n**2, "band_cells": 7 * n**2}
         for n in (64, 128, 256)
     ]
-    assert fitted(lines) == pytest.approx((10.0, 50.0), rel=1e-6)
+    assert fitted(lines) == pytest.approx((10.0, 50.0, 2e6), rel=1e-6)
 
 
 def test_a_missing_scan_is_told_in_one_line(

@@ -67,7 +67,7 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
 # ------------------------------------------------------------------------------------------------------- kept runs
 
 
-@pytest.mark.parametrize("energy", ["chan-vese", "geodesic"])
+@pytest.mark.parametrize("energy", ["chan-vese", pytest.param("geodesic", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("flow", FLOWS)
 def test_going_back_and_on_is_the_same_run(flow, energy):
     noise = {"noise": 0.05, "seed": 3, "noise_time": 50} if flow in ("constant-density", "flowable-mass") else {}
@@ -175,6 +175,7 @@ def test_edits_from_the_start_and_while_it_runs_are_the_same(flow):
     assert state(plain) != state(given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flow", FLOWS)
 @pytest.mark.parametrize("other", ["constant-density", "flowable-mass", "gradient"])
 def test_another_flow_and_energy_on_the_way_and_back_again(flow, other):

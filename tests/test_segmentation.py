@@ -6,7 +6,7 @@ from accelsurf.config import RunConfig
 from accelsurf.errors import InputError, UsageError
 from accelsurf.metrics import dice
 from accelsurf.phantoms import distance_at, make, recipe_from
-from accelsurf.run import Run, presmoothed, scaled
+from accelsurf.run import Run, presmoothed, scale
 from accelsurf.segmentation import evolve, segment
 from accelsurf.volume import Volume
 
@@ -197,12 +197,12 @@ def test_presmoothing_is_in_mm_and_spares_the_missing_axis():
 
 def test_scaled_puts_the_percentiles_at_0_and_1():
     image = np.arange(2000, dtype=np.float32).reshape(10, 10, 20)
-    low, high = np.percentile(scaled(image), [0.5, 99.5])
+    low, high = np.percentile(scale(image.copy()), [0.5, 99.5])
     assert (low, high) == pytest.approx((0.0, 1.0), abs=1e-5)
     # A tiny object on a flat background: the percentiles coincide, the extremes do not.
     image[:] = 0
     image[0, 0, 0] = 4
-    assert scaled(image).max() == 1
+    assert scale(image.copy()).max() == 1
 
 
 def test_the_run_is_made_of_what_the_configuration_says():

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 STAGES: dict[str, tuple[str, ...]] = {
     "closest points": ("find_feet", "review_feet", "spread", "pull_feet", "take_feet", "polish_feet"),
     "band": (
-        "keep_mask", "merged_order", "gather_band", "drop_cells", "store_band", "front_mask", "small_components",
+        "keep_mask", "merged_order", "gather_band", "drop_cells", "store_band", "front_mask", "find_peaks",
+        "small_components",
     ),
     "extension": ("sample_at_feet", "outward_table", "extend_outwards", "carry_fields"),
     "advance": ("upwind_norms", "drift", "carry_psi"),

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.energies.at_front import check_shape, sample_at_front
 from accelsurf.kernels import motion, region
@@ -118,14 +119,10 @@ class RegionSums:
 
     def everything(self) -> Sums:
         """Sums over the whole volume."""
-        blocks = [self.image[i : i + 1024 * BLOCK].astype(np.float64) for i in range(0, self.image.size, 1024 * BLOCK)]
-        return Sums(
-            float(self.image.size),
-            float(np.sum([block.sum() for block in blocks])),
-            float(np.sum([np.dot(block, block) for block in blocks])),
-        )
+        sums = [self._plain_sums(slice(i, i + 1024 * BLOCK)) for i in range(0, self.image.size, 1024 * BLOCK)]
+        return Sums(*(float(v) for v in np.sum(sums, axis=0)))
 
-    def _plain_sums(self, cells: np.ndarray) -> np.ndarray:
+    def _plain_sums(self, cells: NDArray[np.int64] | slice) -> np.ndarray:
         values = self.image[cells].astype(np.float64)
         return np.array([values.size, values.sum(), np.dot(values, values)])
 

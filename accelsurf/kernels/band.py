@@ -65,8 +65,8 @@ def gather_band(start, stop, dense_psi, grid, order, old, new):
 
 
 @kernel
-def sample_at_feet(start, stop, slot, grid, band, values, out):
-    """Extend fields to the new ``band``: their values at each foot, interpolated from the old slots.
+def sample_at_feet(start, stop, slot, grid, band, front, values, out):
+    """Fields on the ``front`` of the new ``band``: their values at each foot, interpolated from the old slots.
 
     ``values`` (m, n_old) float32 belong to the old band and ``slot`` still maps to it; ``out`` is (m, n). A cell with
     nothing known around its foot keeps its own old values, or 0 when it was not in the band.
@@ -78,6 +78,8 @@ def sample_at_feet(start, stop, slot, grid, band, values, out):
     position = np.empty(3)
     hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
     for s in range(start, stop):
+        if not front[s]:
+            continue
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
         pz, py, px = iz + band.foot[s, 0] * hz, iy + band.foot[s, 1] * hy, ix + band.foot[s, 2] * hx
@@ -186,12 +188,33 @@ def front_mask(start, stop, grid, band, width, front):
 
 
 @kernel
-def small_components(dense, grid, band, most, depth):
+def find_peaks(start, stop, dense, grid, band, depth, peak):
+    """Mark in ``peak`` (n,) the slots of the range with |psi| up to ``depth`` (mm) that no neighbour exceeds."""
+    near = np.empty(6, np.int64)
+    for s in range(start, stop):
+        peak[s] = abs(dense.psi[band.cells[s]]) <= depth and is_peak(dense.psi, grid, band.cells[s], near)
+
+
+@kernel
+def is_peak(psi, grid, cell, near):
+    """Whether no 6-neighbour on the cell's side of the surface has a larger |psi|; ``near`` (6,) is scratch."""
+    iz, iy, ix = unravel(cell, grid)
+    neighbours(cell, iz, iy, ix, grid, near)
+    value = psi[cell]
+    for side in range(6):
+        other = near[side]
+        if other >= 0 and (psi[other] < 0.0) == (value < 0.0) and abs(psi[other]) > abs(value):
+            return False
+    return True
+
+
+@kernel
+def small_components(dense, grid, band, peaks, most):
     """Flip the sign of psi on every component, inside or outside, of at most ``most`` cells.
 
-    A component that small has a cell with |psi| below ``depth`` (mm) that no 6-neighbour on its side
-    exceeds; the flood starts there and gives up beyond ``most`` cells. A component that touches the border
-    of the volume counts like any other. Returns (components removed inside, outside, cells flipped).
+    Each has a cell that no 6-neighbour on its side exceeds in |psi|, among the slots ``peaks``; the flood starts there
+    and gives up beyond ``most`` cells. A component that touches the border of the volume counts like any other.
+    Returns (components removed inside, outside, cells flipped).
     """
     psi = dense.psi
     near = np.empty(6, np.int64)
@@ -199,22 +222,12 @@ def small_components(dense, grid, band, most, depth):
     removed_inside = 0
     removed_outside = 0
     flipped = 0
-    for s in range(band.cells.shape[0]):
+    for s in peaks:
         cell = band.cells[s]
-        value = psi[cell]
-        if abs(value) > depth:
+        # What was removed before may have changed that.
+        if not is_peak(psi, grid, cell, near):
             continue
-        inside = value < 0.0
-        iz, iy, ix = unravel(cell, grid)
-        neighbours(cell, iz, iy, ix, grid, near)
-        peak = True
-        for side in range(6):
-            other = near[side]
-            if other >= 0 and (psi[other] < 0.0) == inside and abs(psi[other]) > abs(value):
-                peak = False
-                break
-        if not peak:
-            continue
+        inside = psi[cell] < 0.0
         count = flood_component(psi, grid, cell, inside, flood, near)
         if count > most:
             continue

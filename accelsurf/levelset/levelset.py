@@ -134,7 +134,7 @@ class LevelSet:
     @property
     def labels(self) -> np.ndarray:
         """Voxels whose centre is inside, uint8 (nz, ny, nx)."""
-        return (self.dense.psi < 0).astype(np.uint8).reshape(self.shape)
+        return (self.dense.psi < 0).view(np.uint8).reshape(self.shape)
 
     @property
     def voxel_volume(self) -> float:
@@ -257,8 +257,11 @@ class LevelSet:
         Between `advance` and `redistance`: signs are flipped, distances follow in the latter.
         """
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
-        small = band_kernels.small_components
-        inside, outside, _ = self.workers.alone(small, self.dense, self.grid, self.band, SMALLEST, depth)
+        peak, where = np.empty(self.size, np.bool_), (self.dense, self.grid, self.band)
+        self.workers.run(band_kernels.find_peaks, self.size, *where, depth, peak)
+        inside, outside, _ = self.workers.alone(
+            band_kernels.small_components, *where, np.flatnonzero(peak), SMALLEST
+        )
         return int(inside + outside)
 
     def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:
@@ -283,8 +286,8 @@ class LevelSet:
         Parameters
         ----------
         fields : sequence of ndarray (n,)
-            Values on the present band. Each comes back on the new band, sampled at the closest point of
-            every cell, so that grad F . grad psi = 0.
+            Values on the present band. Each comes back on the new band, constant along normals: at the front by its
+            value at the closest point of every cell, further off as `extend_outwards` has it.
         carried : (velocity (n, 3), dt), optional
             The motion since the last redistancing, when the fields are carried along with it: they are then
             sampled at the point that moved to the closest point.
@@ -305,7 +308,9 @@ class LevelSet:
         new = Band(np.empty(size, np.int64), np.empty(size, np.float32), np.empty((size, 3), np.float32))
         old = Band(cells, self.band.psi, foot)
         run(band_kernels.gather_band, size, self.dense.psi, self.grid, order, old, new)
-        extended = self._sampled(new, fields) if carried is None else self._carried(new, fields, carried)
+        front = np.empty(size, np.bool_)
+        run(band_kernels.front_mask, size, self.grid, new, FRONT_WIDTH, front)
+        extended = self._sampled(new, front, fields) if carried is None else self._carried(new, fields, carried)
 
         entered_cells, left_cells = cells[entered], cells[:n][~keep[:n]]
         change = Change(
@@ -315,6 +320,10 @@ class LevelSet:
         run(band_kernels.drop_cells, total, self.dense, cells, keep, self.gamma)
         run(band_kernels.store_band, size, self.dense, new)
         self.take_band(new)
+        self._fronts = {FRONT_WIDTH: front}
+        if carried is None:
+            for field in extended:
+                self.extend_outwards(field, front)
         return change
 
     def take_band(self, band: Band) -> None:
@@ -375,12 +384,12 @@ class LevelSet:
         )
         return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]
 
-    def _sampled(self, new: Band, fields: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def _sampled(self, new: Band, front: np.ndarray, fields: Sequence[np.ndarray]) -> list[np.ndarray]:
         if not fields:
             return []
         values = np.stack([np.asarray(field, np.float32) for field in fields])
         out = np.empty((len(fields), new.cells.size), np.float32)
         self.workers.run(
-            band_kernels.sample_at_feet, new.cells.size, self.dense.slot, self.grid, new, values, out
+            band_kernels.sample_at_feet, new.cells.size, self.dense.slot, self.grid, new, front, values, out
         )
         return list(out)

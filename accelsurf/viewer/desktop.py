@@ -329,7 +329,7 @@ class Window(QMainWindow):
         if failed:
             text = f"Error: {text}"
         self.message.setText(text)
-        self.message.setToolTip(text)
+        self.message.setToolTip(text if len(text) > 120 else "")
         self.message.setProperty("failed", failed)
         self.message.style().polish(self.message)
 

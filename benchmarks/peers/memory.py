@@ -26,11 +26,12 @@ def memory(options: Options) -> dict[str, Any]:
             "bytes_per_voxel": (run - hold) / side**3,
         })
         print(f"   {side}^3: {run / 1e9:.2f} GB, {lines[-1]['bytes_per_voxel']:.1f} bytes a voxel beyond the image")
-    per_voxel, per_cell = fitted(lines)
+    per_voxel, per_cell, constant = fitted(lines)
     largest = lines[-1]
     return {
         "work": f"peak memory of segment() of a ball in n^3 float32, {STEPS} steps, n = {', '.join(map(str, sides))}",
-        "threads": 1, "lines": lines, "fit": {"bytes_per_voxel": per_voxel, "bytes_per_band_cell": per_cell},
+        "threads": 1, "lines": lines,
+        "fit": {"bytes_per_voxel": per_voxel, "bytes_per_band_cell": per_cell, "bytes": constant},
         "pairs": [],
         "goals": [
             goal("bytes a voxel beyond the image, band term apart", 12.0, per_voxel, "<=", "B"),
@@ -51,15 +52,15 @@ def memory(options: Options) -> dict[str, Any]:
     }
 
 
-def fitted(lines: list[dict[str, Any]]) -> tuple[float, float]:
-    """Bytes a voxel and bytes a band cell that explain the peaks best, neither below 0, weighted by the volume."""
+def fitted(lines: list[dict[str, Any]]) -> tuple[float, float, float]:
+    """Bytes a voxel, a band cell, and of any run, none below 0, that explain the peaks best."""
     from scipy.optimize import nnls
 
     beyond = np.array([e["run_bytes"] - e["hold_bytes"] for e in lines], float)
-    terms = np.array([(e["side"] ** 3, e["band_cells"]) for e in lines], float)
+    terms = np.array([(e["side"] ** 3, e["band_cells"], 1.0) for e in lines], float)
     weight = 1.0 / terms[:, :1]
-    (voxel, cell), _ = nnls(terms * weight, np.maximum(beyond, 0.0) * weight[:, 0])
-    return float(voxel), float(cell)
+    (voxel, cell, constant), _ = nnls(terms * weight, np.maximum(beyond, 0.0) * weight[:, 0])
+    return float(voxel), float(cell), float(constant)
 
 
 def peak(what: str, side: int) -> tuple[int, int]:
