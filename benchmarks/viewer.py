@@ -2,9 +2,9 @@
 
 Usage: python benchmarks/viewer.py [--size 256] [--steps 40] [--display :N] [-o benchmarks/results/viewer.json]
 
-Runs the same steps three times: by `accelsurf.run.Run` alone, by a Session that nobody looks at (it keeps states), and
-in the window, on the display given or a screen of its own (Xvfb, xdotool). Keys are sent by xdotool; the answer is timed
-inside the window, when what the key asked for has been taken up and drawn. Software rendering competes with the solver
+Runs the same steps three times: by `accelsurf.run.Run` alone, by a Session that nobody looks at (it keeps states),
+and in the window, on the display given or a screen of its own (Xvfb, xdotool). Keys are sent by xdotool; the answer is
+timed inside the window, when what the key asked for has been taken up and drawn. Run it on a quiet machine. Software rendering competes with the solver
 for the same cores: on a machine with a graphics card the window costs less.
 """
 
@@ -193,7 +193,9 @@ def window_process(source: str, told: str, start: str, steps: int) -> None:
         elif "began" in times and "ended" not in times and status.step >= 1 + steps:
             times["ended"] = time.perf_counter()
             path.write_text(json.dumps({
-                "seconds": times["ended"] - times["began"], "cpu_seconds": time.process_time() - times["cpu"], "frames": len(drawn),
+                "seconds": times["ended"] - times["began"],
+                "cpu_seconds": time.process_time() - times["cpu"],
+                "frames": len(drawn),
                 "drawing_ms": round(1000 * float(np.median(drawn)), 1) if drawn else None,
             }))
         if times.get("began") and window.scene.frame.row.step != times.get("frame"):

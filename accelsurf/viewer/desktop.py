@@ -282,8 +282,9 @@ class Window(QMainWindow):
             if not self._dragging:
                 self.scene.mark_ball(None)
             self.scene.render()
-            # What a graphics card does costs the solver nothing.
-            self._drawing = time.perf_counter() - began if self._software else time.thread_time() - spent
+            if view.status.running:
+                # What a graphics card does costs the solver nothing; what is drawn at rest, finer, neither.
+                self._drawing = time.perf_counter() - began if self._software else time.thread_time() - spent
         status = self.session.status
         if status is not self._shown:
             self._show_status(status)

@@ -25,7 +25,7 @@ from accelsurf.viewer.timeline import Timeline
 from accelsurf.volume import Volume
 
 #: Frames a second at most, and the part of the time that making and drawing them may take while the solver runs.
-FRAME_RATE, DRAWING_SHARE = 15.0, 0.1
+FRAME_RATE, DRAWING_SHARE = 15.0, 0.06
 #: Voxels of a frame while the run runs; a frame of a run that rests has all of them.
 RUNNING_VOXELS = 3_000_000
 #: Memory for kept states unless another is given, MB.
