@@ -12,6 +12,7 @@ from PIL import Image
 
 import accelsurf
 from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.viewer.headless import GraphicsError
 from accelsurf.viewer.notebook import Shown
 from accelsurf.viewer.scene import Scene
 from tests import viewing
@@ -130,6 +131,15 @@ def test_pictures_and_what_cannot_be_shown(result, tmp_path):
     with pytest.raises(UsageError, match="one slice was given"):
         accelsurf.show(flat, to=tmp_path / "c.html")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
+
+
+def test_a_window_needs_a_screen(result, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    if sys.platform.startswith("linux"):
+        with pytest.raises(GraphicsError, match="no screen was found") as caught:
+            result.plot()
+        assert "to='a.png'" in caught.value.hint
 
 
 def test_segmenting_does_not_load_the_viewer():

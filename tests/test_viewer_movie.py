@@ -12,7 +12,9 @@ from PIL import Image, ImageSequence
 
 from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
+from accelsurf.run import Run
 from accelsurf.viewer import movie as films
+from accelsurf.viewer.scene import Scene
 from tests import viewing
 
 START = "ball:{},{},{},5"
@@ -121,6 +123,22 @@ def test_a_result_folder_is_run_again_with_its_settings(image, tmp_path, capsys)
     path.unlink()
     with pytest.raises(InputError, match="not there any more"):
         films.run_of_folder(results)
+
+
+def test_edits_are_made_again_too(image, tmp_path):
+    path, options = image
+    results = tmp_path / "out"
+    edit = ["--edit", "step=5 smoothness=0.5", "--edit", "step=9 flow=gradient"]
+    assert cli.run(["segment", str(path), "-o", str(results), "--quiet", *options, *edit]) == 0
+    told = json.loads((results / "ball_report.json").read_text())
+    volume = io.read(path)
+    scene = Scene(volume, size=(320, 180))
+    try:
+        films.run_to_last(Run(volume, films.run_of_folder(results)[1]), scene)
+        assert scene.frame.row.volume_mm3 == told["volume_mm3"]
+        assert scene.frame.row.step == told["stop"]["steps"]
+    finally:
+        scene.close()
 
 
 def test_folders_that_tell_of_no_run_are_refused(tmp_path):

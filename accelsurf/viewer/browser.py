@@ -21,13 +21,13 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from accelsurf.config import EnergyName, FlowName
+from accelsurf.config import ENERGIES, FLOWS
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.viewer.frame import COLORS
 from accelsurf.viewer.scene import Scene
@@ -117,7 +117,7 @@ class Page:
         server = get_server(f"accelsurf-{self.token[:8]}", client_type="vue3")
         server.state.update(self._state(self.session.status) | {
             "trame__title": "accelsurf", "picture": "", "title": self.steering.scene.title or "accelsurf",
-            "energies": list(get_args(EnergyName)), "flows": list(get_args(FlowName)), "colors": list(COLORS),
+            "energies": list(ENERGIES), "flows": list(FLOWS), "colors": list(COLORS),
             "radius_most": 0.5 * float(max(self.scene.geometry.extent_mm)),
         })
         server.trigger("ask")(self._ask)

@@ -18,7 +18,8 @@ from accelsurf.errors import UsageError
 from accelsurf.surface import write_atomically
 from accelsurf.upright import LETTERS
 from accelsurf.viewer.colors import REFERENCE, SHADES, SURFACE, color_range
-from accelsurf.viewer.scene import Scene, png_bytes
+from accelsurf.viewer.pictures import png_bytes
+from accelsurf.viewer.scene import Scene
 
 
 def html_page(scene: Scene) -> str:

@@ -142,6 +142,29 @@ class Frame:
         on_grid = (np.asarray(indices, float) - np.asarray(self.first) - 0.5 * (factors - 1.0)) / factors
         return np.asarray((on_grid - np.asarray(self.offset)) / self.step)
 
+    def middle(self) -> Floats:
+        """Index (z, y, x) in the image of the middle of what is inside; where no voxel is, of the box."""
+        inside = self.psi < 0
+        if not inside.any():
+            return self.to_image(0.5 * (np.array(self.psi.shape) - 1.0))
+        counts = [inside.sum(axis=tuple(other for other in range(3) if other != axis)) for axis in range(3)]
+        return self.to_image([np.average(np.arange(len(c)), weights=c) for c in counts])
+
+    def dice(self, labels: NDArray[np.bool_], voxels: int) -> float:
+        """Dice of what is inside and ``labels`` (nz, ny, nx) on the image's grid, ``voxels`` of which are true.
+
+        A frame of a coarser level, or with not all voxels, counts its own, each for those that it stands for.
+        """
+        inside = self.psi < 0
+        places = [
+            np.clip(np.rint(self.to_image(np.stack([np.arange(m)] * 3, axis=-1))[:, axis]), 0, n - 1).astype(int)
+            for axis, (m, n) in enumerate(zip(self.psi.shape, labels.shape, strict=True))
+        ]
+        each = math.prod(self.grid.factors) * math.prod(self.step if n > 1 else 1 for n in self.grid.shape)
+        common = each * int((inside & labels[np.ix_(*places)]).sum())
+        total = each * int(inside.sum()) + voxels
+        return 2.0 * common / total if total else 1.0
+
     def sample(self, name: str, places: ArrayLike) -> NDArray[np.float32]:
         """A quantity at places on the surface.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from accelsurf.errors import UsageError
 from accelsurf.segmentation import Result
 from accelsurf.viewer.export import html_page, write_html
 from accelsurf.viewer.frame import Frame
-from accelsurf.viewer.headless import require_graphics
-from accelsurf.viewer.scene import SIZE, Scene, png_bytes
+from accelsurf.viewer.headless import GraphicsError, require_graphics
+from accelsurf.viewer.pictures import png_bytes
+from accelsurf.viewer.scene import SIZE, Scene
 from accelsurf.volume import Volume
 
 #: PyVista's backends for notebooks.
@@ -76,6 +78,8 @@ def show(
     if to is not None and suffix not in (".png", ".html", ".htm"):
         raise UsageError(f"{Path(to).name}: {suffix or 'no suffix'} was given, expected .png or .html")
     notebook = to is None and in_notebook()
+    if to is None and not notebook and not _has_screen():
+        raise GraphicsError("no screen was found for a window", "write a picture or a page: to='a.png', to='a.html'")
     plotter = None
     if to is None and (backend is not None or not notebook):
         if notebook:
@@ -131,6 +135,13 @@ class Shown:
             return {"image/png": picture}
         style = f'width="100%" height="{self._height}" frameborder="0"'
         return {"text/html": f'<iframe srcdoc="{html.escape(self._page)}" {style}></iframe>', "image/png": picture}
+
+
+def _has_screen() -> bool:
+    """Whether there may be a screen; VTK would end the process where there is none."""
+    return not sys.platform.startswith("linux") or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
 
 
 def in_notebook() -> bool:

@@ -13,8 +13,6 @@ A scene draws `Frame`s and knows no solver. Nothing is rendered before `render` 
 
 from __future__ import annotations
 
-import io
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,8 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image
-from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution import Row
@@ -36,6 +32,7 @@ from accelsurf.viewer.colors import REFERENCE, SURFACE, Theme, theme_named
 from accelsurf.viewer.frame import COLORS, Frame
 from accelsurf.viewer.headless import require_graphics
 from accelsurf.viewer.overlay import Label
+from accelsurf.viewer.pictures import grabbed, grey_values, png_bytes
 from accelsurf.viewer.shapes import label_surface, slice_of
 from accelsurf.viewer.slices import SliceTile
 from accelsurf.viewer.space import VIEWS, SpaceTile
@@ -43,8 +40,6 @@ from accelsurf.volume import Volume
 
 #: Size of a window or picture unless another is asked for, pixels.
 SIZE = (1280, 720)
-#: Percentiles of the image that are drawn black and white.
-GREY_PERCENTILES = (1.0, 99.0)
 TILES = ("axial", "coronal", "sagittal")
 _LEGEND = ((SURFACE, 0.985), (REFERENCE, 0.955))
 
@@ -134,7 +129,7 @@ class Scene:
         return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
 
     def _build(self) -> None:
-        plotter, upright, grey = self.plotter, Upright.of(self.geometry), _grey(self.volume)
+        plotter, upright, grey = self.plotter, Upright.of(self.geometry), grey_values(self.volume)
         flat = self.geometry.slice_axis
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
@@ -173,7 +168,7 @@ class Scene:
         """
         self.frame, self._history = frame, history
         if frame.has_surface and not self._cursor_is_set:
-            self._cursor = _middle(frame, self.geometry)
+            self._cursor = np.clip(frame.middle(), 0.0, np.array(self.geometry.shape) - 1.0)
             self._cursor_is_set = True
             self._show_slices()
         self._show_frame()
@@ -222,16 +217,7 @@ class Scene:
         frame = self.frame
         if self._reference is None or frame is None:
             return None
-        inside = frame.psi < 0
-        ranges = [np.arange(n) for n in frame.psi.shape]
-        voxels = [
-            np.clip(np.rint(frame.to_image(np.stack([at] * 3, axis=-1))[:, axis]), 0, n - 1).astype(int)
-            for axis, (at, n) in enumerate(zip(ranges, self._reference.shape, strict=True))
-        ]
-        each = int(np.prod(frame.grid.factors)) * math.prod(frame.step if n > 1 else 1 for n in frame.grid.shape)
-        common = each * int((inside & self._reference[np.ix_(*voxels)]).sum())
-        total = each * int(inside.sum()) + self._reference_voxels
-        return 2.0 * common / total if total else 1.0
+        return frame.dice(self._reference, self._reference_voxels)
 
     def color_by(self, name: str) -> None:
         """Colour the surface by a quantity, ``plain``, ``speed``, ``force`` or ``density``.
@@ -377,14 +363,7 @@ class Scene:
     def screenshot(self, path: str | Path | None = None) -> NDArray[np.uint8]:
         """Render, and return the picture (height, width, 3), uint8; with a path write it there as PNG."""
         self.render()
-        grab = vtkWindowToImageFilter()
-        grab.SetInput(self.plotter.render_window)
-        grab.ReadFrontBufferOff()
-        grab.ShouldRerenderOff()
-        grab.Update()
-        image = pv.wrap(grab.GetOutput())
-        width, height, _ = image.dimensions
-        picture = np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
+        picture = grabbed(self.plotter.render_window)
         if path is not None:
             write_atomically(Path(path), png_bytes(picture))
         return picture
@@ -404,33 +383,9 @@ class Scene:
         self._chart.fit(height)
 
 
-def _grey(volume: Volume) -> NDArray[np.uint8]:
-    """The image as grey values; plane by plane, so that no second volume of floats is held."""
-    sample = volume.array[tuple(slice(None, None, max(1, n // 128)) for n in volume.array.shape)]
-    sample = sample[np.isfinite(sample)] if sample.dtype.kind == "f" else sample
-    low, high = np.percentile(sample, GREY_PERCENTILES) if sample.size else (0.0, 1.0)
-    if not high > low:
-        low, high = (float(sample.min()), float(sample.max())) if sample.size else (0.0, 1.0)
-    scale = 255.0 / (high - low) if high > low else 0.0
-    out = np.empty(volume.array.shape, np.uint8)
-    for plane, shown in zip(volume.array, out, strict=True):
-        shown[:] = np.clip((np.nan_to_num(plane.astype(np.float32)) - low) * scale, 0, 255)
-    return out
-
-
 def _number(value: float) -> str:
     """A measure with four digits, or all before the point, in groups of three."""
     return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}".replace(",", " ")
-
-
-def _middle(frame: Frame, geometry: Geometry) -> NDArray[np.float64]:
-    """Index (z, y, x) in the image of the middle of what is inside."""
-    inside = frame.psi < 0
-    if not inside.any():
-        return 0.5 * (np.array(geometry.shape) - 1.0)
-    counts = [inside.sum(axis=tuple(other for other in range(3) if other != axis)) for axis in range(3)]
-    place = frame.to_image([np.average(np.arange(len(c)), weights=c) for c in counts])
-    return np.clip(place, 0.0, np.array(geometry.shape) - 1.0)
 
 
 def _within(renderer: pv.Renderer, x: float, y: float) -> tuple[float, float] | None:
@@ -439,10 +394,3 @@ def _within(renderer: pv.Renderer, x: float, y: float) -> tuple[float, float] | 
     left, bottom, right, top = renderer.GetViewport()
     place = ((x / width - left) / (right - left), (y / height - bottom) / (top - bottom))
     return place if all(0 <= part < 1 for part in place) else None
-
-
-def png_bytes(picture: NDArray[np.uint8]) -> bytes:
-    """Return a picture (height, width, 3) as a PNG file."""
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, format="png", optimize=True)
-    return stream.getvalue()
