@@ -296,8 +296,8 @@ class RunConfig(BaseModel):
         >>> RunConfig(flow="gradient").matters("gravity"), RunConfig().matters("smoothness")
         (False, True)
         """
-        users = _ONLY_FOR.get(key)
-        return users is None or not {self.flow, *(term.name for term in expression.parse(self.energy))}.isdisjoint(users)
+        terms = expression.parse(self.energy)
+        return key not in _ONLY_FOR or not {self.flow, *(term.name for term in terms)}.isdisjoint(_ONLY_FOR[key])
 
     def unused(self) -> list[str]:
         """Return the settings that were changed from their defaults and mean nothing to this flow and energy.

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from accelsurf import io
 from accelsurf.config import FLOWS, RunConfig
 from accelsurf.edits import Edit, edits_of
 from accelsurf.energies import ChanVese
@@ -92,6 +93,33 @@ def test_going_back_and_on_is_the_same_run(flow, energy):
     assert result_of(straight).labels.tobytes() == result_of(back).labels.tobytes()
     assert straight.evolution.stop == back.evolution.stop
     assert state(back) == state(straight)
+
+
+@pytest.mark.parametrize(
+    "energy",
+    ["likelihood", "likelihood:histogram", "local-region:R=4", "threshold:auto", "chan-vese + 0.2*local-region:R=4"],
+)
+def test_going_back_with_any_energy_in_a_region_with_a_mask(energy, tmp_path):
+    image = volume()
+    mask = np.ones(image.array.shape, np.uint8)
+    mask[:, :, :13] = 0
+    io.write_labels(image.with_array(mask), tmp_path / "mask.nii.gz")
+    config = RunConfig(
+        start="ball:17,15,16,6", energy=energy, levels=1, threads=1, max_steps=24, mask=str(tmp_path / "mask.nii.gz"),
+        roi="2,3,4,28,29,30vox", edit=["step=9 add=ball:21,15,16,5vox", "step=15 energy=geodesic"],
+    )
+    straight, back = _ended(Run(image, config)), Run(image, config)
+    kept = {}
+    for _ in range(20):
+        kept[back.step_number] = back.keep()
+        back.step()
+    for k in (17, 12, 3):
+        back.resume(kept[k])
+        stepped(back, 20 - k)
+    assert state(_ended(back)) == state(straight)
+    labels = result_of(straight).labels
+    assert labels.any() and not labels[mask == 0].any() and not labels[:4].any()
+    assert result_of(back).labels.tobytes() == labels.tobytes()
 
 
 def _ended(run):

@@ -6,7 +6,8 @@ from accelsurf.config import RunConfig
 from accelsurf.errors import InputError, UsageError
 from accelsurf.metrics import dice
 from accelsurf.phantoms import distance_at, make, recipe_from
-from accelsurf.run import Run, presmoothed, scale
+from accelsurf.preparation import presmoothed, scale
+from accelsurf.run import Run
 from accelsurf.segmentation import evolve, segment
 from accelsurf.volume import Volume
 

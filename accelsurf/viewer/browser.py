@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from accelsurf.config import ENERGIES, FLOWS
+from accelsurf.config import FLOWS
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.expression import SIMPLE
 from accelsurf.viewer.frame import COLORS
 from accelsurf.viewer.scene import Scene
 from accelsurf.viewer.session import Session, Status
@@ -117,7 +118,7 @@ class Page:
         server = get_server(f"accelsurf-{self.token[:8]}", client_type="vue3")
         server.state.update(self._state(self.session.status) | {
             "trame__title": "accelsurf", "picture": "", "title": self.steering.scene.title or "accelsurf",
-            "energies": list(ENERGIES), "flows": list(FLOWS), "colors": list(COLORS),
+            "flows": list(FLOWS), "colors": list(COLORS),
             "radius_most": 0.5 * float(max(self.scene.geometry.extent_mm)),
         })
         server.trigger("ask")(self._ask)
@@ -139,6 +140,8 @@ class Page:
             "state_word": word, "undoable": status.undoable, "message": steering.message or status.message,
             "failed": bool(steering.message) or status.failed,
             **{key: getattr(settings, key) for key in ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")},
+            # An expression of the run's own stands beside those that there are to choose from.
+            "energies": list(dict.fromkeys((*SIMPLE, settings.energy))),
             "mode": steering.mouse.mode, "radius": steering.mouse.radius, "color": steering.color,
             "theme": steering.theme, "volume": steering.volume, "planes": steering.planes,
             "files": [{"name": name, "link": link.format(name)} for name in sorted(steering.files)],
