@@ -9,22 +9,36 @@ from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.at_front import normals_at_front, points_at_front, sample_at_front, slope_at_front
 from accelsurf.energies.base import Energy, ImageEnergy, RegionSums, Sums
 from accelsurf.energies.chan_vese import ChanVese
+from accelsurf.energies.combined import Area, Balloon, WeightedSum
 from accelsurf.energies.geodesic import Geodesic, edge_contrast, edge_indicator
+from accelsurf.energies.likelihood import Gaussian, GaussianLikelihood, HistogramLikelihood, Parzen, gaussian_of
+from accelsurf.energies.local_region import LocalRegion
 from accelsurf.energies.own import Checked
 from accelsurf.energies.region_field import RegionField
+from accelsurf.energies.threshold import Threshold
 
 __all__ = [
+    "Area",
     "AreaTerm",
+    "Balloon",
     "ChanVese",
     "Checked",
     "Energy",
+    "Gaussian",
+    "GaussianLikelihood",
     "Geodesic",
+    "HistogramLikelihood",
     "ImageEnergy",
+    "LocalRegion",
+    "Parzen",
     "RegionField",
     "RegionSums",
     "Sums",
+    "Threshold",
+    "WeightedSum",
     "edge_contrast",
     "edge_indicator",
+    "gaussian_of",
     "normals_at_front",
     "points_at_front",
     "sample_at_front",

@@ -1,0 +1,260 @@
+"""Region competition: inside and outside each have a distribution of brightness, and places go to the likelier one."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf.energies.area import AreaTerm
+from accelsurf.energies.base import ImageEnergy, Interface, RegionSums, Sums
+from accelsurf.errors import InputError
+from accelsurf.kernels import histogram
+from accelsurf.levelset import Change, LevelSet
+
+#: Least standard deviation of a Gaussian, as part of the image's range: a region of one value has none of its own.
+LEAST_DEVIATION = 0.01
+#: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side.
+BINS, END_PERCENTILES, MARGIN = 64, (0.5, 99.5), 0.05
+#: Width (sigma) of Parzen's window, bins; and the part of every value that any region may have: no value decides alone.
+PARZEN, ANY_VALUE = 1.5, 0.01
+
+
+class Gaussian(NamedTuple):
+    """Mean and variance of a region."""
+
+    mean: float
+    variance: float
+
+
+class GaussianLikelihood(ImageEnergy):
+    """U = -int_in log p1(I) - int_out log p2(I) + alpha A with Gaussians, f = log(p2/p1) + alpha H.
+
+    f = (log(v1/v2) + (I - m1)^2/v1 - (I - m2)^2/v2)/2. Unless given, means and variances are those of the present
+    surface at each step, which by the envelope theorem adds nothing to f.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx)
+        Values in any unit; U is in mm3 and depends on the unit by a constant only.
+    alpha : float
+        Weight of the area, mm.
+    models : (Gaussian, Gaussian), optional
+        Fixed models of inside and outside; `gaussian_of` learns one.
+    epsilon : float
+        Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
+    """
+
+    def __init__(
+        self,
+        image: np.ndarray,
+        alpha: float = 0.0,
+        models: tuple[Gaussian, Gaussian] | None = None,
+        epsilon: float = 0.0,
+    ) -> None:
+        super().__init__(image, alpha)
+        self._interface = Interface(float(epsilon))
+        self._area = AreaTerm(alpha)
+        self._all = self.sums.everything()
+        self._least = least_variance(image)
+        self._fixed = models
+        self.models = models or (Gaussian(0.0, 1.0), Gaussian(0.0, 1.0))
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface; also sets `models` for the next `force`."""
+        inside = self.sums.inside(surface, self._interface.part(surface, part))
+        outside = Sums(*(a - b for a, b in zip(self._all, inside, strict=True)))
+        models, energy = [], 0.0
+        for i, sums in enumerate((inside, outside)):
+            model = self._fixed[i] if self._fixed else _gaussian(sums, self._least)
+            m, v = model
+            models.append(model)
+            energy += 0.5 * math.log(2.0 * math.pi * v) * sums.voxels
+            energy += 0.5 * (sums.squares - 2.0 * m * sums.total + m * m * sums.voxels) / v
+        self.models = (models[0], models[1])
+        return energy * surface.voxel_volume + self._area.value(area)
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
+        (m1, v1), (m2, v2) = self.models
+        constant = 0.5 * (math.log(v1 / v2) + m1 * m1 / v1 - m2 * m2 / v2)
+        polynomial = (0.5 / v1 - 0.5 / v2, m2 / v2 - m1 / v1, constant)
+        force = self._interface.force(self.sums.image, surface, front, curvature, polynomial)
+        self._area.add_force(force, curvature)
+        return force
+
+
+def least_variance(image: np.ndarray) -> float:
+    """Smallest variance that a region of an image is given."""
+    return float((LEAST_DEVIATION * (float(np.max(image)) - float(np.min(image)))) ** 2) or 1.0
+
+
+def gaussian_of(values: np.ndarray, least: float) -> Gaussian:
+    """Gaussian of sample values; its variance is at least ``least``.
+
+    Raises
+    ------
+    InputError
+        When there are no values.
+    """
+    if values.size == 0:
+        raise InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
+    sample = np.asarray(values, np.float64)
+    return Gaussian(float(sample.mean()), max(float(sample.var()), least))
+
+
+def _gaussian(sums: Sums, least: float) -> Gaussian:
+    if not sums.voxels > 0:
+        return Gaussian(0.0, least)
+    mean = sums.total / sums.voxels
+    return Gaussian(mean, max(sums.squares / sums.voxels - mean * mean, least))
+
+
+class Parzen:
+    """Densities of brightness on bins: a histogram smoothed by Parzen's window, and a little of every value.
+
+    Parameters
+    ----------
+    image : ndarray
+        Its percentiles set where the bins lie.
+    """
+
+    def __init__(self, image: np.ndarray) -> None:
+        low, high = (float(v) for v in np.percentile(image, END_PERCENTILES))
+        if not high > low:
+            low, high = float(np.min(image)), float(np.max(image))
+        margin = MARGIN * (high - low) or 1.0
+        #: (value of the first bin, bins per value)
+        self.scale = (low - margin, (BINS - 1) / (high - low + 2.0 * margin))
+        away = np.arange(BINS)[:, None] - np.arange(BINS)[None, :]
+        window = np.exp(-0.5 * (away / PARZEN) ** 2)
+        # What the window would put beyond the ends stays in the end bins' neighbourhood.
+        self._window = window / window.sum(axis=0)
+
+    def histogram(self, values: np.ndarray) -> np.ndarray:
+        """Histogram (BINS,) of values, each shared by the two bins next to it."""
+        place = np.clip((np.asarray(values, np.float64) - self.scale[0]) * self.scale[1], 0, BINS - 1)
+        below = np.minimum(place.astype(np.int64), BINS - 2)
+        share = place - below
+        counts = np.bincount(below, 1.0 - share, BINS) + np.bincount(below + 1, share, BINS)
+        return np.asarray(counts)
+
+    def density(self, counts: np.ndarray) -> np.ndarray:
+        """Density p (BINS,), sum 1, of the values of a histogram."""
+        total = counts.sum()
+        smooth = self._window @ counts / total if total > 0 else np.full(BINS, 1.0 / BINS)
+        return np.asarray((1.0 - ANY_VALUE) * smooth + ANY_VALUE / BINS)
+
+    def value_and_slope(self, counts: np.ndarray) -> tuple[float, np.ndarray]:
+        """E = -sum_b h_b log p_b for the histogram h = ``counts``, and dE/dh (BINS,): p depends on h, too."""
+        total = counts.sum()
+        if not total > 0:
+            return 0.0, np.zeros(BINS)
+        p = self.density(counts)
+        ratio = counts / p * (1.0 - ANY_VALUE) / total
+        smooth = self._window @ counts / total
+        slope = -np.log(p) - self._window.T @ ratio + np.dot(ratio, smooth)
+        return -float(np.dot(counts, np.log(p))), slope
+
+
+class HistogramLikelihood:
+    """U = -int_in log p1(I) - int_out log p2(I) + alpha A with Parzen densities.
+
+    Fixed densities: f = log(p2/p1) + alpha H. Those of the present surface depend on it, and smoothing makes them other
+    than the likeliest, so that f has two more terms: it is the exact derivative of U with respect to the histograms.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx)
+        Values in any unit; U is in mm3.
+    alpha : float
+        Weight of the area, mm.
+    samples : (ndarray, ndarray), optional
+        Values inside and outside, in the image's unit, to learn fixed densities from.
+    epsilon : float
+        Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
+    parzen : Parzen, optional
+        The bins; by default from the image.
+
+    Raises
+    ------
+    InputError
+        When a sample is empty.
+    """
+
+    def __init__(
+        self,
+        image: np.ndarray,
+        alpha: float = 0.0,
+        samples: tuple[np.ndarray, np.ndarray] | None = None,
+        epsilon: float = 0.0,
+        parzen: Parzen | None = None,
+    ) -> None:
+        self.sums = RegionSums(image)
+        self.alpha = float(alpha)
+        self._area = AreaTerm(alpha)
+        self._interface = Interface(float(epsilon))
+        self._parzen = parzen or Parzen(image)
+        self._beyond_band = np.zeros(BINS)
+        self._all = np.zeros(BINS)
+        for begin in range(0, self.sums.image.size, 1 << 20):
+            self._all += self._parzen.histogram(self.sums.image[begin : begin + (1 << 20)])
+        self._fixed: np.ndarray | None = None
+        if samples is not None:
+            if not all(values.size for values in samples):
+                raise InputError(
+                    "likelihood: a region to learn from has no voxel", "give --foreground and --background voxels"
+                )
+            p1, p2 = (self._parzen.density(self._parzen.histogram(values)) for values in samples)
+            self._fixed = np.stack([-np.log(p1), -np.log(p2)])
+        self._table = np.zeros(BINS)
+        # The force as an image, up to date in the band only.
+        self._field = np.zeros(self.sums.image.size, np.float32)
+
+    def start(self, surface: LevelSet) -> None:
+        """Take up a surface: the histogram of the inside voxels that are not in the band."""
+        self.sums.start(surface)
+        self._beyond_band = surface.workers.sums(
+            histogram.inside_histogram,
+            self.sums.image.size,
+            BINS,
+            surface.dense,
+            self.sums.image,
+            self._parzen.scale,
+        )
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up the cells that entered or left the band."""
+        left, entered = (self.sums.image[cells] for cells in (change.left_inside, change.entered_inside))
+        self._beyond_band = self._beyond_band + self._parzen.histogram(left) - self._parzen.histogram(entered)
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface; also finds the densities for the next `force`."""
+        band = surface.workers.sums(
+            histogram.weighted_histogram,
+            surface.size,
+            BINS,
+            surface.band.cells,
+            self._interface.part(surface, part),
+            self.sums.image,
+            self._parzen.scale,
+        )
+        # What is left of a bin after its voxels have gone is rounding.
+        inside = np.clip(self._beyond_band + band, 0.0, self._all)
+        outside = self._all - inside
+        if self._fixed is not None:
+            energy = float(np.dot(self._fixed[0], inside) + np.dot(self._fixed[1], outside))
+            self._table = self._fixed[0] - self._fixed[1]
+        else:
+            (one, slope), (other, other_slope) = (self._parzen.value_and_slope(h) for h in (inside, outside))
+            energy, self._table = one + other, slope - other_slope
+        return energy * surface.voxel_volume + self._area.value(area)
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front: its field at each cell's closest surface point, or across it."""
+        cells, image, scale = surface.band.cells, self.sums.image, self._parzen.scale
+        surface.workers.run(histogram.look_up, surface.size, cells, image, scale, self._table, self._field)
+        force = self._interface.force(self._field, surface, front, curvature, (0.0, 1.0, 0.0))
+        self._area.add_force(force, curvature)
+        return force

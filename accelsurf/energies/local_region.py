@@ -1,0 +1,161 @@
+"""Localised Chan-Vese: the image has one mean inside and one outside, each within a window around the place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from accelsurf.energies.area import AreaTerm
+from accelsurf.energies.base import Interface
+from accelsurf.energies.at_front import check_shape
+from accelsurf.kernels import windows
+from accelsurf.levelset import Change, LevelSet
+
+#: Half width of the tent along each axis that has the variance of a ball of radius 1.
+TENT = math.sqrt(6.0 / 5.0)
+#: Nodes per half width of the tent, where they are not closer than two voxels.
+MOST_REACH, FEWEST_REACH = 4, 2
+#: A window with no more than this part on one side of the surface has nothing to say.
+LEAST_PART = 1e-6
+#: Voxels of the whole volume that are summed at once, for the sake of memory.
+SLAB = 1 << 20
+
+
+class LocalRegion:
+    """U = int dx int K(x - y) (I(y) - f(x))^2 dy + alpha A, f the mean f1 or f2 of its window and side at x.
+
+    f = int K(x - y) [(I(y) - f1(x))^2 - (I(y) - f2(x))^2] dx + alpha H at a point y of the surface: the exact first
+    variation. After Lankton and Tannenbaum (2008), in the form of Li and others (2008), whose windows stand on all
+    places near the surface instead of on the surface only: theirs has no energy that falls.
+
+    The window K is a product of tents, (1 - |d|/b) along each axis, b = 1.095 R: two moving sums, with the variance of
+    the ball of radius R. Its sums live on nodes b/4 apart (or two voxels, if that is more), see `kernels.windows`: the
+    cost of a step is that of the band and of a small lattice, whatever R is.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx)
+        Values in any unit; U is in that unit squared times mm3. Not modified.
+    radius : float
+        R, mm.
+    alpha : float
+        Weight of the area, in the image's unit squared times mm.
+    epsilon : float
+        Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
+    """
+
+    def __init__(self, image: np.ndarray, radius: float, alpha: float = 0.0, epsilon: float = 0.0) -> None:
+        self._shape = np.shape(image)
+        self._image = np.ascontiguousarray(image, dtype=np.float32).ravel()
+        self.radius, self.alpha = float(radius), float(alpha)
+        self._area = AreaTerm(alpha)
+        self._interface = Interface(float(epsilon))
+        self._lattice: windows.Nodes | None = None
+
+    def start(self, surface: LevelSet) -> None:
+        """Lay out the nodes; sum the whole volume, and the inside voxels that are not in the band.
+
+        Raises
+        ------
+        InputError
+            When the image is not on the surface's grid.
+        """
+        check_shape(self._shape, surface)
+        grid = surface.grid
+        axes = [_layout(n, self.radius / h) for n, h in zip(grid[:3], grid[3:], strict=True)]
+        sizes, distances, before, reach = zip(*axes, strict=True)
+        self._nodes, self._reach = windows.Nodes(*sizes, *distances, *before), reach
+        count = math.prod(sizes)
+        self._total, self._inside = np.zeros((2, count)), np.zeros((2, count))
+        for begin in range(0, self._image.size, SLAB):
+            cells = np.arange(begin, min(begin + SLAB, self._image.size))
+            self._splat(surface, cells, np.ones(cells.size), self._total)
+        surface.workers.alone(
+            windows.splat_inside, surface.dense, self._image, grid, self._nodes, self._inside[0], self._inside[1]
+        )
+        self._windows = np.stack([self._smooth(surface, field.reshape(sizes)) for field in self._total])
+        n, total = self._windows
+        squares = float(np.dot(self._image.astype(np.float64), self._image.astype(np.float64)))
+        # About one mean in each window.
+        self._one_mean = squares - float((total[n > 0] ** 2 / n[n > 0]).sum())
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up the cells that entered or left the band."""
+        for cells, sign in ((change.left_inside, 1.0), (change.entered_inside, -1.0)):
+            self._splat(surface, cells, np.full(cells.size, sign), self._inside)
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface; also finds the means for the next `force`."""
+        inside = self._inside.copy()
+        self._splat(surface, surface.band.cells, self._interface.part(surface, part), inside)
+        # Windows that the surface can cut, and the nodes that they are made of.
+        cut, made_of = self._box(surface, 1), self._box(surface, 2)
+        within = tuple(slice(c.start - m.start, c.stop - m.start) for c, m in zip(cut, made_of, strict=True))
+        sizes = (self._nodes.nz, self._nodes.ny, self._nodes.nx)
+        nodes = (np.ascontiguousarray(field.reshape(sizes)[made_of]) for field in inside)
+        n1, total1 = (np.ascontiguousarray(self._smooth(surface, field)[within]) for field in nodes)
+        n, total = (np.ascontiguousarray(field[cut]) for field in self._windows)
+        means = np.empty((3, n.size))
+        surface.workers.run(
+            windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), LEAST_PART, *means
+        )
+        self._means = [self._smooth(surface, field.reshape(n.shape)).ravel() for field in means[:2]]
+        before = [b - s.start for b, s in zip(self._nodes[6:], cut, strict=True)]
+        self._part = windows.Nodes(*n.shape, *self._nodes[3:6], *before)
+        return (self._one_mean - float(means[2].sum())) * surface.voxel_volume + self._area.value(area)
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
+        means = np.empty((surface.size, 2))
+        surface.workers.run(
+            windows.read_nodes, surface.size, surface.grid, surface.band, front, self._part, *self._means, means
+        )
+        image = self._interface.force(self._image, surface, front, curvature, (0.0, 1.0, 0.0))
+        force: np.ndarray = (means[:, 1] - 2.0 * image * means[:, 0]).astype(np.float32)
+        self._area.add_force(force, curvature)
+        return force
+
+    def _splat(self, surface: LevelSet, cells: np.ndarray, weight: np.ndarray, sums: np.ndarray) -> None:
+        surface.workers.alone(
+            windows.splat, cells, weight, self._image, surface.grid, self._nodes, sums[0], sums[1]
+        )
+
+    def _smooth(self, surface: LevelSet, field: np.ndarray) -> np.ndarray:
+        """Nodes smoothed by the window, along each axis in turn."""
+        step = 1
+        for axis in (2, 1, 0):
+            size = field.shape[axis]
+            if self._reach[axis] > 1:
+                out = np.empty_like(field)
+                surface.workers.run(
+                    windows.tent_along, field.size, field.ravel(), size * step, step, self._reach[axis], out.ravel()
+                )
+                field = out
+            step *= size
+        return field
+
+    def _box(self, surface: LevelSet, reaches: int) -> tuple[slice, ...]:
+        """Nodes within ``reaches`` half widths of the window around the band."""
+        index = np.unravel_index(surface.band.cells, surface.shape) if surface.size else ([0], [0], [0])
+        box = []
+        for axis in range(3):
+            n, b, before = self._nodes[axis], self._nodes[3 + axis], self._nodes[6 + axis]
+            low = int(np.min(index[axis]) / b) + before - reaches * self._reach[axis]
+            high = int(np.max(index[axis]) / b) + before + reaches * self._reach[axis] + 2
+            box.append(slice(max(low, 0), min(high, n)))
+        return tuple(box)
+
+
+def _layout(n: int, radius: float) -> tuple[int, float, int, int]:
+    """Nodes along an axis of ``n`` voxels for a radius in voxels: (number, distance in voxels, before 0, reach).
+
+    Nodes lie beyond both ends, so that the windows on every voxel add up to 1.
+    """
+    if n == 1:
+        return 1, 1.0, 0, 1
+    half = TENT * radius
+    reach = 1 if half < 2.0 else min(MOST_REACH, max(FEWEST_REACH, int(half / 2.0)))
+    distance = max(half / reach, 1.0)
+    before = reach - 1
+    return math.ceil((n - 1) / distance) + 1 + 2 * before, distance, before, reach

@@ -1,0 +1,55 @@
+"""Histograms of an image over regions, each voxel shared by the two bins next to its value; and tables read by value."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.grid import BLOCK
+
+
+@kernel
+def place_of(value, low, per_value, bins):
+    """Bin below a value, and the share of the bin above it; values beyond the ends belong to the end bins."""
+    place = (np.float64(value) - low) * per_value
+    place = min(max(place, 0.0), bins - 1.0)
+    below = min(int(place), bins - 2)
+    return below, place - below
+
+
+@kernel
+def weighted_histogram(first_block, last_block, cells, weight, image, scale, sums):
+    """Per block of slots: sums[block] = histogram of the image at ``cells``, each times ``weight``.
+
+    ``scale`` = (value of the first bin, bins per value); the bins are the columns of ``sums``.
+    """
+    low, per_value = scale
+    bins = sums.shape[1]
+    for block in range(first_block, last_block):
+        for s in range(block * BLOCK, min((block + 1) * BLOCK, cells.shape[0])):
+            if weight[s] != 0.0:
+                below, share = place_of(image[cells[s]], low, per_value, bins)
+                sums[block, below] += weight[s] * (1.0 - share)
+                sums[block, below + 1] += weight[s] * share
+
+
+@kernel
+def inside_histogram(first_block, last_block, dense, image, scale, sums):
+    """Per block of voxels of the whole volume: histogram of the image over the inside voxels not in the band."""
+    low, per_value = scale
+    bins = sums.shape[1]
+    for block in range(first_block, last_block):
+        for cell in range(block * BLOCK, min((block + 1) * BLOCK, image.shape[0])):
+            if dense.slot[cell] < 0 and dense.psi[cell] < 0.0:
+                below, share = place_of(image[cell], low, per_value, bins)
+                sums[block, below] += 1.0 - share
+                sums[block, below + 1] += share
+
+
+@kernel
+def look_up(start, stop, cells, image, scale, table, out):
+    """Write the ``table`` at the image's value, linear between bins, to ``out`` (raveled) at the cells of the range."""
+    low, per_value = scale
+    for s in range(start, stop):
+        below, share = place_of(image[cells[s]], low, per_value, table.shape[0])
+        out[cells[s]] = table[below] + share * (table[below + 1] - table[below])

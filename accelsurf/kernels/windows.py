@@ -1,0 +1,136 @@
+"""Sums over a window around every point, by a coarse lattice of nodes: O(1) per cell whatever the window's size.
+
+A voxel is shared by the eight nodes around it (linear weights); the nodes are smoothed by a tent of ``reach`` nodes along
+each axis; a point reads them by the same linear weights. Positions are voxels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.grid import unravel
+
+
+class Nodes(NamedTuple):
+    """Lattice of nodes: their number along each axis, their distance in voxels, and how many lie before voxel 0."""
+
+    nz: int
+    ny: int
+    nx: int
+    bz: float
+    by: float
+    bx: float
+    pz: int
+    py: int
+    px: int
+
+
+@kernel
+def node_below(position, distance, before, n):
+    """Node at or below a position along an axis, and the share of the one above; 0 of it on an axis of one node."""
+    if n == 1:
+        return 0, 0.0
+    place = position / distance + before
+    below = min(max(int(np.floor(place)), 0), n - 2)
+    return below, min(max(place - below, 0.0), 1.0)
+
+
+@kernel
+def splat(cells, weight, image, grid, nodes, counts, totals):
+    """Add each cell times its weight to the eight nodes around it: 1 to ``counts``, the image to ``totals``.
+
+    On one thread: the order of the sums is that of the cells.
+    """
+    row, plane = nodes.nx, nodes.ny * nodes.nx
+    dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
+    for s in range(cells.shape[0]):
+        if weight[s] == 0.0:
+            continue
+        value = np.float64(image[cells[s]])
+        iz, iy, ix = unravel(cells[s], grid)
+        jz, tz = node_below(iz, nodes.bz, nodes.pz, nodes.nz)
+        jy, ty = node_below(iy, nodes.by, nodes.py, nodes.ny)
+        jx, tx = node_below(ix, nodes.bx, nodes.px, nodes.nx)
+        at = jz * plane + jy * row + jx
+        for a in range(2):
+            wz = weight[s] * (tz if a else 1.0 - tz)
+            for b in range(2):
+                wy = wz * (ty if b else 1.0 - ty)
+                for c in range(2):
+                    w = wy * (tx if c else 1.0 - tx)
+                    to = at + a * dz + b * dy + c * dx
+                    counts[to] += w
+                    totals[to] += w * value
+
+
+@kernel
+def splat_inside(dense, image, grid, nodes, counts, totals):
+    """`splat` of the inside voxels that are not in the band, of the whole volume."""
+    cell, weight = np.empty(1, np.int64), np.ones(1)
+    for at in range(image.shape[0]):
+        if dense.slot[at] < 0 and dense.psi[at] < 0.0:
+            cell[0] = at
+            splat(cell, weight, image, grid, nodes, counts, totals)
+
+
+@kernel
+def tent_along(start, stop, values, length, step, reach, out):
+    """Smooth raveled nodes along an axis by the tent (reach - |k|)/reach^2, |k| < reach; nothing lies beyond the ends.
+
+    ``step`` is the distance of neighbours along the axis in the raveled array, ``length`` that times the axis' size.
+    """
+    at = start
+    while at < stop:
+        first = at // length * length
+        end = min(stop, first + length)
+        for i in range(at, end):
+            out[i] = 0.0
+        for k in range(1 - reach, reach):
+            weight, shift = (reach - abs(k)) / (reach * reach), k * step
+            for i in range(max(at, first - shift), min(end, first + length - shift)):
+                out[i] += weight * values[i + shift]
+        at = end
+
+
+@kernel
+def two_means(start, stop, count, total, count_in, total_in, least, first, second, gain):
+    """Of the means f1 inside and f2 outside in each window: f1 - f2, f1^2 - f2^2, and what two means fit better.
+
+    ``gain`` is (sum of I inside)^2/n1 + (sum outside)^2/n2 - (sum)^2/n, how much less the squares are about two means
+    than about one. All are 0 where a part ``least`` of the window or less lies on one side.
+    """
+    for i in range(start, stop):
+        first[i], second[i], gain[i] = 0.0, 0.0, 0.0
+        n1, n2 = count_in[i], count[i] - count_in[i]
+        if n1 > least * count[i] and n2 > least * count[i]:
+            f1, f2 = total_in[i] / n1, (total[i] - total_in[i]) / n2
+            first[i], second[i] = f1 - f2, f1 * f1 - f2 * f2
+            gain[i] = n1 * n2 / count[i] * (f1 - f2) ** 2
+
+
+@kernel
+def read_nodes(start, stop, grid, band, front, nodes, first, second, out):
+    """Two fields of nodes at the foot of every front cell, out (n, 2); 0 elsewhere."""
+    row, plane = nodes.nx, nodes.ny * nodes.nx
+    dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
+    for s in range(start, stop):
+        out[s, 0], out[s, 1] = 0.0, 0.0
+        if not front[s]:
+            continue
+        iz, iy, ix = unravel(band.cells[s], grid)
+        jz, tz = node_below(iz + band.foot[s, 0] / grid.hz, nodes.bz, nodes.pz, nodes.nz)
+        jy, ty = node_below(iy + band.foot[s, 1] / grid.hy, nodes.by, nodes.py, nodes.ny)
+        jx, tx = node_below(ix + band.foot[s, 2] / grid.hx, nodes.bx, nodes.px, nodes.nx)
+        at = jz * plane + jy * row + jx
+        for a in range(2):
+            wz = tz if a else 1.0 - tz
+            for b in range(2):
+                wy = wz * (ty if b else 1.0 - ty)
+                for c in range(2):
+                    w = wy * (tx if c else 1.0 - tx)
+                    to = at + a * dz + b * dy + c * dx
+                    out[s, 0] += w * first[to]
+                    out[s, 1] += w * second[to]
