@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from accelsurf import expression
 from accelsurf.errors import UsageError
 
-EnergyName = Literal["chan-vese", "geodesic"]
 FlowName = Literal["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"]
 MeshFormat = Literal["ply", "stl", "obj", "vtp", "csv"]
 LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
@@ -25,14 +25,16 @@ LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
 #: Settings that are true or false.
 SWITCHES = ("save_sdf", "reproducible")
 _WITH_MOMENTUM = ("constant-density", "flowable-mass")
-#: Flows and energies that a setting means something to; settings not named here mean something to all.
+#: Flows and terms of energies that a setting means something to; settings not named here mean something to all.
 _ONLY_FOR: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("k", "t0", "lam", "rho", "friction", "noise", "noise_length", "noise_time"), _WITH_MOMENTUM),
     "gravity": ("flowable-mass",),
     "diffusion": (*_WITH_MOMENTUM, "gradient"),
     "sobolev_length": ("sobolev",),
     "blend": ("momentum",),
-    **dict.fromkeys(("balance", "epsilon"), ("chan-vese",)),
+    "balance": ("chan-vese",),
+    "epsilon": ("chan-vese", "local-region", "likelihood"),
+    **dict.fromkeys(("foreground", "background"), ("likelihood",)),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), ("geodesic",)),
 }
 
@@ -40,6 +42,16 @@ _ONLY_FOR: dict[str, tuple[str, ...]] = {
 def _one_or_many(value: Any) -> Any:
     """Let a single start stand for a tuple of one."""
     return (value,) if isinstance(value, str) else value
+
+
+def _expression(value: Any) -> Any:
+    """Check an energy; a list of tables becomes the text that it stands for."""
+    if isinstance(value, (list, tuple)):
+        value = expression.from_tables(value)
+    if isinstance(value, str):
+        value = " ".join(value.split())
+        expression.parse(value)
+    return value
 
 
 def _split_commas(value: Any) -> Any:
@@ -79,10 +91,11 @@ class RunConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
-    energy: EnergyName = Field(
+    energy: Annotated[str, BeforeValidator(_expression)] = Field(
         "chan-vese",
-        description="Energy to minimise. chan-vese: two regions, each with its own mean; geodesic: the area, counted "
-        "less where the image has edges.",
+        description="Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic'. chan-vese: two "
+        "regions, each with its own mean; local-region: the same within R mm of each place; likelihood: regions by their "
+        "distributions; threshold:LO,HI: a window of values; geodesic: the area, counted less on edges; area; balloon.",
     )
     flow: FlowName = Field(
         "constant-density",
@@ -92,8 +105,29 @@ class RunConfig(BaseModel):
     start: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = Field(
         ("center",),
         min_length=1,
-        description="First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, label:FILE, threshold:LO,HI or center. "
+        description="First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, seed:X,Y,Z,R, label:FILE, threshold:LO,HI, "
+        "largest:LO,HI, otsu, mesh:FILE or center. "
         "Coordinates in world mm (LPS), or voxel indices (x,y,z) with the suffix vox. Several are united.",
+    )
+    mask: str | None = Field(
+        None, description="Label map on the image's grid: the surface never leaves the voxels above 0."
+    )
+    roi: str | None = Field(
+        None,
+        description="Box X0,Y0,Z0,X1,Y1,Z1 in world mm, or voxel indices with the suffix vox: only there the run "
+        "is made; what is written is on the whole grid.",
+    )
+    foreground: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = Field(
+        (), description="Voxels of the object that likelihood learns from, written as a start; several are united."
+    )
+    background: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = Field(
+        (), description="Voxels around the object that likelihood learns from, written as a start; several are united."
+    )
+    channel: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = Field(
+        (), description="Further channels of the image: files on the same grid, in order after those of the input."
+    )
+    max_volume: Annotated[float, Field(gt=0)] | None = Field(
+        None, description="Leak guard: the run ends when the object is larger than this, in mm^3."
     )
     smoothness: float = Field(
         0.0,
@@ -247,10 +281,9 @@ class RunConfig(BaseModel):
         >>> RunConfig(flow="gradient", gravity=0.1).unused()
         ['gravity']
         """
+        used = {self.flow, *(term.name for term in expression.parse(self.energy))}
         return [
-            key
-            for key, users in _ONLY_FOR.items()
-            if self.flow not in users and self.energy not in users and getattr(self, key) != _default(key)
+            key for key, users in _ONLY_FOR.items() if used.isdisjoint(users) and getattr(self, key) != _default(key)
         ]
 
     @model_validator(mode="before")
@@ -444,5 +477,5 @@ def _bounds(schema: dict[str, Any]) -> str:
 
 
 #: Names a caller can list without building a configuration.
-ENERGIES: tuple[str, ...] = get_args(EnergyName)
+ENERGIES: tuple[str, ...] = expression.IMAGE_TERMS
 FLOWS: tuple[str, ...] = get_args(FlowName)

@@ -14,7 +14,7 @@ from accelsurf.flows import Account, Flow, Limits, Move, Now
 from accelsurf.flows.base import voxel_rates
 from accelsurf.levelset import LevelSet, Snapshot
 
-StopReason = Literal["converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged"]
+StopReason = Literal["converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked"]
 
 
 class Row(NamedTuple):
@@ -320,6 +320,10 @@ class Evolution:
             surface.advance(move.speed, move.dt)
         else:
             surface.carry(move.velocity, move.dt)
+        # An energy may be infinite beyond a fence.
+        hold = getattr(self.energy, "hold", None)
+        if hold is not None:
+            hold(surface)
         removed = surface.remove_small()
         change = surface.redistance(self.flow.fields, None if move.velocity is None else (move.velocity, move.dt))
         self.flow.take(change.fields)

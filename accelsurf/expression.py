@@ -5,7 +5,9 @@
     setting    = KEY "=" VALUE | VALUE
 
 A sign between two items has a blank on either side, so that numbers such as ``-50`` and ``1e-3`` need no quotes. In a
-TOML file the same is a list of tables: ``energy = [{term = "local-region", R = 8}, {term = "geodesic", weight = 0.3}]``.
+TOML file the same is a list of tables:
+
+    energy = [{term = "local-region", R = 8}, {term = "geodesic", weight = 0.3}]
 """
 
 from __future__ import annotations
@@ -95,7 +97,8 @@ def parse(text: str) -> tuple[Term, ...]:
     """
     parts = re.split(r"\s+([+-])\s+", text.strip())
     items = [_item(text, parts[0], 1.0)]
-    items += [_item(text, part, -1.0 if sign == "-" else 1.0) for sign, part in zip(parts[1::2], parts[2::2], strict=True)]
+    for sign, part in zip(parts[1::2], parts[2::2], strict=True):
+        items.append(_item(text, part, -1.0 if sign == "-" else 1.0))
     if not any(term.name in IMAGE_TERMS for term in items):
         raise _error(text, f"a term that sees the image: {', '.join(IMAGE_TERMS)}")
     return tuple(items)
@@ -183,11 +186,20 @@ def _value(text: str, what: str, kind: Number | Word, value: str) -> Value:
     number = float(digits) if _NUMBER.fullmatch(digits) else math.nan
     low, high = (0.0, 100.0) if percent else (kind.low, kind.high)
     if not (low < number < high or (number == low and kind.low_too) or number == high) or not math.isfinite(number):
-        words = "".join(f", {word}" for word in kind.words if word) + (", a percentile such as 80%" if kind.percent else "")
-        bounds = " above 0" if kind.low == 0 and not kind.low_too else f" from {low:g} to {high:g}" if high < 1e300 else ""
-        bounds = bounds or (f" at least {low:g}" if low > -1e300 else "")
-        raise _error(text, f"a number{bounds}{words} for {what}, not {value!r}")
+        raise _error(text, f"{_in_words(kind)} for {what}, not {value or 'nothing'!r}")
     return value if percent else number
+
+
+def _in_words(kind: Number) -> str:
+    bounds = ""
+    if kind.low > -math.inf:
+        bounds = f" at least {kind.low:g}" if kind.low_too else f" above {kind.low:g}"
+    if kind.high < math.inf:
+        bounds += f" and at most {kind.high:g}"
+    words = [f"a number{bounds}", *(word for word in kind.words if word)]
+    if kind.percent:
+        words.append("a percentile such as 80%")
+    return " or ".join(words)
 
 
 def _check_bounds(text: str, found: Mapping[str, Value]) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf import contours, pyramid, report, starts
+from accelsurf import contours, expression, io, pyramid, report
 from accelsurf.coarse_to_fine import CoarseToFine, Passed
 from accelsurf.config import RunConfig
 from accelsurf.contours import Contours
@@ -25,12 +24,13 @@ from accelsurf.evolution import Restart, Row, Step, Stop
 from accelsurf.flows import Limits
 from accelsurf.geometry import Geometry
 from accelsurf.levelset import Workers
+from accelsurf.preparation import SCALE_PERCENTILES, Prepared, presmoothed, scale
 from accelsurf.surface import Surface, extract
 from accelsurf.systems import half_width, is_maker, make_energy, make_flow, own_energy, stop_rule
-from accelsurf.volume import Volume, check_image
+from accelsurf.volume import Volume
 
-#: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
-SCALE_PERCENTILES = (0.5, 99.5)
+__all__ = ["SCALE_PERCENTILES", "Result", "Run", "evolve", "presmoothed", "scale", "segment"]
+
 #: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
 #: `Result.image`, and the spacing, (hz, hy, hx) mm.
 EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
@@ -67,6 +67,8 @@ class Result:
         The input.
     start : ndarray or None
         psi of the start, for an image of one slice; None for volumes, where it would cost memory.
+    terms : list of dict
+        The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
     """
 
     labels: NDArray[np.uint8]
@@ -83,6 +85,7 @@ class Result:
     warnings: list[str] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
     kernels: dict[str, float] = field(default_factory=dict)
+    terms: list[dict[str, Any]] = field(default_factory=list)
 
     @cached_property
     def surface(self) -> Surface:
@@ -165,6 +168,7 @@ def segment(
     volume: Volume | NDArray[Any],
     *,
     spacing: float | tuple[float, float, float] | None = None,
+    channels: Sequence[Volume | NDArray[Any]] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     on_step: Callable[[Row], bool | None] | None = None,
@@ -178,6 +182,8 @@ def segment(
         The image; never modified. From `accelsurf.read`, or an array with ``spacing``.
     spacing : float or (hz, hy, hx), optional
         mm, for an array only; 1 by default.
+    channels : sequence of Volume or ndarray, optional
+        Further channels of the image, on the same grid.
     config : RunConfig, optional
         Settings; the defaults otherwise.
     energy : str or Energy or callable, optional
@@ -210,9 +216,10 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
-    run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
+    first = _as_volume(volume, spacing)
+    run = Run(first, *_resolved(config, energy, options), [_as_channel(one, first) for one in channels])
     with run.workers:
-        for step in run.evolution:
+        for step in run:
             if on_step is not None and on_step(step.row):
                 run.evolution.ask_to_stop()
     return run.result()
@@ -222,6 +229,7 @@ def evolve(
     volume: Volume | NDArray[Any],
     *,
     spacing: float | tuple[float, float, float] | None = None,
+    channels: Sequence[Volume | NDArray[Any]] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     **options: Any,
@@ -230,7 +238,7 @@ def evolve(
 
     Parameters
     ----------
-    volume, spacing, config, energy, **options
+    volume, spacing, channels, config, energy, **options
         As for `segment`.
 
     Yields
@@ -251,9 +259,10 @@ def evolve(
     >>> step.surface.labels.shape
     (24, 24, 24)
     """
-    run = Run(_as_volume(volume, spacing), *_resolved(config, energy, options))
+    first = _as_volume(volume, spacing)
+    run = Run(first, *_resolved(config, energy, options), [_as_channel(one, first) for one in channels])
     with run.workers:
-        yield from run.evolution
+        yield from run
 
 
 def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
@@ -262,6 +271,13 @@ def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, floa
             raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
         return volume
     return Volume.from_array(volume, 1.0 if spacing is None else spacing)
+
+
+def _as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
+    if isinstance(volume, Volume):
+        return volume
+    array = np.asarray(volume)
+    return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)
 
 
 def _resolved(
@@ -282,25 +298,30 @@ class Run:
     config : RunConfig
     energy : Energy or callable, optional
         In place of the energy that ``config`` names; see `segment`.
+    channels : sequence of Volume, optional
+        Further channels, before those that ``config`` names.
     """
 
-    def __init__(self, volume: Volume, config: RunConfig, energy: EnergyLike | None = None) -> None:
+    def __init__(
+        self,
+        volume: Volume,
+        config: RunConfig,
+        energy: EnergyLike | None = None,
+        channels: Sequence[Volume] = (),
+    ) -> None:
         began = time.perf_counter()
-        check_image(volume)
         if config.noise > 0 and config.seed is None:
             # Drawn once and kept: the report's settings then repeat the run.
             config = config.replace(seed=secrets.randbelow(2**31))
         self.volume, self.config = volume, config
-        smoothed = presmoothed(volume, config.presmooth)
-        psi = starts.build(config.start, volume, smoothed)
-        self.start = psi.copy() if volume.geometry.slice_axis is not None else None
-        # On a large image each volume counts.
-        self.image = scale(smoothed)
+        self._prepared = Prepared(volume, [*channels, *(io.read(file) for file in config.channel)], config)
+        self.leaked = False
         self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
+        psi = self._prepared.psi
         grids = self._grids(psi, energy)
         self.evolution = CoarseToFine(
             grids,
-            self.image,
+            self._prepared.image,
             psi,
             self._energy_maker(energy, len(grids)),
             make_flow(config),
@@ -311,15 +332,18 @@ class Run:
             half_width(config),
             self.workers,
         )
+        # The evolution uses its memory up.
+        del self._prepared.psi
         self._start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
         self._began = time.perf_counter()
 
     def _grids(self, psi: NDArray[np.float32], energy: EnergyLike | None) -> list[pyramid.Level]:
         """The levels that the configuration asks for; see record 0015 for what ``auto`` is."""
-        shape, spacing, wanted = self.volume.geometry.shape, self.volume.geometry.spacing, self.config.levels
+        geometry, wanted = self._prepared.geometry, self.config.levels
+        shape, spacing = geometry.shape, geometry.spacing
         if wanted == "auto":
-            if energy is not None or self.config.energy != "chan-vese":
+            if energy is not None or any(term.name == "geodesic" for term in expression.parse(self.config.energy)):
                 return pyramid.levels(shape, spacing, 1)
             grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
             return grids[: pyramid.resolved(grids, psi)]
@@ -337,8 +361,11 @@ class Run:
         """What makes the energy of each level; an energy that is made already is only for one."""
         config = self.config
         self.energy_name: str = config.energy
+        prepared = self._prepared
         if energy is None or isinstance(energy, str):
-            return functools.partial(make_energy, config)
+            return lambda image, spacing: prepared.fenced(
+                make_energy(config, image, spacing, prepared.facts), image.shape
+            )
         if levels > 1 and not is_maker(energy):
             raise UsageError(
                 f"levels: {levels} was given, expected 1: the energy has one image, and each level needs its own",
@@ -348,18 +375,31 @@ class Run:
         def made(image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
             own = own_energy(energy, config, image, spacing)
             self.energy_name = own.name
-            return own
+            return prepared.fenced(own, image.shape)
 
         return made
+
+    def __iter__(self) -> Iterator[Step]:
+        """Run, yielding each step; ended when the object is larger than it may be."""
+        most = self.config.max_volume
+        for step in self.evolution:
+            if most is not None and step.row.volume_mm3 > most and not self.leaked:
+                self.leaked = True
+                self.evolution.ask_to_stop()
+            yield step
 
     def result(self) -> Result:
         """What the run left, once its evolution has stopped."""
         surface, stop = self.evolution.surface, self.evolution.stop
         assert stop is not None
+        if self.leaked and stop.reason == "interrupted":
+            message = f"the object grew beyond {self.config.max_volume:g} mm3, the largest volume it may have"
+            stop = stop._replace(reason="leaked", message=message)
+        psi = self._prepared.finished(surface.psi)
         return Result(
-            labels=surface.labels,
-            psi=surface.psi,
-            image=self.image,
+            labels=(psi < 0).astype(np.uint8),
+            psi=psi,
+            image=self._prepared.shown(),
             geometry=self.volume.geometry,
             config=self.config,
             energy=self.energy_name,
@@ -368,7 +408,8 @@ class Run:
             levels=self.evolution.passed,
             seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
             volume=self.volume,
-            start=self.start,
+            start=self._prepared.start,
+            terms=[self._prepared.facts.chosen[place] for place in sorted(self._prepared.facts.chosen)],
             kernels=dict(self.workers.seconds),
             warnings=self.evolution.warnings
             + [
@@ -383,31 +424,3 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
-    """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
-    image = volume.as_float32()
-    if sigma > 0:
-        axes = zip(volume.geometry.shape, volume.geometry.spacing, strict=True)
-        widths = [sigma / h if n > 1 else 0.0 for n, h in axes]
-        image = ndimage.gaussian_filter(image, widths, output=np.float32)
-    return image
-
-
-def scale(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Put the `SCALE_PERCENTILES` of the image at 0 and 1, its extremes where those two are equal; in place.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = scale(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
-    >>> [float(v) for v in np.percentile(image, SCALE_PERCENTILES).round(6)]
-    [0.0, 1.0]
-    """
-    low, high = np.percentile(image, SCALE_PERCENTILES)
-    if not high > low:
-        low, high = image.min(), image.max()
-    image -= np.float32(low)
-    image *= np.float32(1.0 / (float(high) - float(low)))
-    return image

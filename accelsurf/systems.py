@@ -9,13 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.config import RunConfig
-from accelsurf.energies import ChanVese, Checked, Energy, Geodesic, edge_indicator
+from accelsurf.energies import Checked
 from accelsurf.errors import UsageError
 from accelsurf.evolution import StopRule
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Momentum, Noise, Sobolev
+from accelsurf.terms import area_weight, make_energy
+
+__all__ = ["ENERGY_SETTINGS", "half_width", "is_maker", "make_energy", "make_flow", "own_energy"]
 
 #: Settings of the energies that have a name; an energy of one's own has its own.
-ENERGY_SETTINGS = ("smoothness", "balance", "epsilon", "edge_scale", "edge_contrast", "balloon")
+ENERGY_SETTINGS = (
+    "smoothness", "balance", "epsilon", "edge_scale", "edge_contrast", "balloon", "foreground", "background",
+)
 
 
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
@@ -40,14 +45,6 @@ def half_width(config: RunConfig) -> float:
     if config.half_width == "auto":
         return 4.0 if config.flow == "flowable-mass" else 3.0
     return float(config.half_width)
-
-
-def make_energy(config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
-    """The energy that a configuration asks for, of an image on a grid of ``spacing`` (hz, hy, hx) mm."""
-    if config.energy == "geodesic":
-        scale, contrast = (None if v == "auto" else v for v in (config.edge_scale, config.edge_contrast))
-        return Geodesic(edge_indicator(image, spacing, scale, contrast), config.smoothness, config.balloon)
-    return ChanVese(image, config.smoothness, epsilon=config.epsilon, balance=config.balance)
 
 
 def own_energy(
@@ -111,7 +108,7 @@ def _number(value: float | str) -> float | None:
 #: How to make each flow from a configuration.
 FLOWS: dict[str, Callable[[RunConfig], Flow]] = {
     "constant-density": lambda config: ConstantDensity(**_common(config)),
-    "flowable-mass": lambda config: FlowableMass(config.gravity, config.smoothness, **_common(config)),
+    "flowable-mass": lambda config: FlowableMass(config.gravity, area_weight(config), **_common(config)),
     "gradient": _gradient,
     "sobolev": lambda config: Sobolev(_number(config.sobolev_length)),
     "momentum": lambda config: Momentum(config.blend),

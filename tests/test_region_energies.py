@@ -10,13 +10,11 @@ from accelsurf.energies import (
     ChanVese,
     Gaussian,
     GaussianLikelihood,
-    Geodesic,
     HistogramLikelihood,
     LocalRegion,
     Threshold,
     WeightedSum,
 )
-from accelsurf.errors import InputError, UsageError
 from accelsurf.levelset import LevelSet
 
 GRIDS = {

@@ -18,7 +18,7 @@ LEAST_DEVIATION = 0.01
 #: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side.
 BINS, END_PERCENTILES, MARGIN = 64, (0.5, 99.5), 0.05
 #: Width (sigma) of Parzen's window, bins; and the part of every value that any region may have: no value decides alone.
-PARZEN, ANY_VALUE = 1.5, 0.01
+PARZEN, ANY_VALUE = 2.0, 0.01
 
 
 class Gaussian(NamedTuple):

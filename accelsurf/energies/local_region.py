@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.base import Interface
 from accelsurf.energies.at_front import check_shape
+from accelsurf.energies.base import Interface
 from accelsurf.kernels import windows
 from accelsurf.levelset import Change, LevelSet
 
@@ -51,7 +51,6 @@ class LocalRegion:
         self.radius, self.alpha = float(radius), float(alpha)
         self._area = AreaTerm(alpha)
         self._interface = Interface(float(epsilon))
-        self._lattice: windows.Nodes | None = None
 
     def start(self, surface: LevelSet) -> None:
         """Lay out the nodes; sum the whole volume, and the inside voxels that are not in the band.
@@ -92,8 +91,7 @@ class LocalRegion:
         # Windows that the surface can cut, and the nodes that they are made of.
         cut, made_of = self._box(surface, 1), self._box(surface, 2)
         within = tuple(slice(c.start - m.start, c.stop - m.start) for c, m in zip(cut, made_of, strict=True))
-        sizes = (self._nodes.nz, self._nodes.ny, self._nodes.nx)
-        nodes = (np.ascontiguousarray(field.reshape(sizes)[made_of]) for field in inside)
+        nodes = (np.ascontiguousarray(field.reshape(self._nodes[:3])[made_of]) for field in inside)
         n1, total1 = (np.ascontiguousarray(self._smooth(surface, field)[within]) for field in nodes)
         n, total = (np.ascontiguousarray(field[cut]) for field in self._windows)
         means = np.empty((3, n.size))
@@ -102,7 +100,8 @@ class LocalRegion:
         )
         self._means = [self._smooth(surface, field.reshape(n.shape)).ravel() for field in means[:2]]
         before = [b - s.start for b, s in zip(self._nodes[6:], cut, strict=True)]
-        self._part = windows.Nodes(*n.shape, *self._nodes[3:6], *before)
+        sizes = dict(zip(("nz", "ny", "nx"), n.shape, strict=True))
+        self._part = self._nodes._replace(**sizes, pz=before[0], py=before[1], px=before[2])
         return (self._one_mean - float(means[2].sum())) * surface.voxel_volume + self._area.value(area)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:

@@ -53,9 +53,14 @@ class Threshold(RegionField):
                 f"threshold: {a:g} to {b:g} was given, expected a low value below a high one",
                 "one of the two may be left out",
             )
-        if soft is None:
-            soft = min(SOFT_RANGE * (float(image.max()) - float(image.min())), SOFT_WINDOW * (b - a))
-        super().__init__(threshold_field(image, a, b, float(soft)), alpha)
+        soft = soft_edge(image, low, high) if soft is None else float(soft)
+        super().__init__(threshold_field(image, a, b, soft), alpha)
+
+
+def soft_edge(image: np.ndarray, low: float | None, high: float | None) -> float:
+    """Width of the edges of a window, in the image's unit, where none is given."""
+    part = SOFT_RANGE * (float(np.max(image)) - float(np.min(image)))
+    return part if low is None or high is None else min(part, SOFT_WINDOW * (high - low))
 
 
 def threshold_field(image: np.ndarray, low: float, high: float, soft: float) -> np.ndarray:

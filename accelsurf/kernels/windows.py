@@ -1,7 +1,7 @@
 """Sums over a window around every point, by a coarse lattice of nodes: O(1) per cell whatever the window's size.
 
-A voxel is shared by the eight nodes around it (linear weights); the nodes are smoothed by a tent of ``reach`` nodes along
-each axis; a point reads them by the same linear weights. Positions are voxels.
+A voxel is shared by the eight nodes around it (linear weights); the nodes are smoothed by a tent of ``reach`` nodes
+along each axis; a point reads them by the same linear weights. Positions are voxels.
 """
 
 from __future__ import annotations
