@@ -33,7 +33,7 @@ _ONLY_FOR: dict[str, tuple[str, ...]] = {
     "sobolev_length": ("sobolev",),
     "blend": ("momentum",),
     "balance": ("chan-vese",),
-    "epsilon": ("chan-vese", "local-region", "likelihood"),
+    "epsilon": ("chan-vese", "local-region"),
     **dict.fromkeys(("foreground", "background"), ("likelihood",)),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), ("geodesic",)),
 }
@@ -94,8 +94,9 @@ class RunConfig(BaseModel):
     energy: Annotated[str, BeforeValidator(_expression)] = Field(
         "chan-vese",
         description="Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic'. chan-vese: two "
-        "regions, each with its own mean; local-region: the same within R mm of each place; likelihood: regions by their "
-        "distributions; threshold:LO,HI: a window of values; geodesic: the area, counted less on edges; area; balloon.",
+        "regions, each with its own mean; local-region: the same within R mm of each place; likelihood: regions by "
+        "their distributions; threshold:LO,HI: a window of values; geodesic: the area, counted less on edges; area; "
+        "balloon.",
     )
     flow: FlowName = Field(
         "constant-density",
@@ -460,8 +461,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return ["true", "false"]
         case "null":
             return []
-        case kind:
-            return [f"a {kind}"]
+        case _:
+            return ["a text"]
 
 
 def _bounds(schema: dict[str, Any]) -> str:

@@ -43,7 +43,7 @@ CHANNEL = Number(1.0)
 #: What each term may be told, in the order in which values without a key are taken.
 TERMS: dict[str, dict[str, Number | Word]] = {
     "chan-vese": {"balance": POSITIVE, "epsilon": Number(0.0, 2.5), "channel": CHANNEL},
-    "local-region": {"R": POSITIVE, "balance": POSITIVE, "epsilon": Number(0.0, 2.5), "channel": CHANNEL},
+    "local-region": {"R": POSITIVE, "epsilon": Number(0.0, 2.5), "channel": CHANNEL},
     "likelihood": {
         "model": Word(("gauss", "histogram")),
         "update": Word(("yes", "no")),
@@ -148,6 +148,8 @@ def _item(text: str, item: str, sign: float) -> Term:
     if colon and not values.strip():
         raise _error(text, f"values after the colon of {name}, of {_known(name)}")
     settings = _settings(text, name, values) if colon else {}
+    if name == "threshold":
+        _check_bounds(text, settings)
     weight *= sign
     if not math.isfinite(weight) or weight == 0 or (weight < 0 and name != "balloon"):
         raise _error(text, f"a weight {'other than 0' if name == 'balloon' else 'greater than 0'} for {name}")
@@ -171,8 +173,6 @@ def _settings(text: str, name: str, values: str) -> dict[str, Value]:
         if key in found:
             raise _error(text, f"{key} of {name} once")
         found[key] = _value(text, f"{key} of {name}", known[key], value)
-    if name == "threshold":
-        _check_bounds(text, found)
     return found
 
 

@@ -1,4 +1,4 @@
-"""First surfaces: balls, boxes, label maps, thresholds, in the words of ``--start``.
+"""First surfaces: balls, boxes, seeds, label maps, thresholds, meshes, in the words of ``--start``.
 
 A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS). With the suffix ``vox`` they are voxel
 indices (x, y, z; 0 is the centre of the first voxel), and a radius is in voxels of the smallest spacing.
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf import io
+from accelsurf import io, meshes, regions
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.geometry import Geometry
 from accelsurf.volume import Volume
@@ -23,8 +23,12 @@ from accelsurf.volume import Volume
 KINDS: dict[str, str] = {
     "ball": "ball:X,Y,Z,R",
     "box": "box:X0,Y0,Z0,X1,Y1,Z1",
+    "seed": "seed:X,Y,Z,R",
     "label": "label:FILE",
     "threshold": "threshold:LO,HI",
+    "largest": "largest:LO,HI",
+    "otsu": "otsu",
+    "mesh": "mesh:FILE",
     "center": "center",
 }
 SLAB_VOXELS = 2**20
@@ -32,12 +36,18 @@ SLAB_VOXELS = 2**20
 
 
 class Start(NamedTuple):
-    """A start, parsed: its ``kind``, its ``numbers`` and whether these are voxel indices, or its ``file``."""
+    """A start, parsed: its ``kind``, its ``numbers`` and whether these are voxel indices, or its ``file``.
+
+    ``word`` is what follows the kind or the file: ``dark``, ``otsu``, ``ras``; ``ids`` are the labels wanted,
+    as ranges.
+    """
 
     kind: str
     numbers: tuple[float, ...] = ()
     vox: bool = False
     file: str = ""
+    word: str = ""
+    ids: tuple[tuple[int, int], ...] = ()
 
 
 def parse(text: str) -> Start:
@@ -67,19 +77,45 @@ def parse(text: str) -> Start:
         if colon:
             raise UsageError(f"start {text!r}: center takes no values", "write --start center, or a ball")
         return Start(kind)
-    if kind == "label":
-        if not rest:
-            raise UsageError(f"start {text!r}: no file named", "write label:FILE")
-        return Start(kind, file=rest)
-    vox = rest.endswith("vox") and kind != "threshold"
+    if kind in ("label", "mesh"):
+        return _parse_file(text, kind, rest)
+    if kind == "otsu":
+        if rest not in ("", "dark") or (colon and not rest):
+            raise UsageError(f"start {text!r}: otsu or otsu:dark expected", "otsu is for bright objects")
+        return Start(kind, word=rest)
+    if kind == "largest" and rest in ("otsu", "otsu:dark"):
+        return Start(kind, word=rest)
+    vox = rest.endswith("vox") and kind in ("ball", "box", "seed")
     numbers = _numbers(text, rest[:-3] if vox else rest, KINDS[kind])
-    if kind == "ball" and numbers[3] <= 0:
+    if kind in ("ball", "seed") and numbers[3] <= 0:
         raise UsageError(f"start {text!r}: radius {numbers[3]:g} given, expected above 0", f"as in {KINDS[kind]}")
     if kind == "box" and any(a >= b for a, b in zip(numbers[:3], numbers[3:], strict=True)):
         raise UsageError(f"start {text!r}: the first corner must lie below the second in x, y and z", KINDS[kind])
-    if kind == "threshold" and numbers[0] > numbers[1]:
+    if kind in ("threshold", "largest") and numbers[0] > numbers[1]:
         raise UsageError(f"start {text!r}: the low threshold is above the high one", f"as in {KINDS[kind]}")
     return Start(kind, numbers, vox)
+
+
+def _parse_file(text: str, kind: str, rest: str) -> Start:
+    """Read FILE, FILE@IDS of a label map or FILE@ras of a mesh."""
+    file, at, tail = rest.rpartition("@") if "@" in rest else (rest, "", "")
+    if not file:
+        raise UsageError(f"start {text!r}: no file named", f"write {KINDS[kind]}")
+    if kind == "mesh":
+        # A name may have an @ of its own.
+        return Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
+    if not at:
+        return Start(kind, file=rest)
+    ids = []
+    for part in tail.split(","):
+        first, _, last = part.partition("-")
+        if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
+            raise UsageError(
+                f"start {text!r}: {part!r} is no label, expected whole numbers and ranges",
+                "as in label:FILE@2,41,251-255",
+            )
+        ids.append((int(first), int(last or first)))
+    return Start(kind, file=file, ids=tuple(ids))
 
 
 def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
@@ -90,7 +126,7 @@ def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
         numbers = ()
     if len(numbers) != expected or any(math.isnan(v) for v in numbers):
         raise UsageError(f"start {text!r}: {expected} numbers separated by commas expected", f"as in {form}")
-    if not form.startswith("threshold") and any(math.isinf(v) for v in numbers):
+    if not form.startswith(("threshold", "largest")) and any(math.isinf(v) for v in numbers):
         raise UsageError(f"start {text!r}: finite numbers expected", f"as in {form}")
     return numbers
 
@@ -144,8 +180,10 @@ def build(starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | No
 def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
     kind = parse(text).kind
     if kind == "label":
-        return f"start {text!r}: the label map is empty", "give one with voxels above 0"
-    if kind == "threshold":
+        return f"start {text!r}: no voxel of the label map is meant", "give a map and labels that it has"
+    if kind == "mesh":
+        return f"start {text!r}: no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
+    if kind in ("threshold", "largest", "otsu"):
         return f"start {text!r}: no voxel lies between these values", "thresholds are in the image's own units"
     corner = geometry.index_to_world(np.array([[0, 0, 0], [n - 1 for n in geometry.shape]]))
     low, high = corner.min(axis=0), corner.max(axis=0)
@@ -158,9 +196,19 @@ def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
 
 def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> NDArray[np.float32]:
     if start.kind == "label":
-        return _from_mask(_read_mask(start.file, geometry), geometry)
-    if start.kind == "threshold":
-        return _from_mask((values >= start.numbers[0]) & (values <= start.numbers[1]), geometry)
+        return _from_mask(_read_mask(start, geometry), geometry)
+    if start.kind == "mesh":
+        return _from_mask(meshes.inside(start.file, geometry, ras=start.word == "ras"), geometry)
+    if start.kind == "seed":
+        z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])
+        radius = start.numbers[3] * (min(geometry.steps) if start.vox else 1.0)
+        return _from_mask(regions.grown(values, geometry, (float(z), float(y), float(x)), radius), geometry)
+    if start.kind in ("threshold", "largest", "otsu"):
+        if start.numbers:
+            mask = (values >= start.numbers[0]) & (values <= start.numbers[1])
+        else:
+            mask = regions.otsu(values, dark=start.word.endswith("dark"))
+        return _from_mask(regions.largest(mask) if start.kind == "largest" else mask, geometry)
     if start.kind == "center":
         extents = [e for e, n in zip(geometry.extent_mm, geometry.shape, strict=True) if n > 1]
         centre = tuple(0.5 * (n - 1) for n in reversed(geometry.shape))
@@ -174,14 +222,19 @@ def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> 
     return _box(geometry, start)
 
 
-def _read_mask(file: str, geometry: Geometry) -> NDArray[np.bool_]:
-    labels = io.read_labels(file)
+def _read_mask(start: Start, geometry: Geometry) -> NDArray[np.bool_]:
+    labels = io.read_labels(start.file)
     if not labels.geometry.matches(geometry):
         raise GeometryError(
-            f"start label:{file}: on another grid than the image: {labels.geometry.difference(geometry)}",
+            f"start label:{start.file}: on another grid than the image: {labels.geometry.difference(geometry)}",
             "resample it to the image's grid first",
         )
-    return np.asarray(labels.array > 0)
+    if not start.ids:
+        return np.asarray(labels.array > 0)
+    mask = np.zeros(labels.array.shape, np.bool_)
+    for first, last in start.ids:
+        mask |= (labels.array >= first) & (labels.array <= last)
+    return mask
 
 
 def _from_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:

@@ -104,7 +104,7 @@ class Facts:
         if value == "":
             return None
         if value == "auto":
-            return float(threshold_otsu(self.images[channel]))
+            return float(threshold_otsu(self.images[channel].ravel()))
         if isinstance(value, str):
             return float(np.percentile(self.images[channel], float(value.removesuffix("%"))))
         scale = self.scales[channel]
@@ -227,7 +227,8 @@ def _likelihood(
             "energy: likelihood:update=yes was given with --foreground or --background, which it would not use",
             "with update=no it learns from them once; with update=yes from the surface, again in each step",
         )
-    model, epsilon = settings.get("model", "gauss"), _number(settings, "epsilon", config.epsilon)
+    # Sharp unless told: a narrow distribution fears the other side of the edge, which a smeared interface sees.
+    model, epsilon = settings.get("model", "gauss"), _number(settings, "epsilon", 0.0)
     used: dict[str, Any] = {"model": model, "update": update, "epsilon": epsilon}
     if model == "histogram":
         learned = facts.samples(channel) if update == "no" else None

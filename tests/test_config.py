@@ -9,9 +9,15 @@ from accelsurf.config import RunConfig, expected
 from accelsurf.errors import UsageError
 
 ODD = RunConfig(
-    energy="geodesic",
+    energy="0.5*geodesic:scale=1 + threshold:-1e-3,20",
     flow="gradient",
     start=("ball:-1.5,2,3,4", 'label:a "quoted"\\ name\x7f é\n.nii.gz'),
+    mask="mask.nii",
+    roi="0,0,0,9,9,9vox",
+    foreground=("ball:1,2,3,4",),
+    background=("label:b.nii",),
+    channel=("second.nii",),
+    max_volume=1e5,
     smoothness=0.1 + 0.2,
     balance=1.25,
     presmooth=1e-7,
@@ -80,7 +86,8 @@ def test_odd_config_changes_every_field():
         ("friction", "x", "or t"),
         ("restart", "never", "auto or off"),
         ("flow", "sobolov", "gradient, sobolev or momentum"),
-        ("energy", "edges", "chan-vese or geodesic"),
+        ("max_volume", 0, "greater than 0"),
+        ("mask", 5, "a text"),
         ("start", (), "one text"),
         ("start", 5, "one text"),
         ("max_steps", 0, "a whole number at least 1"),
