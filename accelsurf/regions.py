@@ -22,7 +22,7 @@ def otsu(values: NDArray[Any], dark: bool = False) -> NDArray[np.bool_]:
 
     Examples
     --------
-    >>> otsu(np.array([[[0.0, 1.0, 9.0, 10.0]]])).astype(int)
+    >>> otsu(np.array([[[0.0, 0.0, 10.0, 10.0]]])).astype(int)
     array([[[0, 0, 1, 1]]])
     """
     level = threshold_otsu(values.ravel())
