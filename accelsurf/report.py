@@ -145,7 +145,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
     """
     if result is None:
         keys = ("stop", "levels", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
-        return dict.fromkeys((*keys, "touches_border"))
+        return dict.fromkeys((*keys, "touches_border", "quality"))
     last = result.ledger[-1] if result.ledger else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
     first = next((row for row in result.ledger if row.level == 0), None)
@@ -159,6 +159,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "levels": describe_levels(result),
         "energy": {
             "name": result.energy,
+            "terms": result.terms,
             "first": first.potential if first else None,
             "last": last.potential if last else None,
             "kinetic_last": last.kinetic if last else None,
@@ -174,6 +175,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "length_mm": result.length_mm,
         "components": result.components,
         "touches_border": result.touches_border,
+        "quality": result.quality._asdict(),
     }
 
 

@@ -25,6 +25,7 @@ from accelsurf.flows import Limits
 from accelsurf.geometry import Geometry
 from accelsurf.levelset import Workers
 from accelsurf.preparation import SCALE_PERCENTILES, Prepared, presmoothed, scale
+from accelsurf.quality import Quality, assess
 from accelsurf.surface import Surface, extract
 from accelsurf.systems import half_width, is_maker, make_energy, make_flow, own_energy, stop_rule
 from accelsurf.volume import Volume
@@ -151,6 +152,11 @@ class Result:
         """Whether a voxel of the object lies on the volume's border (axes with one slice do not count)."""
         axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
         return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
+
+    @cached_property
+    def quality(self) -> Quality:
+        """What tells, without a reference, whether to trust the result."""
+        return assess(self.labels, self.image, self.geometry.spacing, self.ledger, self.stop)
 
     @property
     def report(self) -> dict[str, Any]:

@@ -526,3 +526,40 @@ def small_components(psi, most):
         out[np.isin(labels, small)] *= -1
         removed.append(small.size)
     return out, *removed
+
+
+# ---------------------------------------------------------------------------------------------------------- windows
+
+
+def node_weights(n, distance, before, reach, count) -> np.ndarray:
+    """Tent (nodes, voxels) of half width ``reach`` nodes at each node of an axis, by its formula."""
+    if count == 1:
+        return np.ones((1, n))
+    place = np.arange(n) / distance + before
+    away = np.abs(np.arange(count)[:, None] - place[None, :])
+    return np.maximum(1.0 - away / reach, 0.0) / reach
+
+
+def window_sums(values, weights) -> np.ndarray:
+    """Sums of ``values`` (nz, ny, nx) over the window of every node; ``weights`` per axis as `node_weights`."""
+    return np.einsum("az,by,cx,zyx->abc", *weights, values)
+
+
+def local_energy(image, share, weights) -> float:
+    """Squares about the mean inside and the mean outside of every window, ``share`` (nz, ny, nx) being inside."""
+    total = 0.0
+    for part in (share, 1.0 - share):
+        n, one, two = (window_sums(part * image**power, weights) for power in range(3))
+        on = n > 1e-9
+        total += float((two[on] - one[on] ** 2 / n[on]).sum())
+    return total
+
+
+def histogram(values, weights, low, per_value, bins) -> np.ndarray:
+    """Each value shared by the two bins next to it, one value at a time."""
+    out = np.zeros(bins)
+    for value, weight in zip(np.ravel(values), np.ravel(weights), strict=True):
+        place = min(max((float(value) - low) * per_value, 0.0), bins - 1.0)
+        for b in range(bins):
+            out[b] += weight * max(0.0, 1.0 - abs(place - b))
+    return out

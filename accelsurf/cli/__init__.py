@@ -23,7 +23,7 @@ EXIT_CODES = {
     2: "usage: an option or a setting makes no sense",
     3: "input unreadable, unsuitable, or of invalid geometry",
     4: "not converged (only with --strict)",
-    5: "the surface vanished or filled the volume",
+    5: "the surface vanished or filled the volume; with --strict also a doubtful result",
     7: "an output exists already, or cannot be written",
     INTERRUPTED: "interrupted (Ctrl-C); what was reached is written",
 }

@@ -36,6 +36,13 @@ class NotConvergedError(AccelsurfError):
     kind = "not-converged"
 
 
+class DoubtfulError(AccelsurfError):
+    """There is a result, but its quality is in doubt, and --strict asks for more."""
+
+    exit_code = 5
+    kind = "doubtful"
+
+
 class DivergedError(AccelsurfError):
     """The energy became infinite or no number."""
 
@@ -59,7 +66,7 @@ class Case:
     overwrite : bool
         Whether existing outputs may be replaced.
     strict : bool
-        Whether a run that did not converge counts as failed.
+        Whether a run that did not converge, or whose result is doubtful, counts as failed.
     """
 
     source: Path
@@ -308,6 +315,11 @@ def _shortcoming(case: Case) -> AccelsurfError | None:
             return NotConvergedError(told, "raise --max-steps; the outputs show how far it got")
         case "max-steps" | "stalled":
             case.warnings.append(told)
+    doubts = case.result.quality.warnings
+    if doubts and case.strict:
+        more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
+        return DoubtfulError(f"{case.name}: {doubts[0]}{more}", "look at the picture; without --strict it is a warning")
+    case.warnings.extend(doubts)
     return None
 
 

@@ -41,7 +41,7 @@ def segment(
     overwrite
         Replace outputs that exist.
     strict
-        Exit with 4 when the run ends before it has converged.
+        Exit with 4 when the run ends before it has converged, with 5 when its result is doubtful.
     profile
         Print where the seconds went, by stage.
     """

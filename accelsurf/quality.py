@@ -1,0 +1,199 @@
+"""Whether to trust a result: what can be told from the surface and the image without a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.geodesic import gradient_magnitude, largest_spacing
+
+if TYPE_CHECKING:
+    from accelsurf.evolution import Row, Stop
+
+#: What makes a warning: more of the surface than this on the border or without an edge; less contrast than this, in
+#: parts of the image's range; more growth than this in the last steps.
+MOST_ON_BORDER, MOST_WITHOUT_EDGE, LEAST_CONTRAST, MOST_GROWTH, LAST_STEPS = 0.2, 0.3, 0.05, 0.02, 20
+#: A gradient is no edge below the median gradient of the image, or this part of its strong ones (that percentile).
+STRONG_PERCENTILE, EDGE_PART = 99.9, 0.125
+#: Parts of the object with this share of its volume that hang together by less than two voxels to either side.
+LARGE_PART, NECK = 0.05, 2.0
+#: Voxels of a slab that is worked on at once; every so many voxels are looked at for the image's own gradients.
+SLAB, EVERY = 1 << 23, 7
+
+
+class Quality(NamedTuple):
+    """How a result looks without a reference.
+
+    Attributes
+    ----------
+    border_fraction : float
+        Share of the object's surface that lies on the volume's border.
+    contrast : float
+        Mean difference of the image across the surface, inside less outside, a voxel off it to either side; in parts
+        of the image's range.
+    no_edge_fraction : float
+        Share of the surface where the image has no edge: a gradient below the image's median, or below an eighth of
+        its strong ones.
+    parts_beyond_necks : int
+        Large parts that the object falls into without its necks of less than four voxels; 1 for a compact object.
+    growth : float
+        Volume at the end over that of the start.
+    late_growth : float
+        Relative change of the volume over the last 20 steps.
+    leaked : bool
+        Whether it grew beyond ``max_volume``.
+    warnings : tuple of str
+        What of this is doubtful, in words.
+    """
+
+    border_fraction: float
+    contrast: float
+    no_edge_fraction: float
+    parts_beyond_necks: int
+    growth: float
+    late_growth: float
+    leaked: bool
+    warnings: tuple[str, ...]
+
+
+def assess(
+    labels: NDArray[np.uint8],
+    image: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    ledger: Sequence[Row],
+    stop: Stop,
+) -> Quality:
+    """Look at a result.
+
+    Parameters
+    ----------
+    labels : ndarray (nz, ny, nx)
+        Above 0 inside.
+    image : ndarray (nz, ny, nx)
+        As energies saw it, 0 and 1 at its percentiles.
+    spacing : (hz, hy, hx)
+        mm.
+    ledger : sequence of Row
+    stop : Stop
+    """
+    inside = labels > 0
+    border, contrast = _faces(inside, image, spacing)
+    own = [row for row in ledger if row.level == 0]
+    first, last = (ledger[0].volume_mm3, ledger[-1].volume_mm3) if ledger else (0.0, 0.0)
+    before = own[-LAST_STEPS - 1].volume_mm3 if len(own) > LAST_STEPS else (own[0].volume_mm3 if own else 0.0)
+    found = Quality(
+        border_fraction=border,
+        contrast=contrast,
+        no_edge_fraction=_without_edge(inside, image, spacing),
+        parts_beyond_necks=_parts(inside),
+        growth=last / first if first > 0 else 0.0,
+        late_growth=(last - before) / last if last > 0 else 0.0,
+        leaked=stop.reason == "leaked",
+        warnings=(),
+    )
+    return found._replace(warnings=tuple(_doubts(found, stop)))
+
+
+def _doubts(found: Quality, stop: Stop) -> list[str]:
+    doubts = []
+    if found.leaked:
+        doubts.append(f"leak: {stop.message}")
+    if found.border_fraction > MOST_ON_BORDER:
+        doubts.append(f"border: {found.border_fraction:.0%} of the surface lies on the volume's border")
+    if abs(found.contrast) < LEAST_CONTRAST:
+        doubts.append(
+            f"contrast: inside and outside hardly differ at the surface ({found.contrast:.3f} of the image's range)"
+        )
+    if found.no_edge_fraction > MOST_WITHOUT_EDGE:
+        doubts.append(f"edge: under {found.no_edge_fraction:.0%} of the surface the image has no edge")
+    if found.parts_beyond_necks > 1:
+        doubts.append(
+            f"necks: {found.parts_beyond_necks} large parts hang together by less than four voxels only; has it leaked?"
+        )
+    if abs(found.late_growth) > MOST_GROWTH and stop.reason != "converged":
+        doubts.append(f"growth: the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps")
+    return doubts
+
+
+def _around(inside: NDArray[np.bool_], margin: int) -> tuple[slice, ...]:
+    """The object's box with so many voxels around it."""
+    box = []
+    for axis, n in enumerate(inside.shape):
+        on = np.flatnonzero(inside.any(axis=tuple(other for other in range(3) if other != axis)))
+        box.append(slice(max(int(on[0]) - margin, 0), min(int(on[-1]) + 1 + margin, n)) if on.size else slice(0, 0))
+    return tuple(box)
+
+
+def _faces(
+    inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Share of the object's faces on the border, by their areas, and the mean difference across the others."""
+    box = _around(inside, 2)
+    within, values = inside[box], image[box]
+    total = on_border = 0.0
+    weights = differences = 0.0
+    for axis in range(3):
+        if inside.shape[axis] == 1:
+            continue
+        area = float(np.prod([h for other, h in enumerate(spacing) if other != axis]))
+        m, v = np.moveaxis(within, axis, 0), np.moveaxis(values, axis, 0)
+        on_border += area * sum(
+            float(np.take(inside, end, axis=axis).sum()) for end in (0, inside.shape[axis] - 1)
+        )
+        at = np.argwhere(m[1:] != m[:-1])
+        total += area * len(at)
+        i, j, k = at.T
+        # From a voxel below the face to one above it; towards inside it counts up.
+        low, high = np.maximum(i - 1, 0), np.minimum(i + 2, len(m) - 1)
+        sign = np.where(m[i, j, k], -1.0, 1.0)
+        differences += area * float((sign * (v[high, j, k] - v[low, j, k])).sum())
+        weights += area * len(at)
+    total += on_border
+    return (on_border / total if total > 0 else 0.0), (differences / weights if weights > 0 else 0.0)
+
+
+def _without_edge(
+    inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
+) -> float:
+    """Share of the voxels next to the surface, on its inside, where the smoothed image has no edge."""
+    scale = largest_spacing(inside.shape, spacing)
+    halo = 5 * int(np.ceil(scale / spacing[0])) + 1
+    step = max(1, SLAB // (inside.shape[1] * inside.shape[2]))
+    on_surface, everywhere = [], []
+    for first in range(0, inside.shape[0], step):
+        low, high = max(first - halo, 0), min(first + step + halo, inside.shape[0])
+        gradient = gradient_magnitude(image[low:high], spacing, scale)
+        slab = slice(first - low, min(first + step, inside.shape[0]) - low)
+        rim = inside[low:high] & ~ndimage.binary_erosion(inside[low:high], border_value=1)
+        on_surface.append(gradient[slab][rim[slab]])
+        everywhere.append(gradient[slab].ravel()[::EVERY])
+    surface, image_s = np.concatenate(on_surface), np.concatenate(everywhere)
+    if surface.size == 0:
+        return 0.0
+    least = max(float(np.median(image_s)), EDGE_PART * float(np.percentile(image_s, STRONG_PERCENTILE)))
+    return float((surface <= least).mean())
+
+
+def _parts(inside: NDArray[np.bool_]) -> int:
+    """Large parts of the largest component that are left of it without its necks."""
+    box = _around(inside, 1)
+    parts, count = ndimage.label(inside[box])
+    if count == 0:
+        return 0
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    body = parts == sizes.argmax()
+    # What is cut by the border goes on beyond it, and a single slice has no depth across.
+    padded = np.pad(body, [(4, 4) if n > 1 else (0, 0) for n in inside.shape], mode="edge")
+    depth = ndimage.distance_transform_edt(padded, [1.0 if n > 1 else 1e6 for n in inside.shape])
+    cores, count = ndimage.label(depth > NECK)
+    if count < 2:
+        return 1
+    # A core stands for what is within its reach, not for the little that is left of it.
+    nearest = ndimage.distance_transform_edt(cores == 0, return_distances=False, return_indices=True)
+    volumes = np.bincount(cores[tuple(nearest)][padded], minlength=count + 1)[1:]
+    return max(1, int((volumes >= LARGE_PART * padded.sum()).sum()))
