@@ -4,6 +4,7 @@ import pytest
 from accelsurf import io, starts
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.geometry import Geometry
+from accelsurf.surface import extract
 from accelsurf.volume import Volume
 
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
@@ -143,3 +144,113 @@ def test_an_empty_label_map_and_a_missing_one(tmp_path):
         starts.build([f"label:{tmp_path / 'empty.nrrd'}"], volume)
     with pytest.raises(AccelsurfError):
         starts.build([f"label:{tmp_path / 'missing.nrrd'}"], volume)
+
+
+# ------------------------------------------------------------------------------ seeds, largest part, Otsu, ids, meshes
+
+
+@pytest.mark.parametrize("direction", [None, TURN])
+def test_a_seed_grows_to_its_radius_and_stops_at_edges(direction):
+    geometry = grid((30, 40, 60), (1.5, 1.0, 0.7), direction=direction)
+    centre = geometry.center_world()
+    r = np.linalg.norm(world(geometry) - centre, axis=-1)
+    text = "seed:" + ",".join(f"{v!r}" for v in centre.tolist()) + ","
+    values = np.random.default_rng(1).normal(100, 1, geometry.shape)
+    values[:2] = 200
+    flat = Volume(values, geometry)
+    ball = starts.build([text + "9"], flat) < 0
+    # Ways along the grid's neighbours are up to a tenth longer than straight ones.
+    assert (r[ball] <= 9.8).all() and (ball[r < 7.8]).all()
+    scan = Volume(np.where(r < 8, 100.0, 0.0) + np.random.default_rng(1).normal(0, 2, geometry.shape), geometry)
+    held = starts.build([text + "25"], scan) < 0
+    assert np.count_nonzero(held != (r < 8)) < 0.06 * np.count_nonzero(r < 8)
+
+
+def test_a_seed_in_voxels_and_one_outside():
+    volume = Volume.from_array(np.random.default_rng(1).normal(size=(20, 20, 20)), (2.0, 1.0, 1.0))
+    psi = starts.build(["seed:8,9,5,3vox"], volume)
+    z, y, x = np.nonzero(psi < 0)
+    assert (round(z.mean()), round(y.mean()), round(x.mean())) == (5, 9, 8)
+    with pytest.raises(InputError, match="no voxel centre"):
+        starts.build(["seed:80,9,5,3vox"], volume)
+
+
+def test_the_largest_part_and_otsu():
+    array = np.random.default_rng(1).uniform(0, 1, (20, 30, 30))
+    array[4:14, 4:14, 4:14] += 100
+    array[16:19, 20:28, 20:28] += 100
+    volume = Volume.from_array(array)
+    both = starts.build(["otsu"], volume) < 0
+    assert both[8, 8, 8] and both[17, 24, 24] and both.sum() == 1000 + 3 * 64
+    for text in ("largest:50,150", "largest:otsu"):
+        one = starts.build([text], volume) < 0
+        assert one.sum() == 1000 and one[8, 8, 8]
+    dark = starts.build(["otsu:dark"], volume) < 0
+    np.testing.assert_array_equal(dark, ~both)
+    np.testing.assert_array_equal(starts.build(["largest:otsu:dark"], volume) < 0, ~both)
+
+
+def test_label_ids(tmp_path):
+    geometry = grid()
+    labels = np.arange(np.prod(geometry.shape), dtype=np.int16).reshape(geometry.shape) // 100
+    path = tmp_path / "st@rt.nii.gz"
+    io.write(Volume(labels, geometry), path)
+    volume = Volume(np.zeros(geometry.shape), geometry)
+    for ids, want in (("3", [3]), ("2,7-9", [2, 7, 8, 9])):
+        psi = starts.build([f"label:{path}@{ids}"], volume)
+        np.testing.assert_array_equal(psi < 0, np.isin(labels, want))
+    with pytest.raises(InputError, match="no voxel of the label map"):
+        starts.build([f"label:{path}@999"], volume)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "vtp"])
+def test_a_closed_mesh_gives_its_voxels_back(tmp_path, suffix):
+    geometry = grid((24, 30, 36), (1.5, 1.0, 0.7), direction=TURN)
+    centre = geometry.center_world()
+    r = np.linalg.norm(world(geometry) - centre - (2.0, 0.0, 1.0), axis=-1) - 8
+    volume = Volume(np.zeros(geometry.shape), geometry)
+    for space in ("lps", "ras"):
+        path = tmp_path / f"{space}.{suffix}"
+        extract(r.astype(np.float32), geometry).write(path, space)
+        psi = starts.build([f"mesh:{path}@{space}"], volume)
+        # Text formats round points: voxels that lie on the surface may fall to either side.
+        differ = (psi < 0) != (r < 0)
+        assert np.abs(r[differ]).max(initial=0.0) < 0.02
+
+
+def test_meshes_that_are_open_missing_or_damaged(tmp_path):
+    geometry = grid()
+    volume = Volume(np.zeros(geometry.shape), geometry)
+    (tmp_path / "open.obj").write_text("v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\n")
+    (tmp_path / "bad.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 3\n")
+    (tmp_path / "mesh.txt").write_text("")
+    for name, words in (
+        ("open.obj", "1 triangles with 3 open edges"),
+        ("bad.ply", "mesh|triangles"),
+        ("mesh.txt", "no mesh format"),
+        ("absent.ply", "no such file"),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            starts.build([f"mesh:{tmp_path / name}"], volume)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("seed:1,2,3", "4 numbers"),
+        ("seed:1,2,3,0", "expected above 0"),
+        ("largest:9,5", "low threshold is above"),
+        ("largest:bright", "2 numbers"),
+        ("otsu:bright", "otsu or otsu:dark"),
+        ("otsu:", "otsu or otsu:dark"),
+        ("mesh:", "no file"),
+        ("label:a.nii@", "is no label"),
+        ("label:a.nii@3-1", "is no label"),
+        ("label:a.nii@x", "is no label"),
+        ("label:@3", "no file"),
+    ],
+)
+def test_bad_words_of_the_new_kinds(text, words):
+    with pytest.raises(UsageError, match=words):
+        starts.parse(text)

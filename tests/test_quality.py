@@ -1,0 +1,98 @@
+"""What a result says about itself: border, contrast, edges, necks, growth."""
+
+import numpy as np
+import pytest
+
+from accelsurf.evolution import Stop
+from accelsurf.quality import assess
+from accelsurf.segmentation import segment
+from tests.test_report import row
+
+SHAPE, SPACING = (40, 44, 48), (1.5, 1.0, 0.8)
+DONE = Stop("converged", 9, 1.0, "done")
+
+
+def coordinates(shape=SHAPE):
+    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(shape, SPACING, strict=True)]
+    return np.meshgrid(*axes, indexing="ij")
+
+
+def look(mask, image, ledger=(), stop=DONE):
+    return assess(mask.astype(np.uint8), image.astype(np.float32), SPACING, ledger, stop)
+
+
+def test_a_clean_ball_raises_no_doubt():
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2
+    found = look(mask, mask + np.random.default_rng(1).normal(0, 0.05, SHAPE), [row(0, volume_mm3=5.0), row(1)])
+    assert found.warnings == () and found.parts_beyond_necks == 1 and not found.leaked
+    assert found.border_fraction == 0 and found.contrast == pytest.approx(1, abs=0.05)
+    assert found.no_edge_fraction < 0.02 and found.growth == 2
+    # A dark object has the contrast of the other sign.
+    assert look(mask, 1.0 - mask).contrast == pytest.approx(-1, abs=0.05)
+
+
+def test_the_border_s_share_is_that_of_its_area():
+    z, y, x = coordinates()
+    mask = x < 0  # a block: one face within, five on the border
+    found = look(mask, mask * 1.0)
+    a, b, c = (n * h for n, h in zip(SHAPE, SPACING, strict=True))
+    within = a * b
+    border = within + 2 * (a + b) * c / 2
+    assert found.border_fraction == pytest.approx(border / (border + within), rel=1e-6)
+    assert any("border" in words for words in found.warnings)
+
+
+def test_a_surface_with_no_edge_under_it_is_told():
+    z, y, x = coordinates()
+    r = np.sqrt(z**2 + y**2 + x**2)
+    noise = np.random.default_rng(1).normal(0, 0.05, SHAPE)
+    scan = (r < 9) + noise
+    assert look(r < 9, scan).no_edge_fraction < 0.02
+    wrong = look(r < 15, scan)
+    assert wrong.no_edge_fraction > 0.4 and abs(wrong.contrast) < 0.02
+    assert any("edge" in words for words in wrong.warnings) and any("contrast" in words for words in wrong.warnings)
+    half = look((r < 9) | ((r < 15) & (x > 0)), scan)
+    assert wrong.no_edge_fraction > half.no_edge_fraction > 0.2
+
+
+def test_two_balls_on_a_thin_bridge_are_two_parts():
+    z, y, x = coordinates()
+    balls = [(x - c) ** 2 + y**2 + z**2 < 8**2 for c in (-10, 10)]
+    thin = balls[0] | balls[1] | ((np.abs(y) < 1.2) & (np.abs(z) < 1.2) & (np.abs(x) < 10))
+    thick = balls[0] | balls[1] | ((np.abs(y) < 6) & (np.abs(z) < 6) & (np.abs(x) < 10))
+    assert look(thin, thin * 1.0).parts_beyond_necks == 2
+    assert any("necks: 2 large parts" in words for words in look(thin, thin * 1.0).warnings)
+    assert look(thick, thick * 1.0).parts_beyond_necks == 1
+    # Small side branches are no parts.
+    branch = balls[0] | ((np.abs(y) < 2) & (np.abs(z) < 2) & (x > -10))
+    assert look(branch, branch * 1.0).parts_beyond_necks == 1
+
+
+def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2
+    ledger = [row(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
+    found = look(mask, mask * 1.0, ledger, Stop("max-steps", 60, 6.0, "not converged"))
+    assert found.late_growth == pytest.approx(40 / 218) and any("growth: " in words for words in found.warnings)
+    assert look(mask, mask * 1.0, ledger).warnings == ()
+
+
+def test_nothing_left_and_one_slice():
+    nothing = look(np.zeros(SHAPE, bool), np.random.default_rng(1).normal(size=SHAPE))
+    assert nothing.border_fraction == 0 and nothing.parts_beyond_necks == 0
+    y, x = np.indices((60, 70)) - 30.0
+    disc = x**2 + y**2 < 15**2
+    result = segment(disc * 1.0, start="ball:30,30,0,8vox")
+    assert result.quality.warnings == () and result.quality.contrast > 0.9 and result.quality.border_fraction == 0
+
+
+def test_slabs_make_no_difference(monkeypatch):
+    from accelsurf import quality
+
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2
+    scan = mask + np.random.default_rng(1).normal(0, 0.3, SHAPE)
+    whole = look(mask, scan)
+    monkeypatch.setattr(quality, "SLAB", 5 * SHAPE[1] * SHAPE[2])
+    assert look(mask, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.01)
