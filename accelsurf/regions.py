@@ -17,6 +17,23 @@ from accelsurf.geometry import Geometry
 SPREADS, LEAST_RANGE = 3.0, 0.1
 
 
+def otsu_level(values: NDArray[Any]) -> float:
+    """Otsu's threshold, where it has a choice in the middle between the means of the two classes.
+
+    At the optimum it lies there anyway; between classes that are far apart any value is one, and the usual choice, the
+    first of them, is hardly above the lower class.
+
+    Examples
+    --------
+    >>> otsu_level(np.array([0.0, 0.0, 10.0, 10.0]))
+    5.0
+    """
+    flat = np.asarray(values).ravel()
+    first = threshold_otsu(flat)
+    above = flat > first
+    return 0.5 * (float(flat[above].mean(dtype=np.float64)) + float(flat[~above].mean(dtype=np.float64)))
+
+
 def otsu(values: NDArray[Any], dark: bool = False) -> NDArray[np.bool_]:
     """Voxels above Otsu's threshold, or those below it.
 
@@ -25,7 +42,7 @@ def otsu(values: NDArray[Any], dark: bool = False) -> NDArray[np.bool_]:
     >>> otsu(np.array([[[0.0, 0.0, 10.0, 10.0]]])).astype(int)
     array([[[0, 0, 1, 1]]])
     """
-    level = threshold_otsu(values.ravel())
+    level = otsu_level(values)
     return np.asarray(values <= level if dark else values > level)
 
 

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from skimage.filters import threshold_otsu
 
 from accelsurf import expression
 from accelsurf.config import RunConfig
@@ -31,6 +30,7 @@ from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
 from accelsurf.expression import Term
+from accelsurf.regions import otsu_level
 
 #: R of local-region unless given, voxels of the largest spacing.
 WINDOW_VOXELS = 8.0
@@ -104,7 +104,7 @@ class Facts:
         if value == "":
             return None
         if value == "auto":
-            return float(threshold_otsu(self.images[channel].ravel()))
+            return otsu_level(self.images[channel])
         if isinstance(value, str):
             return float(np.percentile(self.images[channel], float(value.removesuffix("%"))))
         scale = self.scales[channel]
