@@ -101,6 +101,30 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Vo
         return Volume(sitk.GetArrayFromImage(image), geometry, metadata, path)
 
 
+def components(path: str | os.PathLike[str]) -> list[Volume]:
+    """Components of an NRRD or MetaImage of vectors as volumes of their own; none for an ordinary image.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged or larger than the memory; GeometryError when its grid is none.
+    """
+    path = Path(path)
+    with naming(path):
+        suffix = _input_suffix(path)
+        reader = _reader(path, suffix)
+        count = reader.GetNumberOfComponents()
+        kind = sitk.GetPixelIDValueAsString(reader.GetPixelIDValue())
+        if count < 2 or reader.GetDimension() != 3 or "complex" in kind:
+            return []
+        _check_memory(reader.GetSize(), 4 * count, available_memory())
+        headers.check_complete(headers.parse(path, suffix))
+        with _quiet():
+            image = reader.Execute()
+        parts = (sitk.VectorIndexSelectionCast(image, i) for i in range(count))
+        return [Volume(sitk.GetArrayFromImage(part), _geometry_of(part), {}, path) for part in parts]
+
+
 def read_labels(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Volume:
     """Read a label map: as `read`, with values of an integer type.
 

@@ -65,10 +65,12 @@ def largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def grown(
     values: NDArray[Any], geometry: Geometry, centre: tuple[float, float, float], radius: float
 ) -> NDArray[np.bool_]:
-    """Voxels within ``radius`` of a seed on ways through values like its own, by fast marching.
+    """Voxels within ``radius`` of a seed on ways through values like its own.
 
     A mm through value I counts as 1 + ((I - m)/s)^2 mm, m being the median of the seed's neighbours and s their spread
-    times `SPREADS`: in a region like the seed's that is a ball, at its edge it stops.
+    times `SPREADS`: in a region like the seed's that is a ball, at its edge it stops. Ways go from voxel to voxel over
+    the 26 neighbours, the cheapest found by marching; they are up to an eighth (with thick slices a fifth) longer than
+    straight ones.
 
     Parameters
     ----------

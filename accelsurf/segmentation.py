@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf import contours, expression, io, pyramid, report
+from accelsurf import contours, expression, pyramid, report
+from accelsurf.channels import chosen as read_channels
 from accelsurf.coarse_to_fine import CoarseToFine, Passed
 from accelsurf.config import RunConfig
 from accelsurf.contours import Contours
@@ -320,7 +321,7 @@ class Run:
             # Drawn once and kept: the report's settings then repeat the run.
             config = config.replace(seed=secrets.randbelow(2**31))
         self.volume, self.config = volume, config
-        self._prepared = Prepared(volume, [*channels, *(io.read(file) for file in config.channel)], config)
+        self._prepared = Prepared(volume, [*channels, *read_channels(config.channel)], config)
         self.leaked = False
         self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
         psi = self._prepared.psi

@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 import pytest
+import SimpleITK as sitk
 
-from accelsurf import cli, io
+from accelsurf import channels, cli, io
 from accelsurf.config import RunConfig
 from accelsurf.energies.fenced import fence_of
 from accelsurf.errors import GeometryError, InputError, UsageError
@@ -244,3 +245,57 @@ def test_strict_turns_doubt_into_exit_5(tmp_path, capsys):
     document = json.loads((tmp_path / "two" / "scan_report.json").read_text())
     assert (document["status"], document["exit_code"], document["error"]["type"]) == ("failed", 5, "DoubtfulError")
     assert cli.run([*words[:4], "-o", str(tmp_path / "three"), "--strict"]) == 0
+
+
+# -------------------------------------------------------------------------------------------- files of several channels
+
+
+@pytest.mark.parametrize(
+    ("suffix", "sort"),
+    [(suffix, "vector") for suffix in (".nii", ".nii.gz", ".nrrd", ".mha")]
+    + [(suffix, "fourth axis") for suffix in (".nii", ".nii.gz")],
+)
+def test_a_file_of_channels_is_its_channels(tmp_path, suffix, sort):
+    rng = np.random.default_rng(1)
+    parts = [sitk.GetImageFromArray(rng.normal(size=(5, 6, 7)).astype(np.float32)) for _ in range(3)]
+    for part in parts:
+        part.SetSpacing((0.75, 1.0, 1.5))
+        part.SetOrigin((1.0, 2.0, 3.0))
+    path = tmp_path / f"image{suffix}"
+    sitk.WriteImage(sitk.Compose(*parts) if sort == "vector" else sitk.JoinSeries(parts), str(path))
+    found = channels.read(path)
+    assert len(found) == 3
+    for volume, part in zip(found, parts, strict=True):
+        np.testing.assert_array_equal(volume.array, sitk.GetArrayFromImage(part))
+        assert volume.geometry.spacing == (1.5, 1.0, 0.75) and volume.geometry.origin == (1.0, 2.0, 3.0)
+        assert volume.source == path
+
+
+def test_ordinary_bad_and_endless_files(tmp_path):
+    volume, _, _ = ball()
+    io.write(Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "one.nii.gz")
+    (one,) = channels.read(tmp_path / "one.nii.gz")
+    np.testing.assert_array_equal(one.array, volume.array.astype(np.float32))
+    series = [sitk.GetImageFromArray(np.full((2, 3, 4), i, np.float32)) for i in range(17)]
+    sitk.WriteImage(sitk.JoinSeries(series), str(tmp_path / "time.nii"))
+    with pytest.raises(InputError, match="17 channels or time points, expected at most 16"):
+        channels.read(tmp_path / "time.nii")
+    sitk.WriteImage(sitk.JoinSeries(series[:2]), str(tmp_path / "cut.nii"))
+    whole = (tmp_path / "cut.nii").read_bytes()
+    (tmp_path / "cut.nii").write_bytes(whole[:-20])
+    with pytest.raises(InputError, match="cut.nii"):
+        channels.read(tmp_path / "cut.nii")
+    (tmp_path / "bad.nii.gz").write_bytes(b"nothing")
+    for name in ("bad.nii.gz", "absent.nii", "absent.nrrd"):
+        with pytest.raises(InputError, match=name):
+            channels.read(tmp_path / name)
+
+
+def test_the_command_line_takes_a_vector_image(tmp_path, capsys):
+    (first, second), truth = two_channels()
+    images = [sitk.GetImageFromArray(part.astype(np.float32)) for part in (first, second)]
+    sitk.WriteImage(sitk.Compose(*images), str(tmp_path / "two.nii.gz"))
+    words = ["segment", str(tmp_path / "two.nii.gz"), "-o", str(tmp_path / "out")]
+    assert cli.run([*words, "--start", "ball:15,15,15,5vox", "--energy", "likelihood:update=no"]) == 0
+    labels = io.read_labels(tmp_path / "out" / "two_seg.nii.gz")
+    assert dice(labels.array > 0, truth) > 0.9, capsys.readouterr().err

@@ -215,11 +215,11 @@ def run_case(case: Case, watcher: Watcher) -> int:
 
 
 def _compute(case: Case, watcher: Watcher) -> None:
-    from accelsurf import io, pictures
+    from accelsurf import channels, io, pictures
     from accelsurf.segmentation import segment
 
     assert case.config is not None
-    case.volume = _timed(case, "load", lambda: io.read(case.source))
+    case.volume, *more = _timed(case, "load", lambda: channels.read(case.source))
     case.checksum = _timed(case, "load", lambda: io.sha256(case.source))
     if note := case.volume.metadata.get(io.WARNING_KEY):
         case.warnings.append(note)
@@ -228,7 +228,7 @@ def _compute(case: Case, watcher: Watcher) -> None:
     if not pictures.keeps(case.volume.geometry, f".{labels}"):
         case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     with watcher.watch(case.name, case.config.max_steps):
-        case.result = segment(case.volume, config=case.config, on_step=watcher.on_step)
+        case.result = segment(case.volume, channels=more, config=case.config, on_step=watcher.on_step)
     case.warnings.extend(case.result.warnings)
 
 
