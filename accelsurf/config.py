@@ -22,6 +22,8 @@ MeshFormat = Literal["ply", "stl", "obj", "vtp", "csv"]
 LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
 
 
+#: Settings that are lists of texts, whose options may be repeated.
+REPEATED = ("start", "foreground", "background", "channel")
 #: Settings that are true or false.
 SWITCHES = ("save_sdf", "reproducible")
 _WITH_MOMENTUM = ("constant-density", "flowable-mass")

@@ -175,7 +175,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "length_mm": result.length_mm,
         "components": result.components,
         "touches_border": result.touches_border,
-        "quality": result.quality._asdict(),
+        "quality": {**result.quality._asdict(), "warnings": list(result.quality.warnings)},
     }
 
 

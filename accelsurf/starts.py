@@ -66,7 +66,7 @@ def parse(text: str) -> Start:
     Examples
     --------
     >>> parse("ball:10,-20,5.5,12")
-    Start(kind='ball', numbers=(10.0, -20.0, 5.5, 12.0), vox=False, file='')
+    Start(kind='ball', numbers=(10.0, -20.0, 5.5, 12.0), vox=False, file='', word='', ids=())
     >>> parse("box:0,0,0,9,9,9vox").vox
     True
     """

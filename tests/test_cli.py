@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io, phantoms
-from accelsurf.config import RunConfig
+from accelsurf.config import REPEATED, RunConfig
 
 START = ("--start", "ball:3,-2,1,5")
 REPORT_KEYS = {
@@ -186,13 +186,14 @@ def test_every_setting_is_an_option(capsys):
         **dict(mesh="obj,vtp", mesh_space="ras", save_sdf=True, half_width=5, balance=1.5, format="nrrd"),
         **dict(seed=5, threads=2, energy="geodesic", edge_scale=1.5, edge_contrast=0.2, balloon=-0.5),
         **dict(t0=0.1, gravity=2, noise=0.5, noise_length=6, noise_time=2, sobolev_length=7),
-        **dict(blend=0.6, reproducible=True, levels=2),
+        **dict(blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4),
+        **dict(foreground=("center", "ball:-1,2,-3,4"), background=("otsu:dark", "label:b.nii@2"), channel=("a", "b")),
     )
     words = []
     for key, value in values.model_dump().items():
         option = "--" + key.replace("_", "-")
-        if key == "start":
-            words += [word for start in value for word in (option, start)]
+        if key in REPEATED:
+            words += [word for text in value for word in (option, text)]
         else:
             words += [option] if value is True else [option, ",".join(value) if key == "mesh" else value]
     assert run("segment", "--dump-config", *words) == 0

@@ -18,13 +18,14 @@ from accelsurf.errors import InputError
 from accelsurf.evolution import Row, Stop
 from accelsurf.geometry import Geometry
 from accelsurf.pyramid import Level
+from accelsurf.quality import Quality
 from accelsurf.splat import render
 from accelsurf.surface import extract
 
 KEYS = {
     *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
     *("stop", "levels", "energy", "mass", "seconds", "peak_rss_mb", "volume_mm3", "area_mm2", "components"),
-    *("touches_border", "warnings", "outputs"),
+    *("touches_border", "quality", "warnings", "outputs"),
 }
 
 
@@ -55,6 +56,8 @@ def finished(**changes):
         length_mm=None,
         components=1,
         touches_border=False,
+        terms=[{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
+        quality=Quality(0.25, 0.5, 0.125, 1, 2.0, 0.01, False, ("border: 25% of it",)),
     )
     return SimpleNamespace(**{**values, **changes})
 
@@ -77,6 +80,7 @@ def test_every_key_is_there_with_and_without_a_result():
     assert full["energy"] == {
         **{"name": "chan-vese", "first": 100.0, "last": 100.0 / 3, "kinetic_last": 0.25, "mass_potential_last": 0.0},
         **{"friction_work": 0.5, "smoothing_work": 0.25, "noise_work": 0.0},
+        "terms": [{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
     }
     assert full["mass"] is None  # constant density conserves none
     heavy = finished(config=RunConfig(flow="flowable-mass", gravity=1))

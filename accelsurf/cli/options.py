@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from accelsurf.config import SWITCHES, RunConfig, read_toml
+from accelsurf.config import REPEATED, SWITCHES, RunConfig, read_toml
 from accelsurf.errors import UsageError
 
 RUN = Group("What to run", sort_key=1)
@@ -22,12 +22,16 @@ Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_defa
 
 _GROUPS = {
     **dict.fromkeys(("energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
-    **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), RUN),
+    **dict.fromkeys(("edge_scale", "edge_contrast", "balloon", "foreground", "background", "channel"), RUN),
+    **dict.fromkeys(("mask", "roi", "max_volume"), RUN),
     **dict.fromkeys(("levels", "max_steps", "seed", "reproducible", "threads"), RUN),
     **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
 }
 _METAVARS = {
-    **dict.fromkeys(("energy", "flow", "format", "mesh_space"), "NAME"),
+    **dict.fromkeys(("flow", "format", "mesh_space"), "NAME"),
+    **dict.fromkeys(("foreground", "background"), "WHERE"),
+    **dict.fromkeys(("mask", "channel"), "FILE"),
+    **{"energy": "EXPRESSION", "roi": "BOX", "max_volume": "MM3"},
     **dict.fromkeys(("max_steps", "seed", "threads", "half_width"), "N"),
     **dict.fromkeys(("edge_scale", "noise_length", "sobolev_length"), "MM|auto"),
     **{"k": "K", "t0": "T|auto", "gravity": "G", "noise": "TAU", "noise_time": "T|auto", "blend": "OMEGA"},
@@ -55,7 +59,7 @@ def _settings(name: str, leave_out: tuple[str, ...] = ()) -> type:
     for key, field in RunConfig.model_fields.items():
         if key in leave_out:
             continue
-        kind: Any = bool if key in SWITCHES else tuple[str, ...] if key == "start" else str
+        kind: Any = bool if key in SWITCHES else tuple[str, ...] if key in REPEATED else str
         parameter = Parameter(
             name="--" + key.replace("_", "-"),
             help=field.description,
