@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 #: What makes a warning: more of the surface than this on the border or without an edge; less contrast than this, in
 #: parts of the image's range; more growth than this in the last steps.
-MOST_ON_BORDER, MOST_WITHOUT_EDGE, LEAST_CONTRAST, MOST_GROWTH, LAST_STEPS = 0.2, 0.3, 0.05, 0.02, 20
-#: A gradient is no edge below the median gradient of the image, or this part of its strong ones (that percentile).
-STRONG_PERCENTILE, EDGE_PART = 99.9, 0.125
+MOST_ON_BORDER, MOST_WITHOUT_EDGE, LEAST_CONTRAST, MOST_GROWTH, LAST_STEPS = 0.2, 0.4, 0.05, 0.02, 20
+#: A gradient is no edge unless it is above this percentile of those in the object's own depth, so many voxels from its
+#: surface, and above this part of the image's range over the scale that gradients are seen at.
+USUAL_PERCENTILE, DEEP, FLAT = 75.0, 3, 0.005
 #: Parts of the object with this share of its volume that hang together by less than two voxels to either side.
 LARGE_PART, NECK = 0.05, 2.0
-#: Voxels of a slab that is worked on at once; every so many voxels are looked at for the image's own gradients.
-SLAB, EVERY = 1 << 23, 7
+#: Voxels of a slab that is worked on at once.
+SLAB = 1 << 23
 
 
 class Quality(NamedTuple):
@@ -36,8 +37,8 @@ class Quality(NamedTuple):
         Mean difference of the image across the surface, inside less outside, a voxel off it to either side; in parts
         of the image's range.
     no_edge_fraction : float
-        Share of the surface where the image has no edge: a gradient below the image's median, or below an eighth of
-        its strong ones.
+        Share of the surface where the image has no edge: no larger gradient than three quarters of the object's own
+        inside have.
     parts_beyond_necks : int
         Large parts that the object falls into without its necks of less than four voxels; 1 for a compact object.
     growth : float
@@ -104,7 +105,8 @@ def _doubts(found: Quality, stop: Stop) -> list[str]:
         doubts.append(f"leak: {stop.message}")
     if found.border_fraction > MOST_ON_BORDER:
         doubts.append(f"border: {found.border_fraction:.0%} of the surface lies on the volume's border")
-    if abs(found.contrast) < LEAST_CONTRAST:
+    # An object may be brighter than one neighbour and darker than another: then there are edges.
+    if abs(found.contrast) < LEAST_CONTRAST and found.no_edge_fraction > MOST_WITHOUT_EDGE:
         doubts.append(
             f"contrast: inside and outside hardly differ at the surface ({found.contrast:.3f} of the image's range)"
         )
@@ -161,21 +163,24 @@ def _without_edge(
 ) -> float:
     """Share of the voxels next to the surface, on its inside, where the smoothed image has no edge."""
     scale = largest_spacing(inside.shape, spacing)
-    halo = 5 * int(np.ceil(scale / spacing[0])) + 1
+    halo = DEEP + 5 * int(np.ceil(scale / spacing[0])) + 1
     step = max(1, SLAB // (inside.shape[1] * inside.shape[2]))
-    on_surface, everywhere = [], []
+    on_surface, within = [], []
     for first in range(0, inside.shape[0], step):
         low, high = max(first - halo, 0), min(first + step + halo, inside.shape[0])
         gradient = gradient_magnitude(image[low:high], spacing, scale)
         slab = slice(first - low, min(first + step, inside.shape[0]) - low)
-        rim = inside[low:high] & ~ndimage.binary_erosion(inside[low:high], border_value=1)
+        part = inside[low:high]
+        rim = part & ~ndimage.binary_erosion(part, border_value=1)
         on_surface.append(gradient[slab][rim[slab]])
-        everywhere.append(gradient[slab].ravel()[::EVERY])
-    surface, image_s = np.concatenate(on_surface), np.concatenate(everywhere)
+        deep = ndimage.binary_erosion(part, iterations=DEEP, border_value=1)
+        within.append(gradient[slab][deep[slab]])
+    surface, own = np.concatenate(on_surface), np.concatenate(within)
     if surface.size == 0:
         return 0.0
-    least = max(float(np.median(image_s)), EDGE_PART * float(np.percentile(image_s, STRONG_PERCENTILE)))
-    return float((surface <= least).mean())
+    # A thin object has no inside to compare with.
+    usual = float(np.percentile(own, USUAL_PERCENTILE)) if own.size else 0.0
+    return float((surface <= max(usual, FLAT / scale)).mean())
 
 
 def _parts(inside: NDArray[np.bool_]) -> int:

@@ -274,3 +274,12 @@ def test_nothing_to_learn_from_is_told():
         HistogramLikelihood(image("3D"), samples=(np.zeros(0), np.ones(3)))
     with pytest.raises(InputError, match="no voxel"):
         gaussian_of(np.zeros(0), 0.1)
+
+
+def test_any_number_of_threads_gives_the_same_bytes():
+    scan = image("3D").astype(np.float32)
+    text = "local-region:R=5 + 0.4*likelihood:histogram + 0.2*likelihood + 0.3*threshold:0.2, + 0.1*area"
+    words = dict(spacing=GRIDS["3D"][1], start="ball:20,21,19,8vox", energy=text, max_steps=40, levels=1)
+    one, three = (segment(scan, threads=threads, **words) for threads in (1, 3))
+    np.testing.assert_array_equal(one.psi, three.psi)
+    assert [row.potential for row in one.ledger] == [row.potential for row in three.ledger]
