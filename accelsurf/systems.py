@@ -15,7 +15,7 @@ from accelsurf.evolution import StopRule
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Momentum, Noise, Sobolev
 from accelsurf.terms import area_weight, make_energy
 
-__all__ = ["ENERGY_SETTINGS", "half_width", "is_maker", "make_energy", "make_flow", "own_energy"]
+__all__ = ["ENERGY_SETTINGS", "half_width", "is_maker", "make_energy", "make_flow", "own_energy", "stop_rule"]
 
 #: Settings of the energies that have a name; an energy of one's own has its own.
 ENERGY_SETTINGS = (
