@@ -33,6 +33,8 @@ _HOMES = {
     "Result": "accelsurf.segmentation",
     "segment": "accelsurf.segmentation",
     "evolve": "accelsurf.segmentation",
+    "ObjectsResult": "accelsurf.several",
+    "segment_objects": "accelsurf.several",
     "evaluate": "accelsurf.metrics",
     "show": "accelsurf.viewer.notebook",
 }
@@ -56,6 +58,8 @@ if TYPE_CHECKING:
     from accelsurf.segmentation import Result as Result
     from accelsurf.segmentation import evolve as evolve
     from accelsurf.segmentation import segment as segment
+    from accelsurf.several import ObjectsResult as ObjectsResult
+    from accelsurf.several import segment_objects as segment_objects
     from accelsurf.surface import Surface as Surface
     from accelsurf.viewer.notebook import show as show
     from accelsurf.volume import Volume as Volume

@@ -113,6 +113,12 @@ class RunConfig(BaseModel):
         "largest:LO,HI, otsu, mesh:FILE or center. "
         "Coordinates in world mm (LPS), or voxel indices (x,y,z) with the suffix vox. Several are united.",
     )
+    objects: str | None = Field(
+        None,
+        description="Several objects at once, in place of --start: label map of first voxels on the image's grid, each "
+        "object its id (FILE@2,5-9: these only), or table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
+        "id,x_vox,y_vox,z_vox,r_vox. They never overlap.",
+    )
     mask: str | None = Field(
         None, description="Label map on the image's grid: the surface never leaves the voxels above 0."
     )
@@ -277,6 +283,20 @@ class RunConfig(BaseModel):
                 f"seed: none was given, expected a whole number at least 0: noise {self.noise:g} is random and the run "
                 "is to be reproducible",
                 "add --seed 1, or leave --reproducible out",
+            )
+        if self.objects is not None and self.start != _default("start"):
+            raise UsageError(
+                f"start: {' + '.join(self.start)} was given with objects {self.objects}, expected one of the two",
+                "objects are starts: put what is to be segmented into that file",
+            )
+        if self.objects is not None and self.edit:
+            raise UsageError(
+                "edit: one was given with objects, expected none", "edits are made in a run of one object"
+            )
+        if self.objects is not None and self.levels not in ("auto", 1):
+            raise UsageError(
+                f"levels: {self.levels} was given with objects, expected 1 or auto",
+                "several objects run on the image's own grid, each on its own part of it",
             )
         if self.t0 == 0 and self.k <= 1:
             raise UsageError(

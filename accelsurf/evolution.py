@@ -288,6 +288,10 @@ class Evolution:
         """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
         self._asked = True
 
+    def hand_over(self) -> None:
+        """Look at the surface as it is, so that an evolution on another grid can go on from here."""
+        self._potential = self.energy.value(self.surface, *self.surface.cut())
+
     def __iter__(self) -> Iterator[Step]:
         """Run, yielding a Step after each step of the surface."""
         while (step := self.step()) is not None:

@@ -182,23 +182,28 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
 
 
 def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
-    """Write a label map: as `write`, with values as uint8, or uint16 when they go past 255.
+    """Write a label map: as `write`, with values as uint8, uint16 or uint32, as small as they fit.
 
     In a PNG or TIFF a map of 0 and 1 is written as 0 and 255, which is black and white in every viewer.
 
     Raises
     ------
     InputError
-        When a value is not a whole number from 0 to 65535; else as `write`.
+        When a value is not a whole number from 0 to 4294967295; else as `write`.
     """
     values = _whole(volume.array)
     low, high = int(values.min()), int(values.max())
-    if low < 0 or high > 65535:
-        raise InputError(f"labels from {low} to {high} given, 0 to 65535 expected", hint="renumber the labels")
-    values = values.astype(np.uint8 if high <= 255 else np.uint16)
+    if low < 0 or high > 2**32 - 1:
+        raise InputError(f"labels from {low} to {high} given, 0 to {2**32 - 1} expected", hint="renumber the labels")
+    values = values.astype(label_type(high))
     if high == 1 and split_name(path)[1] in pictures.SUFFIXES:
         values *= 255
     write(volume.with_array(values), path)
+
+
+def label_type(largest: int) -> np.dtype[Any]:
+    """Smallest unsigned type that holds labels up to ``largest``."""
+    return np.dtype(np.uint8 if largest <= 255 else np.uint16 if largest <= 65535 else np.uint32)
 
 
 def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:

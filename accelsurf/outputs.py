@@ -20,6 +20,7 @@ from accelsurf.headers import of_patient
 if TYPE_CHECKING:
     from accelsurf.geometry import Geometry
     from accelsurf.segmentation import Result
+    from accelsurf.several import ObjectsResult
 
 CONTOUR_FORMATS = ("vtp", "csv")
 SURFACE_FORMATS = ("ply", "stl", "obj", "vtp")
@@ -216,17 +217,17 @@ def write_result(
         yield kind.partition("-")[0], folder / names[kind]
 
 
-def told(name: str, result: Result) -> str:
+def told(name: str, result: Result | ObjectsResult) -> str:
     """Return the heading of a picture: how the run ended."""
     return f"{name}: {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
 
 
-def scene(result: Result, title: str, reference: Any = None) -> preview.Scene:
+def scene(result: Result | ObjectsResult, title: str, reference: Any = None) -> preview.Scene:
     """Return what a picture of a result shows.
 
     Parameters
     ----------
-    result : Result
+    result : Result or ObjectsResult
     title : str
         Its heading.
     reference : ndarray, optional
@@ -243,4 +244,5 @@ def scene(result: Result, title: str, reference: Any = None) -> preview.Scene:
         title=title,
         anatomical=of_patient(result.volume.metadata),
         reference=reference,
+        labels=result.labels if hasattr(result, "objects") else None,
     )

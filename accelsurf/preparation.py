@@ -33,9 +33,13 @@ class Prepared:
     others : sequence of Volume
         The other channels, on the same grid.
     config : RunConfig
+    start : ndarray (nz, ny, nx), optional
+        psi of the first surfaces on the whole grid, in place of the start of ``config``.
 
     Attributes
     ----------
+    box : tuple of slice
+        Voxels of the region of interest.
     geometry : Geometry
         Of the region of interest.
     image : ndarray (nz, ny, nx), float32
@@ -51,7 +55,13 @@ class Prepared:
         As `accelsurf.segment` says.
     """
 
-    def __init__(self, volume: Volume, others: Sequence[Volume], config: RunConfig) -> None:
+    def __init__(
+        self,
+        volume: Volume,
+        others: Sequence[Volume],
+        config: RunConfig,
+        start: NDArray[np.float32] | None = None,
+    ) -> None:
         for one in (volume, *others):
             check_image(one)
             if not one.geometry.matches(volume.geometry):
@@ -60,28 +70,28 @@ class Prepared:
                     f"{one.geometry.difference(volume.geometry)}",
                     "resample it to the image's grid first",
                 )
-        self._whole, self._box = volume.geometry, region_of_interest(config.roi, volume.geometry)
-        self.geometry = cropped(volume.geometry, self._box)
+        self._whole, self.box = volume.geometry, region_of_interest(config.roi, volume.geometry)
+        self.geometry = cropped(volume.geometry, self.box)
         smoothed = presmoothed(volume, config.presmooth)
-        psi = starts.build(config.start, volume, smoothed)
+        psi = starts.build(config.start, volume, smoothed) if start is None else start
         foreground, background = (
-            _cut(starts.build(texts, volume, smoothed) < 0, self._box) if texts else None
+            _cut(starts.build(texts, volume, smoothed) < 0, self.box) if texts else None
             for texts in (config.foreground, config.background)
         )
         mask = read_mask(config.mask, volume.geometry) if config.mask is not None else None
-        self._fences = None if mask is None else [fence_of(_cut(mask, self._box), self.geometry.spacing)]
-        self.psi = self._started(_cut(psi, self._box), config)
+        self._fences = None if mask is None else [fence_of(_cut(mask, self.box), self.geometry.spacing)]
+        self.psi = self._started(_cut(psi, self.box), config)
         #: psi of the start on the whole grid, for an image of one slice; for volumes it would cost memory.
         self.start = psi.copy() if volume.geometry.slice_axis is not None else None
         # What lies around a region of interest is shown at the end.
         self._smoothed = smoothed if config.roi is not None else None
-        values = _cut(smoothed, self._box) if config.roi is None else smoothed[self._box].copy()
+        values = _cut(smoothed, self.box) if config.roi is None else smoothed[self.box].copy()
         scales = [scale_of(values)]
         self.image = apply(values, scales[0])
         del smoothed, psi, values
         images = [self.image]
         for one in others:
-            values = _cut(presmoothed(one, config.presmooth), self._box)
+            values = _cut(presmoothed(one, config.presmooth), self.box)
             scales.append(scale_of(values))
             images.append(apply(values, scales[-1]))
         self._grids = pyramid.levels(self.geometry.shape, self.geometry.spacing)
@@ -95,16 +105,16 @@ class Prepared:
 
     def _started(self, psi: NDArray[np.float32], config: RunConfig) -> NDArray[np.float32]:
         """The start within region and fence, which must leave something of it."""
-        where = "the region of interest"
+        where, what = "the region of interest", config.objects or " + ".join(config.start)
         if self._fences is not None:
             psi = np.maximum(psi, self._fences[0])
             where = "the mask" if config.roi is None else "the mask and the region of interest"
         inside = psi < 0
         if not inside.any():
-            raise InputError(f"start {' + '.join(config.start)}: nothing of it lies in {where}", "start within it")
+            raise InputError(f"start {what}: nothing of it lies in {where}", "start within it")
         if inside.all():
             raise InputError(
-                f"start {' + '.join(config.start)}: it takes in all of {where}", "leave some background outside"
+                f"start {what}: it takes in all of {where}", "leave some background outside"
             )
         return np.ascontiguousarray(psi)
 
@@ -134,13 +144,17 @@ class Prepared:
     @property
     def first(self) -> tuple[int, int, int]:
         """Index (z, y, x) in the image of the first voxel of the region of interest."""
-        z, y, x = self._box
+        z, y, x = self.box
         return z.start, y.start, x.start
 
     def hold(self, psi: NDArray[np.float32]) -> None:
         """Cut psi (in place) on the grid of a level off at the fence, if there is one."""
         if self._fences is not None:
             np.maximum(psi, self._fence_on(psi.shape), out=psi)
+
+    def fence(self, box: Box) -> NDArray[np.float32] | None:
+        """The fence on a box of the region of interest; None where there is none."""
+        return None if self._fences is None else self._fences[0][box]
 
     def finished(self, psi: NDArray[np.float32]) -> NDArray[np.float32]:
         """Psi of the last surface on the whole grid: cut at the fence, and half a voxel beyond the region's voxels."""
@@ -150,11 +164,11 @@ class Prepared:
             return psi
         out = np.full(self._whole.shape, np.abs(psi).max(), np.float32)
         around = tuple(
-            slice(max(s.start - 1, 0), min(s.stop + 1, n)) for s, n in zip(self._box, self._whole.shape, strict=True)
+            slice(max(s.start - 1, 0), min(s.stop + 1, n)) for s, n in zip(self.box, self._whole.shape, strict=True)
         )
-        before = [(s.start - a.start, a.stop - s.stop) for s, a in zip(self._box, around, strict=True)]
+        before = [(s.start - a.start, a.stop - s.stop) for s, a in zip(self.box, around, strict=True)]
         out[around] = np.abs(np.pad(psi, before, mode="edge"))
-        out[self._box] = psi
+        out[self.box] = psi
         return out
 
     def shown(self) -> NDArray[np.float32]:

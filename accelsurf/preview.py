@@ -60,6 +60,8 @@ class Scene:
         Labels to compare with (> 0 is the object), drawn as a second contour.
     start : ndarray, shape (nz, ny, nx), optional
         psi of the start, drawn for an image of one slice.
+    labels : ndarray, shape (nz, ny, nx), optional
+        Several objects, each its label: drawn instead of psi, which does not tell where they touch.
     """
 
     image: NDArray[Any]
@@ -71,6 +73,7 @@ class Scene:
     anatomical: bool = False
     reference: NDArray[Any] | None = None
     start: NDArray[Any] | None = None
+    labels: NDArray[Any] | None = None
 
 
 def preview_png(scene: Scene) -> bytes:
@@ -219,10 +222,15 @@ def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
         lines.append(("reference", mask, SKY, (0, (2, 1.5))))
     if scene.start is not None:
         lines.append(("start", np.asarray(up.turn(scene.start)[cut]), GREEN, (0, (4, 2))))
+    if scene.labels is not None:
+        slab = up.turn(scene.labels)[cut]
+        for own in np.unique(slab[slab > 0]):
+            _contour(axes, np.where(slab == own, -0.5, 0.5), up, vertical, horizontal, ORANGE, "solid")
+        lines = lines[1:]
     for name, level, color, dashes in lines:
         _contour(axes, level, up, vertical, horizontal, color, dashes)
         axes.plot([], [], color=color, linestyle=dashes, label=name)
-    if len(lines) > 1:
+    if len(lines) > 1 or scene.labels is not None and lines:
         axes.legend(fontsize=8, loc="lower right", framealpha=0.75, borderpad=0.3, labelcolor=_INK)
     where = f"{up.names[plane]} = {up.coordinate(plane, place[plane]):.4g} mm"
     kind = PLANES[plane] if scene.anatomical else "Slice"

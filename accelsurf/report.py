@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.io import sha256
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from accelsurf.config import RunConfig
     from accelsurf.evolution import Row
     from accelsurf.geometry import Geometry
+    from accelsurf.quality import Quality
     from accelsurf.segmentation import Result
+    from accelsurf.several import ObjectsResult
 
 SCHEMA_VERSION = 1
 Status = Literal["ok", "failed", "interrupted"]
@@ -70,7 +72,7 @@ def build(
     argv: Sequence[str] = (),
     config: RunConfig | None = None,
     source: Mapping[str, Any] | None = None,
-    result: Result | None = None,
+    result: Result | ObjectsResult | None = None,
     error: Mapping[str, str] | None = None,
     seconds: Mapping[str, float] | None = None,
     outputs: Sequence[Mapping[str, str]] = (),
@@ -128,7 +130,9 @@ def build(
     }
 
 
-def describe_config(config: RunConfig | None, result: Result | None) -> dict[str, Any] | None:
+def describe_config(
+    config: RunConfig | None, result: Result | ObjectsResult | None
+) -> dict[str, Any] | None:
     """Return the settings of a run; ``energy`` is what the run had: ``custom: ClassName`` for one of the user's own."""
     if config is None:
         return None
@@ -136,17 +140,18 @@ def describe_config(config: RunConfig | None, result: Result | None) -> dict[str
     return settings if result is None else {**settings, "energy": result.energy}
 
 
-def describe_result(result: Result | None) -> dict[str, Any]:
+def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
     """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
     Parameters
     ----------
-    result : Result or None
-        With None every value is null.
+    result : Result or ObjectsResult or None
+        Of several objects the sums, and an entry for each in ``objects``. With None every value is null.
     """
     if result is None:
         keys = ("stop", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm")
-        return dict.fromkeys((*keys, "components", "touches_border", "quality"))
+        return dict.fromkeys((*keys, "components", "touches_border", "quality", "objects"))
+    many = cast("ObjectsResult", result) if hasattr(result, "objects") else None
     last = result.ledger[-1] if result.ledger else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
     first = next((row for row in result.ledger if row.level == 0), None)
@@ -180,11 +185,47 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "length_mm": result.length_mm,
         "components": result.components,
         "touches_border": result.touches_border,
-        "quality": {**result.quality._asdict(), "warnings": list(result.quality.warnings)},
+        "quality": describe_quality(result.quality),
+        "objects": None if many is None else describe_objects(many),
     }
 
 
-def describe_levels(result: Result) -> list[dict[str, Any]]:
+def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
+    """Return the part of the report about the trust in an object; None for several, which have it each."""
+    return None if quality is None else {**quality._asdict(), "warnings": list(quality.warnings)}
+
+
+def describe_objects(result: ObjectsResult) -> list[dict[str, Any]]:
+    """Return an entry for each of several objects, in order of their ids; ``centroid`` is (x, y, z) mm, LPS."""
+    return [
+        {
+            "id": own,
+            "reason": one.stop.reason,
+            "steps": one.stop.steps,
+            "message": one.stop.message,
+            "volume_mm3": one.volume_mm3,
+            "area_mm2": one.area_mm2,
+            "enclosed_mm2": one.enclosed_mm2,
+            "length_mm": one.length_mm,
+            "components": one.components,
+            "touches_border": one.touches_border,
+            "centroid": _centroid(one),
+            "cells_visited": sum(row.cells_visited for row in one.ledger),
+            "quality": describe_quality(one.quality if one.labels.any() else None),
+        }
+        for own, one in result.objects.items()
+    ]
+
+
+def _centroid(result: Result) -> list[float] | None:
+    inside = result.labels.nonzero()
+    if inside[0].size == 0:
+        return None
+    middle = [float(axis.mean()) for axis in inside]
+    return [float(v) for v in result.geometry.index_to_world(middle)]
+
+
+def describe_levels(result: Result | ObjectsResult) -> list[dict[str, Any]]:
     """Return the part of the report about the grids that the run went over, coarsest first; 0 is the image's own."""
     return [
         {
@@ -199,7 +240,7 @@ def describe_levels(result: Result) -> list[dict[str, Any]]:
     ]
 
 
-def describe_mass(result: Result) -> dict[str, Any] | None:
+def describe_mass(result: Result | ObjectsResult) -> dict[str, Any] | None:
     """Return the part of the report about conserved mass; None for a flow that has none.
 
     ``correction`` is the part of the mass that had to be added to conserve it, ``cure`` what is done where the mass
@@ -344,11 +385,34 @@ def trace_csv(ledger: Iterable[Row]) -> str:
     ledger : iterable of Row
         One row per step. Units: mm, mm^2, mm^3, voxels, seconds; t and dt in flow time. True is 1.
     """
+    return _table(TRACE_COLUMNS, ([getattr(row, name) for name in TRACE_COLUMNS] for row in ledger))
+
+
+def objects_trace_csv(ledgers: Mapping[int, Iterable[Row]]) -> str:
+    """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
+    rows = ([own, *(getattr(row, name) for name in TRACE_COLUMNS)] for own, ledger in ledgers.items() for row in ledger)
+    return _table(("object", *TRACE_COLUMNS), rows)
+
+
+def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table of several objects, one row each, from `describe_objects`; empty is what an object has not."""
+    plain = [key for key in objects[0] if key not in ("centroid", "quality", "message")]
+    known: Mapping[str, Any] = next((one["quality"] for one in objects if one["quality"]), {})
+    measures = [key for key in known if key != "warnings"]
+    rows = []
+    for one in objects:
+        quality = one["quality"] or {}
+        place = one["centroid"] or (None, None, None)
+        told = "; ".join(quality.get("warnings", ()))
+        rows.append([*(one[key] for key in plain), *place, *(quality.get(key) for key in measures), told])
+    return _table((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(TRACE_COLUMNS)
-    for row in ledger:
-        writer.writerow([_cell(getattr(row, name)) for name in TRACE_COLUMNS])
+    writer.writerow(columns)
+    writer.writerows([_cell(value) for value in row] for row in rows)
     return stream.getvalue()
 
 

@@ -91,7 +91,11 @@ class Run:
         channels: Sequence[Volume] = (),
     ) -> None:
         began = time.perf_counter()
-        config = _seeded(config)
+        if config.objects is not None:
+            raise UsageError(
+                f"objects: {config.objects} was given to a run of one object", "use accelsurf.segment_objects"
+            )
+        config = seeded(config)
         self.volume, self.config, self._energy = volume, config, energy
         self.now, self._done, self._leaked = config.model_copy(update={"edit": ()}), 0, False
         self.prepared = Prepared(volume, [*channels, *read_channels(config.channel)], config)
@@ -226,7 +230,7 @@ class Run:
             same += 1
         for edit in edits[same:]:
             self.check(edit)
-        config = _seeded(self.config.replace(edit=edits))
+        config = seeded(self.config.replace(edit=edits))
         if config.edit[: self._done] != self.config.edit[: self._done]:
             raise ValueError("an edit that has been applied cannot change: go back to before it first")
         self.config = config
@@ -291,7 +295,7 @@ class Run:
         self.prepared.hold(psi)
 
 
-def _seeded(config: RunConfig) -> RunConfig:
+def seeded(config: RunConfig) -> RunConfig:
     """The configuration, with a seed if it has noise at any time; drawn once and kept, so that it repeats the run."""
     noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
     return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config

@@ -223,8 +223,8 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
-    first = _as_volume(volume, spacing)
-    run = Run(first, *_resolved(config, energy, options), [_as_channel(one, first) for one in channels])
+    first = as_volume(volume, spacing)
+    run = Run(first, *resolved(config, energy, options), [as_channel(one, first) for one in channels])
     with run.workers:
         for step in run:
             if on_step is not None and on_step(step.row):
@@ -266,13 +266,13 @@ def evolve(
     >>> step.surface.labels.shape
     (24, 24, 24)
     """
-    first = _as_volume(volume, spacing)
-    run = Run(first, *_resolved(config, energy, options), [_as_channel(one, first) for one in channels])
+    first = as_volume(volume, spacing)
+    run = Run(first, *resolved(config, energy, options), [as_channel(one, first) for one in channels])
     with run.workers:
         yield from run
 
 
-def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
+def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
     if isinstance(volume, Volume):
         if spacing is not None:
             raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
@@ -280,14 +280,14 @@ def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, floa
     return Volume.from_array(volume, 1.0 if spacing is None else spacing)
 
 
-def _as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
+def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
     if isinstance(volume, Volume):
         return volume
     array = np.asarray(volume)
     return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)
 
 
-def _resolved(
+def resolved(
     config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any]
 ) -> tuple[RunConfig, EnergyLike | None]:
     """The configuration, and the energy if it is not one with a name."""

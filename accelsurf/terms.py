@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ MEAN_OVER_CHANNELS, SUM_OVER_CHANNELS = ("chan-vese", "local-region"), ("likelih
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Kept = TypeVar("Kept")
 
 
 class Scale(NamedTuple):
@@ -85,6 +87,20 @@ class Facts:
         self.others = others or (lambda shape, spacing: self.images[1:])
         self.chosen: dict[int, dict[str, Any]] = {}
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
+        self._kept: dict[tuple[Any, ...], Any] = {}
+
+    def on(self, box: tuple[slice, slice, slice]) -> Facts:
+        """The same facts for energies on a box of the image's own grid; what they choose is kept in common."""
+        part = copy.copy(self)
+        part.others = lambda shape, spacing: [np.ascontiguousarray(image[box]) for image in self.images[1:]]
+        return part
+
+    def once(self, make: Callable[..., Kept], channel: int, *args: Any) -> Kept:
+        """``make(image, *args)`` of a whole channel, found once: many objects ask for it."""
+        key = (make, channel, args)
+        if key not in self._kept:
+            self._kept[key] = make(self.images[channel], *args)
+        return cast("Kept", self._kept[key])
 
     def samples(self, channel: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Values of a channel inside and outside, where likelihood is to learn."""
@@ -104,9 +120,9 @@ class Facts:
         if value == "":
             return None
         if value == "auto":
-            return otsu_level(self.images[channel])
+            return self.once(otsu_level, channel)
         if isinstance(value, str):
-            return float(np.percentile(self.images[channel], float(value.removesuffix("%"))))
+            return float(self.once(np.percentile, channel, float(value.removesuffix("%"))))
         scale = self.scales[channel]
         return (value - scale.low) / scale.width
 
@@ -234,10 +250,10 @@ def _likelihood(
     used: dict[str, Any] = {"model": model, "update": update, "epsilon": epsilon}
     if model == "histogram":
         learned = facts.samples(channel) if update == "no" else None
-        return HistogramLikelihood(image, alpha, learned, epsilon, Parzen(facts.images[channel])), used
+        return HistogramLikelihood(image, alpha, learned, epsilon, facts.once(Parzen, channel)), used
     if update == "yes":
         return GaussianLikelihood(image, alpha, epsilon=epsilon), used
-    one, other = (gaussian_of(values, least_variance(facts.images[channel])) for values in facts.samples(channel))
+    one, other = (gaussian_of(values, facts.once(least_variance, channel)) for values in facts.samples(channel))
     low, width = facts.scales[channel]
     for name, (mean, variance) in (("inside", one), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
@@ -249,7 +265,7 @@ def _threshold(
 ) -> Made:
     low, high = (facts.bound(channel, settings.get(key, "")) for key in ("LO", "HI"))
     start, width = facts.scales[channel]
-    soft = float(settings["soft"]) / width if "soft" in settings else soft_edge(facts.images[channel], low, high)
+    soft = float(settings["soft"]) / width if "soft" in settings else facts.once(soft_edge, channel, low, high)
     used = {key: None if v is None else start + width * v for key, v in (("LO", low), ("HI", high))}
     return Threshold(image, low, high, soft, alpha), {**used, "soft": soft * width}
 

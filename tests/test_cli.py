@@ -193,6 +193,8 @@ def test_every_setting_is_an_option(capsys):
     words = []
     for key, value in values.model_dump().items():
         option = "--" + key.replace("_", "-")
+        if value is None:
+            continue
         if key in REPEATED:
             value = [str(edit) for edit in values.edit] if key == "edit" else value
             words += [word for text in value for word in (option, text)]
@@ -200,6 +202,10 @@ def test_every_setting_is_an_option(capsys):
             words += [option] if value is True else [option, ",".join(value) if key == "mesh" else value]
     assert run("segment", "--dump-config", *words) == 0
     assert RunConfig(**tomllib.loads(capsys.readouterr().out)) == values
+    # The one that does not go together with the others.
+    assert "objects" in [key for key, value in values.model_dump().items() if value is None]
+    assert run("segment", "--dump-config", "--objects", "o.csv") == 0
+    assert tomllib.loads(capsys.readouterr().out)["objects"] == "o.csv"
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ all; and whatever happens after that, a report says how it ended.
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import time
@@ -15,14 +16,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelsurf import outputs, preview, report
-from accelsurf.cli import INTERRUPTED
+from accelsurf.cli import INTERRUPTED, objects
 from accelsurf.config import RunConfig
 from accelsurf.errors import AccelsurfError, EmptyResultError
 from accelsurf.outputs import make_writable, refuse_existing, tells_of_failure, write_bytes
 
 if TYPE_CHECKING:
+    from typing_extensions import TypeIs
+
     from accelsurf.cli.progress import Watcher
     from accelsurf.segmentation import Result
+    from accelsurf.several import ObjectsResult
     from accelsurf.volume import Volume
 
 
@@ -73,7 +77,7 @@ class Case:
     overwrite: bool = False
     strict: bool = False
     volume: Volume | None = None
-    result: Result | None = None
+    result: Result | ObjectsResult | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     outputs: list[dict[str, str]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -105,9 +109,15 @@ class Case:
         """Where the report goes."""
         return self.folder / f"{self.name}_report.json"
 
+    def names(self, config: RunConfig) -> dict[str, str]:
+        """Return the last part of every output's name by its kind; before the image is read, all that there may be."""
+        return outputs.names(config, self.label_format(config), None if self.volume is None else self.one_slice)
+
     def paths(self, config: RunConfig) -> dict[str, Path]:
         """Return every output of the run by kind, the report last; before the image is read, all that there may be."""
-        names = outputs.names(config, self.label_format(config), None if self.volume is None else self.one_slice)
+        names = self.names(config)
+        if config.objects is not None:
+            return objects.paths(self, names) | {"report": self.report_path}
         return {kind: self.folder / f"{self.name}_{name}" for kind, name in names.items()} | {
             "report": self.report_path
         }
@@ -157,6 +167,7 @@ def run_case(case: Case, watcher: Watcher) -> int:
 def _compute(case: Case, watcher: Watcher) -> None:
     from accelsurf import channels, io, pictures
     from accelsurf.segmentation import segment
+    from accelsurf.several import segment_objects
 
     assert case.config is not None
     case.volume, *more = _timed(case, "load", lambda: channels.read(case.source))
@@ -168,8 +179,15 @@ def _compute(case: Case, watcher: Watcher) -> None:
     if not pictures.keeps(case.volume.geometry, f".{labels}"):
         case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     with watcher.watch(case.name, case.config.max_steps):
-        case.result = segment(case.volume, channels=more, config=case.config, on_step=watcher.on_step)
+        if case.config.objects is not None:
+            case.result = segment_objects(case.volume, channels=more, config=case.config, on_step=watcher.on_step)
+        else:
+            case.result = segment(case.volume, channels=more, config=case.config, on_step=watcher.on_step)
     case.warnings.extend(case.result.warnings)
+
+
+def _is_many(result: Result | ObjectsResult) -> TypeIs[ObjectsResult]:
+    return hasattr(result, "objects")
 
 
 def _timed(case: Case, part: str, work: Callable[[], Any]) -> Any:
@@ -184,6 +202,12 @@ def _timed(case: Case, part: str, work: Callable[[], Any]) -> Any:
 def _write(case: Case, config: RunConfig) -> None:
     """Write everything but the report. A run that left no surface leaves a trace and a picture only."""
     assert case.result is not None
+    if _is_many(case.result):
+        names, picture = case.names(config), scene(case)
+        for path, (kind, writer) in objects.writers(case, config, case.result, names, picture).items():
+            _timed(case, "write", functools.partial(writer, path))
+            case.outputs.append(report.describe_output(path, kind))
+        return
     names = {kind: path.name for kind, path in case.paths(config).items() if kind != "report"}
     for kind, path in outputs.write_result(case.result, case.folder, names, scene(case), case.seconds):
         case.outputs.append(report.describe_output(path, kind))
@@ -208,6 +232,8 @@ def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
 def _shortcoming(case: Case) -> AccelsurfError | None:
     """Say what is wrong with a run that did end, or None. Short of an error it is a warning."""
     assert case.result is not None
+    if _is_many(case.result):
+        return objects.shortcoming(case, case.result)
     stop = case.result.stop
     told = f"{case.name}: {stop.reason} after {stop.steps} steps: {stop.message}"
     match stop.reason:

@@ -23,14 +23,14 @@ Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_defa
 _GROUPS = {
     **dict.fromkeys(("energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon", "foreground", "background", "channel"), RUN),
-    **dict.fromkeys(("mask", "roi", "max_volume"), RUN),
+    **dict.fromkeys(("objects", "mask", "roi", "max_volume"), RUN),
     **dict.fromkeys(("levels", "max_steps", "edit", "seed", "reproducible", "threads"), RUN),
     **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
 }
 _METAVARS = {
     **dict.fromkeys(("flow", "format", "mesh_space"), "NAME"),
     **dict.fromkeys(("foreground", "background"), "WHERE"),
-    **dict.fromkeys(("mask", "channel"), "FILE"),
+    **dict.fromkeys(("objects", "mask", "channel"), "FILE"),
     **{"energy": "EXPRESSION", "roi": "BOX", "max_volume": "MM3"},
     **dict.fromkeys(("max_steps", "seed", "threads", "half_width"), "N"),
     **dict.fromkeys(("edge_scale", "noise_length", "sobolev_length"), "MM|auto"),
@@ -90,7 +90,7 @@ Settings = _settings("Settings")
 #: For commands that write none of a run's files.
 RunSettings = _settings("RunSettings", leave_out=("mesh", "mesh_space", "save_sdf", "format"))
 #: For commands that choose the flow and the files themselves.
-SharedSettings = _settings("SharedSettings", leave_out=("flow", "mesh", "mesh_space", "save_sdf", "format"))
+SharedSettings = _settings("SharedSettings", leave_out=("flow", "objects", "mesh", "mesh_space", "save_sdf", "format"))
 
 
 def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunConfig:

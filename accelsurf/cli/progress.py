@@ -64,8 +64,8 @@ class Watcher:
         self.interrupted = True
         print("interrupted: ending this step and writing what was reached (once more: give up)", file=sys.stderr)
 
-    def on_step(self, row: Row) -> bool:
-        """Show one step.
+    def on_step(self, row: Row, own: int | None = None) -> bool:
+        """Show one step, of the object ``own`` if there are several.
 
         Returns
         -------
@@ -73,9 +73,9 @@ class Watcher:
             True to ask the run to stop.
         """
         if self._bar is not None:
-            self._bar.step(row)
+            self._bar.step(row, "" if own is None else f"object {own}, ")
         if self._show_json:
-            line = {"event": "step", "run": self._label, **row._asdict()}
+            line = {"event": "step", "run": self._label, **({} if own is None else {"object": own}), **row._asdict()}
             print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
         return self.interrupted
 
@@ -98,8 +98,8 @@ class _Bar:
         self._task = self._progress.add_task(label, total=max_steps, state=BEFORE)
         self._progress.start()
 
-    def step(self, row: Any) -> None:
-        state = f"energy {row.potential:.5g}, moved {row.motion_voxels:.3f} voxels"
+    def step(self, row: Any, what: str) -> None:
+        state = f"{what}energy {row.potential:.5g}, moved {row.motion_voxels:.3f} voxels"
         if row.level:
             state = f"level {row.level}, {state}"
         self._progress.update(self._task, completed=row.step, state=state)

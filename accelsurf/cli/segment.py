@@ -23,10 +23,11 @@ def segment(
     settings: Settings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
-    """Segment one object in a volume.
+    """Segment one object in a volume, or with --objects several.
 
     Writes NAME_seg (label map on the input's grid), NAME_surface (mesh in mm; for an image of one slice NAME_contour),
-    NAME_report.json, NAME_trace.csv and NAME_preview.png.
+    NAME_report.json, NAME_trace.csv and NAME_preview.png; with --objects a mesh
+    NAME_surface_ID of each and a table of them, NAME_objects.csv.
 
     Parameters
     ----------
@@ -73,6 +74,11 @@ def segment(
 def _tell(case: Case) -> None:  # type: ignore[name-defined]  # noqa: F821
     """Print what came out."""
     result = case.result
+    if case.config.objects is not None:
+        from accelsurf.cli.objects import summary
+
+        print("\n".join(summary(case, result)))
+        return
     seconds = case.seconds["total"]
     steps = f"{result.stop.steps} steps" + (f" on {len(result.levels)} levels" if len(result.levels) > 1 else "")
     print(f"{case.name}: {result.stop.reason} after {steps}, {seconds:.1f} s ({result.stop.message})")

@@ -132,6 +132,15 @@ class Flow(Protocol):
         """Values of the fields on surface that was not there before."""
         ...
 
+    def momentum(self, surface: LevelSet) -> np.ndarray:
+        """Speed (n,) along the inward normal that the surface would keep without forces."""
+        ...
+
+    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Add to it (n,)."""
+        ...
+
+
     def energy(self, area: np.ndarray) -> float:
         """U_mass + T/w now, in the units of U."""
         ...
@@ -208,6 +217,13 @@ class Descent(Remembers):
 
     def take(self, fields: list[np.ndarray]) -> None:
         """Nothing to take."""
+
+    def momentum(self, surface: LevelSet) -> np.ndarray:
+        """None."""
+        return np.zeros(surface.size, np.float32)
+
+    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Nothing that could be pushed."""
 
     def travel_dt(self, rates: np.ndarray, limits: Limits) -> float:
         """Step in which the percentile of the speeds ``rates`` (voxels per unit time) moves the surface by cfl."""

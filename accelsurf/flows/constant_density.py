@@ -62,6 +62,14 @@ class ConstantDensity(Accelerated):
         """The speeds on the new band."""
         (self.beta,) = fields
 
+    def momentum(self, surface: LevelSet) -> np.ndarray:
+        """The speed beta."""
+        return self.beta
+
+    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Change beta."""
+        self.beta = self.beta + speed
+
     def move(self, now: Now, limits: Limits) -> Move:
         """Kick the speeds by the force over the step around the present time; the centred leap-frog."""
         surface, front, clock = now.surface, now.front, self.clock

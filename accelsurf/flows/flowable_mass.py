@@ -122,6 +122,14 @@ class FlowableMass(Accelerated):
         self.density *= np.float32(self.rho / before.rho)
         self.mass = 0.0
 
+    def momentum(self, surface: LevelSet) -> np.ndarray:
+        """V . N."""
+        return np.asarray((self.velocity * surface.normals()).sum(axis=1))
+
+    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Change V along N."""
+        self.velocity = self.velocity + speed[:, None] * surface.normals()
+
     def move(self, now: Now, limits: Limits) -> Move:
         """Kick the velocity by the forces over the step around the present time."""
         surface, front, clock = now.surface, now.front, self.clock

@@ -8,6 +8,7 @@ import numpy as np
 
 from accelsurf.flows.base import Limits, Move, Now, Remembering, finish, voxel_rates
 from accelsurf.flows.gradient import curvature_bound
+from accelsurf.levelset import LevelSet
 
 
 class Momentum(Remembering):
@@ -32,6 +33,14 @@ class Momentum(Remembering):
         """Forget the last step."""
         self._last[:] = 0.0
         return 0.0
+
+    def momentum(self, surface: LevelSet) -> np.ndarray:
+        """The last step, mm."""
+        return self._last
+
+    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Change what is remembered."""
+        self._last = self._last + speed
 
     def move(self, now: Now, limits: Limits) -> Move:
         """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
@@ -84,6 +85,16 @@ class Workers:
             for other in others:
                 if not other.cancel():
                     other.result()
+
+    @contextmanager
+    def helped_by(self, others: Workers) -> Iterator[None]:
+        """Run on the threads of others for a while, with counts of one's own."""
+        before = self._pool, self.threads
+        self._pool, self.threads = others._pool, others.threads
+        try:
+            yield
+        finally:
+            self._pool, self.threads = before
 
     def close(self) -> None:
         """End the threads."""

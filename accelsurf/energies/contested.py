@@ -1,0 +1,194 @@
+"""An energy beside others: where two surfaces meet neither enters the other or pushes it back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.base import Energy
+from accelsurf.levelset import Change, LevelSet
+
+#: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
+NEAR = 1.0
+
+Corner = tuple[int, int, int]
+
+
+class Flow(Protocol):
+    """What a collision asks of a flow; see `accelsurf.flows.Flow`."""
+
+    def momentum(self, surface: LevelSet) -> np.ndarray:
+        """Speed (n,) along the inward normal that the surface would keep without forces."""
+        ...
+
+    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Add to it (n,)."""
+        ...
+
+
+class Neighbour(NamedTuple):
+    """Another object: its ``surface``, where its grid begins in the common one, what pulls it and how it moves."""
+
+    surface: LevelSet
+    corner: Corner
+    energy: Contested
+    flow: Flow
+
+
+class Contested:
+    """Another energy among neighbours that pull at the same places.
+
+    Where surfaces i and j touch neither can push the other back: i's force becomes max(f_i, -max(f_j, 0)), so that it
+    rests while both want to grow, and follows where the other gives way. Then neither could lower its own energy alone.
+    (The mean of both forces would have the minimum of U_i + U_j, and no rest between objects that are alike: the
+    smallest difference of their models lets one swallow the other.) Speeds meet in the same way, as in a collision that
+    is not elastic. It sets in over the last voxel between them; surfaces that draw apart feel nothing of each other.
+    After each motion psi_i is held above (psi_i - psi_j)/2: what both hold goes to the one that is deeper there.
+
+    Parameters
+    ----------
+    energy : Energy
+        The object's own.
+    corner : (z, y, x)
+        First voxel of the object's grid in the grid that all objects share.
+
+    Attributes
+    ----------
+    neighbours : sequence of Neighbour
+        Set by whoever moves the objects; they stand still while this one moves.
+    """
+
+    def __init__(self, energy: Energy, corner: Corner) -> None:
+        self._energy, self._corner = energy, corner
+        self.neighbours: Sequence[Neighbour] = ()
+        # Raster order in the object's grid; only of the front.
+        self._cells, self._forces = np.empty(0, np.int64), np.empty(0, np.float32)
+
+    @property
+    def alpha(self) -> float:
+        """The energy's own."""
+        return self._energy.alpha
+
+    def start(self, surface: LevelSet) -> None:
+        """Take up a surface."""
+        self._energy.start(surface)
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up what changed."""
+        self._energy.follow(surface, change)
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface, without its neighbours'."""
+        return self._energy.value(surface, part, area)
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front; held where it pushes against a neighbour that does not give way."""
+        own = np.asarray(self._energy.force(surface, front, curvature), np.float32)
+        self._cells, self._forces = surface.band.cells[front], own[front]
+        on = np.flatnonzero(front)
+        own[on] += self.pressure(surface, on, own[on], lambda other, cells, slots: other.energy.force_in(cells))
+        return own
+
+    def pressure(
+        self,
+        surface: LevelSet,
+        on: NDArray[np.intp],
+        mine: NDArray[np.float32],
+        theirs: Callable[[Neighbour, NDArray[np.int64], NDArray[np.int32]], NDArray[np.float32]],
+    ) -> NDArray[np.float32]:
+        """What neighbours add to a quantity along the inward normal where the surface pushes against them.
+
+        Parameters
+        ----------
+        surface : LevelSet
+        on : ndarray (m,)
+            Slots of the cells where it is wanted.
+        mine : ndarray (m,), float32
+            The surface's own.
+        theirs : callable
+            The neighbour's, for cells of its grid and their slots; only slots of its band are asked for.
+
+        Returns
+        -------
+        ndarray (m,), float32
+            What makes it max(mine, -max(theirs, 0)) where the two touch, less off it. Among several neighbours that of
+            the one that gives way least.
+        """
+        out = np.zeros(on.size, np.float32)
+        if not self.neighbours:
+            return out
+        steps = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
+        index = np.stack(np.unravel_index(surface.band.cells[on], surface.shape), axis=1) + np.array(self._corner)
+        foot = np.where(np.array(surface.shape) > 1, surface.band.foot[on] / steps, 0.0)
+        for other in self.neighbours:
+            shape = np.array(other.surface.shape)
+            place = index + foot - np.array(other.corner)
+            nearest = np.rint(place).astype(np.int64)
+            near = np.flatnonzero(((nearest >= 0) & (nearest < shape)).all(axis=1))
+            cells = np.ravel_multi_index(tuple(nearest[near].T), other.surface.shape)
+            slots = other.surface.dense.slot[cells]
+            near, cells, slots = near[slots >= 0], cells[slots >= 0], slots[slots >= 0]
+            gap = ndimage.map_coordinates(other.surface.psi, place[near].T, order=1, mode="nearest")
+            share = np.clip(1.0 - gap / (NEAR * steps.min()), 0.0, 1.0).astype(np.float32)
+            against = -share * np.minimum(mine[near] + np.maximum(theirs(other, cells, slots), 0.0), 0.0)
+            out[near] = np.maximum(out[near], against)
+        return out
+
+    def force_in(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+        """The object's own force at some cells of its grid in its last step, 0 away from its front."""
+        if self._cells.size == 0:
+            return np.zeros(cells.size, np.float32)
+        at = np.minimum(np.searchsorted(self._cells, cells), self._cells.size - 1)
+        return np.where(self._cells[at] == cells, self._forces[at], np.float32(0.0))
+
+    def collide(self, surface: LevelSet, flow: Flow) -> None:
+        """Let the surface's speed meet its neighbours'; after its motion."""
+        if not self.neighbours or surface.size == 0:
+            return
+        speed, front = np.asarray(flow.momentum(surface), np.float32), surface.front()
+        push, on = np.zeros(surface.size, np.float32), np.flatnonzero(front)
+        push[on] = self.pressure(
+            surface, on, speed[on], lambda other, cells, slots: other.flow.momentum(other.surface)[slots]
+        )
+        if push.any():
+            surface.extend_outwards(push, front)
+            flow.push(surface, push)
+
+    def hold(self, surface: LevelSet) -> None:
+        """Give up half of what neighbours hold too; between the surface's motion and its redistancing."""
+        hold = getattr(self._energy, "hold", None)
+        if hold is not None:
+            hold(surface)
+        for other in self.neighbours:
+            on, theirs = beside(surface, self._corner, other)
+            cells = surface.band.cells[on]
+            mine = surface.dense.psi[cells]
+            surface.dense.psi[cells] = np.maximum(mine, np.float32(0.5) * (mine - theirs))
+
+    def overlap(self, surface: LevelSet) -> float:
+        """How deep, mm, neighbours are inside of the surface where it runs, within a voxel; 0 if none is."""
+        deepest, on_surface = 0.0, surface.front(1.0)
+        for other in self.neighbours:
+            on, theirs = beside(surface, self._corner, other)
+            near = on_surface[on]
+            if near.any():
+                deepest = max(deepest, -float((surface.band.psi[on] + theirs)[near].min()))
+        return deepest
+
+
+def beside(
+    surface: LevelSet, corner: Corner, other: Neighbour
+) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Slots of the band cells that lie on a neighbour's grid too, and the neighbour's psi there, mm."""
+    index = np.unravel_index(surface.band.cells, surface.shape)
+    moved = [i + (a - b) for i, a, b in zip(index, corner, other.corner, strict=True)]
+    inside = np.ones(surface.size, np.bool_)
+    for i, n in zip(moved, other.surface.shape, strict=True):
+        inside &= (i >= 0) & (i < n)
+    on = np.flatnonzero(inside)
+    values: Any = other.surface.psi[tuple(i[on] for i in moved)]
+    return on, values
