@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from accelsurf import expression
 from accelsurf.errors import UsageError
+from accelsurf.presets import PRESETS, PresetName
 
 FlowName = Literal["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"]
 MeshFormat = Literal["ply", "stl", "obj", "vtp", "csv"]
@@ -26,6 +27,8 @@ LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
 REPEATED = ("start", "foreground", "background", "channel")
 #: Settings that are true or false.
 SWITCHES = ("save_sdf", "reproducible")
+#: A length in voxels, as it is written.
+VOXELS = r"^(\d+\.?\d*|\.\d+)vox$"
 _WITH_MOMENTUM = ("constant-density", "flowable-mass")
 #: Flows and terms of energies that a setting means something to; settings not named here mean something to all.
 _ONLY_FOR: dict[str, tuple[str, ...]] = {
@@ -36,7 +39,8 @@ _ONLY_FOR: dict[str, tuple[str, ...]] = {
     "blend": ("momentum",),
     "balance": ("chan-vese",),
     "epsilon": ("chan-vese", "local-region"),
-    **dict.fromkeys(("foreground", "background"), ("likelihood",)),
+    "foreground": ("likelihood", "threshold"),
+    "background": ("likelihood",),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), ("geodesic",)),
 }
 
@@ -93,6 +97,11 @@ class RunConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
+    preset: PresetName | None = Field(
+        None,
+        description="Settings for a kind of scan, under those given beside it: " + ", ".join(PRESETS) + ". "
+        "accelsurf info says what each sets, and why.",
+    )
     energy: Annotated[str, BeforeValidator(_expression)] = Field(
         "chan-vese",
         description="Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic'. chan-vese: two "
@@ -144,8 +153,10 @@ class RunConfig(BaseModel):
         description="Weight of the fit inside against the fit outside (lambda1/lambda2 of Chan and Vese, no unit): "
         "above 1 the object must be closer to its mean, so a bright object loses its dim rim.",
     )
-    presmooth: float = Field(
-        0.0, ge=0, description="Sigma of a Gaussian applied to the image before the run, in mm; 0 for none."
+    presmooth: Annotated[float, Field(ge=0)] | Annotated[str, Field(pattern=VOXELS)] = Field(
+        0.0,
+        description="Sigma of a Gaussian applied to the image before the run, in mm, or in voxels of the smallest "
+        "spacing with the suffix vox; 0 for none.",
     )
     edge_scale: Annotated[float, Field(gt=0)] | Literal["auto"] = Field(
         "auto",
@@ -256,8 +267,11 @@ class RunConfig(BaseModel):
     )
 
     def __init__(self, **values: Any) -> None:
+        # A preset that is none is told by the validation.
+        preset = values.get("preset")
+        under = PRESETS[preset].settings if isinstance(preset, str) and preset in PRESETS else {}
         try:
-            super().__init__(**values)
+            super().__init__(**{**under, **values})
         except ValidationError as error:
             raise _usage_error(error, values) from None
         self._check_together()
@@ -284,7 +298,8 @@ class RunConfig(BaseModel):
         >>> RunConfig(flow="gradient", gravity=0.1).unused()
         ['gravity']
         """
-        used = {self.flow, *(term.name for term in expression.parse(self.energy))}
+        terms = expression.parse(self.energy)
+        used = {self.flow, *(term.name for term in terms if not _learns_nothing(term))}
         return [
             key for key, users in _ONLY_FOR.items() if used.isdisjoint(users) and getattr(self, key) != _default(key)
         ]
@@ -304,7 +319,8 @@ class RunConfig(BaseModel):
         Parameters
         ----------
         **changes
-            New values by field name.
+            New values by field name. With a ``preset`` among them, its values replace defaults and those of the former
+            preset; what was set otherwise stays.
 
         Raises
         ------
@@ -316,7 +332,12 @@ class RunConfig(BaseModel):
         >>> RunConfig().replace(flow="gradient").flow
         'gradient'
         """
-        return type(self)(**{**self.model_dump(), **changes})
+        kept = self.model_dump()
+        if "preset" in changes:
+            under = PRESETS[self.preset].settings if self.preset is not None else {}
+            former = type(self)(**under)
+            kept = {key: value for key, value in kept.items() if value != getattr(former, key)}
+        return type(self)(**{**kept, **changes})
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -364,6 +385,11 @@ class RunConfig(BaseModel):
         1
         """
         return cls.model_json_schema()
+
+
+def _learns_nothing(term: expression.Term) -> bool:
+    """Whether a threshold has bounds that need no voxels to learn from."""
+    return term.name == "threshold" and "learned" not in term.settings.values()
 
 
 def _default(key: str) -> Any:
@@ -463,6 +489,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return ["true", "false"]
         case "null":
             return []
+        case "string" if schema.get("pattern") == VOXELS:
+            return ["a number of voxels such as 1.5vox"]
         case _:
             return ["a text"]
 

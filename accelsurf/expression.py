@@ -37,8 +37,8 @@ class Word(NamedTuple):
 
 
 POSITIVE = Number(0.0, low_too=False)
-#: A bound in the image's unit, a percentile of the image, Otsu's threshold, or none.
-BOUND = Number(words=("auto", ""), percent=True)
+#: A bound in the image's unit, a percentile of the image, Otsu's threshold, learned from the start's values, or none.
+BOUND = Number(words=("auto", "learned", ""), percent=True)
 CHANNEL = Number(1.0)
 #: What each term may be told, in the order in which values without a key are taken.
 TERMS: dict[str, dict[str, Number | Word]] = {

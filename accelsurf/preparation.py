@@ -44,6 +44,8 @@ class Prepared:
         The first surface there; whoever uses up its memory takes it away.
     facts : Facts
         For the energies.
+    presmooth : float
+        Sigma that the image was smoothed by, mm.
 
     Raises
     ------
@@ -62,7 +64,8 @@ class Prepared:
                 )
         self._whole, self._box = volume.geometry, region_of_interest(config.roi, volume.geometry)
         self.geometry = cropped(volume.geometry, self._box)
-        smoothed = presmoothed(volume, config.presmooth)
+        self.presmooth = in_mm(config.presmooth, volume.geometry)
+        smoothed = presmoothed(volume, self.presmooth)
         psi = starts.build(config.start, volume, smoothed)
         foreground, background = (
             _cut(starts.build(texts, volume, smoothed) < 0, self._box) if texts else None
@@ -81,14 +84,17 @@ class Prepared:
         del smoothed, psi, values
         images = [self.image]
         for one in others:
-            values = _cut(presmoothed(one, config.presmooth), self._box)
+            values = _cut(presmoothed(one, self.presmooth), self._box)
             scales.append(scale_of(values))
             images.append(apply(values, scales[-1]))
         self._grids = pyramid.levels(self.geometry.shape, self.geometry.spacing)
         self._others: list[list[NDArray[np.float32]]] = [images[1:]]
         # Fixed models learn from the start where nothing else is given.
         terms = expression.parse(config.energy)
-        learns = any(term.name == "likelihood" and term.settings.get("update") == "no" for term in terms)
+        learns = any(
+            (term.name == "likelihood" and term.settings.get("update") == "no") or "learned" in term.settings.values()
+            for term in terms
+        )
         if foreground is None and learns:
             foreground = self.psi < 0
         self.facts = Facts(images, scales, self.geometry.spacing, foreground, background, self._others_on)
@@ -222,6 +228,21 @@ def read_mask(file: str, geometry: Geometry) -> NDArray[np.bool_]:
     if not mask.any():
         raise InputError(f"mask {file}: it is empty", "give one with voxels above 0, where the surface may be")
     return mask
+
+
+def in_mm(length: float | str, geometry: Geometry) -> float:
+    """A length of `RunConfig` in mm: as it is, or ``Nvox`` in voxels of the smallest spacing.
+
+    Examples
+    --------
+    >>> in_mm("1.5vox", Geometry((8, 6, 4), (3.0, 2.0, 2.0)))
+    3.0
+    """
+    if not isinstance(length, str):
+        return length
+    return float(length.removesuffix("vox")) * min(
+        h for n, h in zip(geometry.shape, geometry.spacing, strict=True) if n > 1
+    )
 
 
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:

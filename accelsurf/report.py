@@ -138,13 +138,17 @@ def describe_config(config: RunConfig | None, result: Result | None) -> dict[str
 def describe_result(result: Result | None) -> dict[str, Any]:
     """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
+    ``chosen`` has what the run took for settings that image and grid decide: ``presmooth_mm``; ``scale``, the values of
+    each channel that became 0 and 1; ``step_voxels`` and ``limiter_percentile``; ``diffusion``, a rate or free;
+    ``stop``: still within so many voxels over so many steps; ``half_width_voxels`` of the band; ``levels``.
+
     Parameters
     ----------
     result : Result or None
         With None every value is null.
     """
     if result is None:
-        keys = ("stop", "levels", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
+        keys = ("stop", "chosen", "levels", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
         return dict.fromkeys((*keys, "touches_border", "quality"))
     last = result.ledger[-1] if result.ledger else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
@@ -156,6 +160,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "time": result.stop.time,
             "message": result.stop.message,
         },
+        "chosen": result.chosen,
         "levels": describe_levels(result),
         "energy": {
             "name": result.energy,

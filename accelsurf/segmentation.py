@@ -71,6 +71,8 @@ class Result:
         psi of the start, for an image of one slice; None for volumes, where it would cost memory.
     terms : list of dict
         The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
+    chosen : dict
+        What the run took for settings that image and grid decide: see `report.describe_result`.
     """
 
     labels: NDArray[np.uint8]
@@ -88,6 +90,7 @@ class Result:
     start: NDArray[np.float32] | None = None
     kernels: dict[str, float] = field(default_factory=dict)
     terms: list[dict[str, Any]] = field(default_factory=list)
+    chosen: dict[str, Any] = field(default_factory=dict)
 
     @cached_property
     def surface(self) -> Surface:
@@ -395,6 +398,24 @@ class Run:
                 self.evolution.ask_to_stop()
             yield step
 
+    def _chosen(self) -> dict[str, Any]:
+        """What the run took for settings that image and grid decide."""
+        config, levels = self.config, len(self.evolution.passed)
+        diffusion = config.diffusion
+        if diffusion == "auto":
+            diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
+        rule = stop_rule(config, levels)
+        return {
+            "presmooth_mm": self._prepared.presmooth,
+            "scale": [{"at_0": low, "at_1": low + width} for low, width in self._prepared.facts.scales],
+            "step_voxels": config.cfl,
+            "limiter_percentile": config.percentile,
+            "diffusion": diffusion,
+            "stop": {"voxels": rule.motion, "steps": rule.window},
+            "half_width_voxels": half_width(config),
+            "levels": levels,
+        }
+
     def result(self) -> Result:
         """What the run left, once its evolution has stopped."""
         surface, stop = self.evolution.surface, self.evolution.stop
@@ -416,6 +437,7 @@ class Run:
             seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
             volume=self.volume,
             start=self._prepared.start,
+            chosen=self._chosen(),
             terms=[self._prepared.facts.chosen[place] for place in sorted(self._prepared.facts.chosen)],
             kernels=dict(self.workers.seconds),
             warnings=self.evolution.warnings

@@ -22,10 +22,10 @@ from accelsurf.energies import (
     Parzen,
     Threshold,
     WeightedSum,
-    edge_indicator,
     gaussian_of,
 )
-from accelsurf.energies.geodesic import largest_spacing
+from accelsurf.energies.geodesic import edge_contrast as strong_edge
+from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude, largest_spacing
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
@@ -34,6 +34,9 @@ from accelsurf.regions import otsu_level
 
 #: R of local-region unless given, voxels of the largest spacing.
 WINDOW_VOXELS = 8.0
+#: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
+#: between two of them, and ConfidenceConnected of ITK takes as many.
+LEARNED_DEVIATIONS = 2.5
 #: Terms whose energy is a mean over channels, or a sum: what several channels say together.
 MEAN_OVER_CHANNELS, SUM_OVER_CHANNELS = ("chan-vese", "local-region"), ("likelihood",)
 
@@ -99,12 +102,18 @@ class Facts:
             self._learned[channel] = image[self.foreground], image[other]
         return self._learned[channel]
 
-    def bound(self, channel: int, value: float | str) -> float | None:
+    def bound(self, channel: int, value: float | str, upper: bool) -> float | None:
         """A bound of threshold on the scale of the image as energies see it; None for an open side."""
         if value == "":
             return None
         if value == "auto":
             return otsu_level(self.images[channel])
+        if value == "learned":
+            if self.foreground is None:
+                raise UsageError("energy: threshold with a learned bound has nothing to learn from", "give --foreground")
+            image = self.images[channel]
+            mean, variance = gaussian_of(image[self.foreground], least_variance(image))
+            return mean + (1.0 if upper else -1.0) * LEARNED_DEVIATIONS * variance**0.5
         if isinstance(value, str):
             return float(np.percentile(self.images[channel], float(value.removesuffix("%"))))
         scale = self.scales[channel]
@@ -245,7 +254,7 @@ def _likelihood(
 def _threshold(
     settings: Settings, config: RunConfig, image: Image, spacing: Spacing, facts: Facts, channel: int, alpha: float
 ) -> Made:
-    low, high = (facts.bound(channel, settings.get(key, "")) for key in ("LO", "HI"))
+    low, high = (facts.bound(channel, settings.get(key, ""), key == "HI") for key in ("LO", "HI"))
     start, width = facts.scales[channel]
     soft = float(settings["soft"]) / width if "soft" in settings else soft_edge(facts.images[channel], low, high)
     used = {key: None if v is None else start + width * v for key, v in (("LO", low), ("HI", high))}
@@ -258,9 +267,11 @@ def _geodesic(
     scale = settings.get("scale", config.edge_scale)
     contrast = settings.get("contrast", config.edge_contrast)
     balloon = _number(settings, "balloon", config.balloon)
-    edges = (None if isinstance(value, str) else value for value in (scale, contrast))
+    scale = largest_spacing(image.shape, spacing) if isinstance(scale, str) else float(scale)
+    gradient = gradient_magnitude(image, spacing, scale)
+    contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
     used = {"scale": scale, "contrast": contrast, "balloon": balloon}
-    return Geodesic(edge_indicator(image, spacing, *edges), alpha, balloon), used
+    return Geodesic(edge_indicator_of(gradient, contrast), alpha, balloon), used
 
 
 #: How each term is made; each gives its energy and the settings that it has.
