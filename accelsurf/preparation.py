@@ -90,14 +90,22 @@ class Prepared:
         self._grids = pyramid.levels(self.geometry.shape, self.geometry.spacing)
         self._others: list[list[NDArray[np.float32]]] = [images[1:]]
         # Fixed models learn from the start where nothing else is given.
-        terms = expression.parse(config.energy)
-        learns = any(
+        self._terms = terms = expression.parse(config.energy)
+        self._learns = any(
             (term.name == "likelihood" and term.settings.get("update") == "no") or "learned" in term.settings.values()
             for term in terms
         )
-        if foreground is None and learns:
+        if foreground is None and self._learns:
             foreground = self.psi < 0
         self.facts = Facts(images, scales, self.geometry.spacing, foreground, background, self._others_on)
+
+    @property
+    def learned(self) -> tuple[float, float] | None:
+        """Values of the first channel between which the object's should lie; None where no model is learned once."""
+        # What is given with --foreground is learned from by likelihood unless it updates, and then it is refused.
+        names = {term.name for term in self._terms}
+        learns = self._learns or "likelihood" in names
+        return self.facts.learned(0) if learns and self.facts.foreground is not None else None
 
     def _started(self, psi: NDArray[np.float32], config: RunConfig) -> NDArray[np.float32]:
         """The start within region and fence, which must leave something of it."""

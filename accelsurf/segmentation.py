@@ -73,6 +73,8 @@ class Result:
         The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
     chosen : dict
         What the run took for settings that image and grid decide: see `report.describe_result`.
+    learned : (float, float) or None
+        Values, on the scale of ``image``, between which those of the object should lie by what it was learned from.
     """
 
     labels: NDArray[np.uint8]
@@ -91,6 +93,7 @@ class Result:
     kernels: dict[str, float] = field(default_factory=dict)
     terms: list[dict[str, Any]] = field(default_factory=list)
     chosen: dict[str, Any] = field(default_factory=dict)
+    learned: tuple[float, float] | None = None
 
     @cached_property
     def surface(self) -> Surface:
@@ -160,7 +163,7 @@ class Result:
     @cached_property
     def quality(self) -> Quality:
         """What tells, without a reference, whether to trust the result."""
-        return assess(self.labels, self.image, self.geometry.spacing, self.ledger, self.stop)
+        return assess(self.labels, self.image, self.geometry.spacing, self.ledger, self.stop, self.learned)
 
     @property
     def report(self) -> dict[str, Any]:
@@ -438,6 +441,7 @@ class Run:
             volume=self.volume,
             start=self._prepared.start,
             chosen=self._chosen(),
+            learned=self._prepared.learned,
             terms=[self._prepared.facts.chosen[place] for place in sorted(self._prepared.facts.chosen)],
             kernels=dict(self.workers.seconds),
             warnings=self.evolution.warnings

@@ -102,6 +102,13 @@ class Facts:
             self._learned[channel] = image[self.foreground], image[other]
         return self._learned[channel]
 
+    def learned(self, channel: int) -> tuple[float, float]:
+        """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""
+        image = self.images[channel]
+        mean, variance = gaussian_of(image[self.foreground], least_variance(image))
+        reach = LEARNED_DEVIATIONS * variance**0.5
+        return mean - reach, mean + reach
+
     def bound(self, channel: int, value: float | str, upper: bool) -> float | None:
         """A bound of threshold on the scale of the image as energies see it; None for an open side."""
         if value == "":
@@ -111,9 +118,7 @@ class Facts:
         if value == "learned":
             if self.foreground is None:
                 raise UsageError("energy: threshold with a learned bound has nothing to learn from", "give --foreground")
-            image = self.images[channel]
-            mean, variance = gaussian_of(image[self.foreground], least_variance(image))
-            return mean + (1.0 if upper else -1.0) * LEARNED_DEVIATIONS * variance**0.5
+            return self.learned(channel)[1 if upper else 0]
         if isinstance(value, str):
             return float(np.percentile(self.images[channel], float(value.removesuffix("%"))))
         scale = self.scales[channel]

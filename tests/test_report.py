@@ -58,7 +58,7 @@ def finished(**changes):
         touches_border=False,
         terms=[{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
         chosen={"presmooth_mm": 0.5},
-        quality=Quality(0.25, 0.5, 0.125, 1, 2.0, 0.01, False, ("border: 25% of it",)),
+        quality=Quality(0.25, 0.5, 0.125, 1, 2.0, 0.01, None, False, ("border: 25% of it",)),
     )
     return SimpleNamespace(**{**values, **changes})
 
