@@ -187,7 +187,11 @@ def _without_edge(
 ) -> float:
     """Share of the voxels next to the surface, on its inside, where the smoothed image has no edge."""
     scale = largest_spacing(inside.shape, spacing)
-    halo = DEEP + 5 * int(np.ceil(scale / spacing[0])) + 1
+    halo = DEEP + 5 * int(np.ceil(scale / min(spacing))) + 1
+    box = _around(inside, halo)
+    inside, image = inside[box], image[box]
+    if not inside.size:
+        return 0.0
     step = max(1, SLAB // (inside.shape[1] * inside.shape[2]))
     on_surface, within = [], []
     for first in range(0, inside.shape[0], step):

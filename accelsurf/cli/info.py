@@ -53,7 +53,8 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
         for key, value in preset.settings.items():
             shown = ",".join(value) if isinstance(value, tuple) else value
             print(f"    {key} = {shown}: {preset.reasons[key]}")
-        print(f"    tried on: {preset.tried}")
+        for volume, outcome in preset.tried.items():
+            print(f"    tried on {volume}: {outcome}")
     print("\nSettings (accelsurf segment --help has their defaults):")
     for key, field in RunConfig.model_fields.items():
         print(f"  {key:12}  {field.description}")
