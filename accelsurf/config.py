@@ -39,7 +39,7 @@ _ONLY_FOR: dict[str, tuple[str, ...]] = {
     "blend": ("momentum",),
     "balance": ("chan-vese",),
     "epsilon": ("chan-vese", "local-region"),
-    "foreground": ("likelihood", "threshold"),
+    "foreground": ("likelihood", "learning"),
     "background": ("likelihood",),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), ("geodesic",)),
 }
@@ -299,7 +299,9 @@ class RunConfig(BaseModel):
         ['gravity']
         """
         terms = expression.parse(self.energy)
-        used = {self.flow, *(term.name for term in terms if not _learns_nothing(term))}
+        used = {self.flow, *(term.name for term in terms)}
+        if any(expression.learns(term) for term in terms):
+            used.add("learning")
         return [
             key for key, users in _ONLY_FOR.items() if used.isdisjoint(users) and getattr(self, key) != _default(key)
         ]
@@ -385,11 +387,6 @@ class RunConfig(BaseModel):
         1
         """
         return cls.model_json_schema()
-
-
-def _learns_nothing(term: expression.Term) -> bool:
-    """Whether a threshold has bounds that need no voxels to learn from."""
-    return term.name == "threshold" and "learned" not in term.settings.values()
 
 
 def _default(key: str) -> Any:

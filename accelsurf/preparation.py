@@ -62,6 +62,7 @@ class Prepared:
                     f"{one.geometry.difference(volume.geometry)}",
                     "resample it to the image's grid first",
                 )
+        self._files = [volume, *others]
         self._whole, self._box = volume.geometry, region_of_interest(config.roi, volume.geometry)
         self.geometry = cropped(volume.geometry, self._box)
         self.presmooth = in_mm(config.presmooth, volume.geometry)
@@ -91,13 +92,17 @@ class Prepared:
         self._others: list[list[NDArray[np.float32]]] = [images[1:]]
         # Fixed models learn from the start where nothing else is given.
         self._terms = terms = expression.parse(config.energy)
-        self._learns = any(
-            (term.name == "likelihood" and term.settings.get("update") == "no") or "learned" in term.settings.values()
-            for term in terms
-        )
+        self._learns = any(expression.learns(term) for term in terms)
         if foreground is None and self._learns:
             foreground = self.psi < 0
-        self.facts = Facts(images, scales, self.geometry.spacing, foreground, background, self._others_on)
+        self.facts = Facts(images, scales, self.geometry.spacing, foreground, background, self._others_on, self._raw)
+
+    def _raw(self, channel: int) -> NDArray[Any]:
+        """Values of the foreground in a channel before presmoothing, on the scale that energies see."""
+        low, width = self.facts.scales[channel]
+        assert self.facts.foreground is not None
+        values = self._files[channel].array[self._box][self.facts.foreground].astype(np.float32)
+        return np.asarray((values - np.float32(low)) / np.float32(width))
 
     @property
     def learned(self) -> tuple[float, float] | None:

@@ -47,10 +47,10 @@ _OBLIQUE = "T1 brain at 1 mm, oblique, skull-stripped (nii2meshCPP; FSL FAST)"
 
 PRESETS: dict[str, Preset] = {
     "ct-bone": Preset(
-        "Bone in CT, calibrated in HU. Its own start is the largest part above 226 HU; --start ball:... for one bone.",
-        {"start": ("largest:226,",), "energy": "threshold:226,", "presmooth": 0.0, "smoothness": 0.2},
+        "Bone in CT, calibrated in HU. Its own start is all above 226 HU; --start largest:226, or ball:... for one bone.",
+        {"start": ("threshold:226,",), "energy": "threshold:226,", "presmooth": 0.0, "smoothness": 0.2},
         {
-            "start": "what hangs together above 226 HU",
+            "start": "all above the bound of the energy",
             "energy": "226 HU is the customary lower bound of bone: soft tissue with contrast agent ends at about 150, "
             "compact bone begins at 300. Spongy bone below it is left out; metal is taken in",
             "presmooth": "none: thin walls are a voxel wide",
@@ -59,22 +59,26 @@ PRESETS: dict[str, Preset] = {
         {},
     ),
     "ct-vessel": Preset(
-        "Vessels with contrast agent in CT: a ball well inside the lumen.",
-        {"energy": "threshold:learned,learned", "presmooth": 1.0, "smoothness": 0.5},
+        "Vessels with contrast agent in CT: balls well inside the lumen.",
+        {"energy": "threshold:half:50,learned", "presmooth": 0.5, "smoothness": 0.5},
         {
-            "energy": _LEARNED + "; bounded above too, as bone and plaque are brighter",
-            "presmooth": "1 mm: noise of CT is of the size of a voxel, vessels that CT shows are 2 mm wide or more",
+            "energy": "from half-way between soft tissue (50 HU) and the mean in the start, as lumens are measured (full "
+            "width at half maximum), to 2.5 standard deviations above that mean: bone and plaque are brighter. Learned, as "
+            "contrast differs with phase and dose",
+            "presmooth": "0.5 mm: a fraction of what CT resolves",
             "smoothness": "0.5 mm: keeps tubes down to a radius of 0.5 mm, closes thin bridges to bone",
         },
         {},
     ),
     "ct-organ": Preset(
         "Organs of even values in CT (liver, spleen, kidney): balls well inside, in all of its brightnesses.",
-        {"energy": "threshold:learned,learned", "presmooth": 2.0, "smoothness": 2.0},
+        {"energy": "threshold:learned,learned + 20*local-region", "presmooth": 1.0, "smoothness": 1.0},
         {
-            "energy": _LEARNED,
-            "presmooth": "2 mm: single voxels of organs a few HU apart overlap in noise, means over a few voxels do not",
-            "smoothness": "2 mm: bridges to neighbours (muscle, vessels) of less than about 4 mm close; organs are rounder",
+            "energy": _LEARNED + ". local-region puts the surface half-way on edges to what differs much (fat, lung): with "
+            "20 it weighs as the window does where the difference is a fifth of the image's range, and next to nothing at "
+            "neighbours of almost the same brightness (muscle), which only the window keeps out",
+            "presmooth": "1 mm: single voxels of organs a few HU apart overlap in noise, means over a few voxels less",
+            "smoothness": "1 mm: bridges to neighbours of less than about 2 mm close; organs are rounder",
         },
         {},
     ),
@@ -92,9 +96,10 @@ PRESETS: dict[str, Preset] = {
     ),
     "mr-ventricle": Preset(
         "Ventricles in T1 MR: a small ball in each, well inside.",
-        {"energy": "threshold:,learned", "presmooth": 0.0, "smoothness": 0.5},
+        {"energy": "threshold:,auto", "presmooth": 0.0, "smoothness": 0.5},
         {
-            "energy": "fluid is the darkest in T1: all darker than 2.5 standard deviations above the start's mean",
+            "energy": "fluid is dark in T1: all below Otsu's threshold between tissue and the dark rest, which lies about "
+            "half-way; by the image, as MR has no unit",
             "presmooth": "none: horns are a few voxels wide",
             "smoothness": "0.5 mm: keeps horns of 1 mm, closes thin passages to other fluid",
         },

@@ -66,6 +66,8 @@ class Facts:
         Where likelihood learns; without ``background`` all that is not foreground.
     others : callable, optional
         The other channels, after the first, on the grid of a given shape and spacing.
+    raw : callable, optional
+        Values of a channel in the foreground before any presmoothing, on the scale of ``images``.
 
     Attributes
     ----------
@@ -82,9 +84,11 @@ class Facts:
         foreground: Mask | None = None,
         background: Mask | None = None,
         others: Callable[[tuple[int, ...], tuple[float, float, float]], list[Image]] | None = None,
+        raw: Callable[[int], NDArray[Any]] | None = None,
     ) -> None:
         self.images, self.scales, self.spacing = list(images), list(scales), spacing
         self.foreground, self.background = foreground, background
+        self._raw = raw or (lambda channel: self.images[channel][self.foreground])
         self.others = others or (lambda shape, spacing: self.images[1:])
         self.chosen: dict[int, dict[str, Any]] = {}
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
@@ -104,8 +108,10 @@ class Facts:
 
     def learned(self, channel: int) -> tuple[float, float]:
         """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""
-        image = self.images[channel]
-        mean, variance = gaussian_of(image[self.foreground], least_variance(image))
+        if self.foreground is None:
+            raise UsageError("energy: a bound that is to be learned was given nothing to learn from", "give --foreground")
+        # Before presmoothing: what is left of noise after it says how wide the object's values are, not its edges'.
+        mean, variance = gaussian_of(self._raw(channel), least_variance(self.images[channel]))
         reach = LEARNED_DEVIATIONS * variance**0.5
         return mean - reach, mean + reach
 
@@ -116,9 +122,11 @@ class Facts:
         if value == "auto":
             return otsu_level(self.images[channel])
         if value == "learned":
-            if self.foreground is None:
-                raise UsageError("energy: threshold with a learned bound has nothing to learn from", "give --foreground")
             return self.learned(channel)[1 if upper else 0]
+        if isinstance(value, str) and value.startswith(expression.HALF):
+            low, high = self.learned(channel)
+            other = (float(value.removeprefix(expression.HALF)) - self.scales[channel].low) / self.scales[channel].width
+            return 0.5 * (0.5 * (low + high) + other)
         if isinstance(value, str):
             return float(np.percentile(self.images[channel], float(value.removesuffix("%"))))
         scale = self.scales[channel]
