@@ -13,7 +13,7 @@ from accelsurf import expression, io, pyramid, starts
 from accelsurf.config import RunConfig
 from accelsurf.energies import Energy
 from accelsurf.energies.fenced import Fenced, fence_of
-from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.geometry import Geometry
 from accelsurf.terms import Facts, Scale
 from accelsurf.volume import Volume, check_image
@@ -69,8 +69,8 @@ class Prepared:
         smoothed = presmoothed(volume, self.presmooth)
         psi = starts.build(config.start, volume, smoothed)
         foreground, background = (
-            _cut(starts.build(texts, volume, smoothed) < 0, self._box) if texts else None
-            for texts in (config.foreground, config.background)
+            _cut(_learned_from(name, texts, volume, smoothed), self._box) if texts else None
+            for name, texts in (("foreground", config.foreground), ("background", config.background))
         )
         mask = read_mask(config.mask, volume.geometry) if config.mask is not None else None
         self._fences = None if mask is None else [fence_of(_cut(mask, self._box), self.geometry.spacing)]
@@ -217,6 +217,14 @@ def cropped(geometry: Geometry, box: Box) -> Geometry:
     origin = geometry.index_to_world(np.array([float(s.start) for s in box]))
     corner = (float(origin[0]), float(origin[1]), float(origin[2]))
     return Geometry((shape[0], shape[1], shape[2]), geometry.spacing, corner, geometry.direction)
+
+
+def _learned_from(name: str, texts: Sequence[str], volume: Volume, image: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Voxels that are written as a start; what is wrong with them is told of ``name``, the option."""
+    try:
+        return np.asarray(starts.build(texts, volume, image) < 0)
+    except AccelsurfError as error:
+        raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
 
 
 def _cut(array: NDArray[Any], box: Box) -> NDArray[Any]:

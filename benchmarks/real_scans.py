@@ -159,7 +159,8 @@ def text_of(cases: dict[str, dict[str, Any]]) -> str:
         cells.append(f"{row['best_threshold']['dice']:.3f}" if found else "")
         cells.append(f"{best[1]['dice']:.3f} ({best[0]})" if best else "")
         levels = f" on {row['levels']} grids" if row["levels"] > 1 else ""
-        lines.append(f"| {' | '.join([*cells, f'{stop['steps']}{levels}', f'{row['seconds']:.0f}', stop['reason']])} |")
+        cells += [f"{stop['steps']}{levels}", f"{row['seconds']:.0f}", stop["reason"]]
+        lines.append(f"| {' | '.join(cells)} |")
     commands = [f"    {row['command']}" for row in cases.values()]
     return "\n".join([*lines, "", *commands, ""])
 

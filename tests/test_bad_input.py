@@ -39,7 +39,7 @@ def called(words, folder):
 #: What is typed after `segment ball.nii.gz -o DIR`, the exit code, and words of the line that tells.
 BAD = [
     (("--energy", "0*chan-vese"), 2, "a weight greater than 0"),
-    (("--energy", "-1*chan-vese"), 2, "a weight greater than 0"),
+    (("--energy=-1*chan-vese",), 2, "a weight greater than 0"),
     (("--energy", "x*chan-vese"), 2, "a number before the *"),
     (("--energy", "nan*chan-vese"), 2, "a number before the *"),
     (("--energy", "chan-veese"), 2, "in place of 'chan-veese'"),
@@ -57,14 +57,14 @@ BAD = [
     (("--presmooth", "1voxel"), 2, "such as 1.5vox"),
     (("--preset", "ct-bones"), 2, "ct-bone, ct-vessel"),
     (("--levels", "9"), 2, "expected at most"),
-    (("--start", "ball:500,0,0,5"), 3, "outside"),
+    (("--start", "ball:500,0,0,5"), 3, "no voxel centre is inside it"),
     (("--start", "ball:12,11,10"), 2, "4 numbers"),
     (("--start", "ball:12,11,10,-4"), 2, "expected above 0"),
-    (("--start", "seed:500,0,0,5"), 3, "outside"),
+    (("--start", "seed:500,0,0,5"), 3, "no voxel centre is inside it"),
     (("--start", "blob:1,2,3"), 2, "unknown kind"),
     (("--start", "threshold:500,600"), 3, "no voxel"),
     (("--start", "label:empty.nii.gz"), 3, "empty"),
-    (("--start", "label:full.nii.gz"), 3, "background"),
+    (("--start", "label:full.nii.gz"), 3, "every voxel of the volume"),
     (("--start", "label:truth.nii.gz@7"), 3, "7"),
     (("--start", "label:shorter.nii.gz"), 3, "grid"),
     (("--start", "label:wider.nii.gz"), 3, "grid"),
@@ -76,8 +76,8 @@ BAD = [
     ((*START, "--roi", "500,500,500,600,600,600"), 3, "fewer than two"),
     ((*START, "--roi", "5,5,5"), 2, "X0,Y0,Z0,X1,Y1,Z1"),
     ((*START, "--roi", "0,0,0,5,5,5"), 3, "region of interest"),
-    ((*START, "--energy", "likelihood", "--foreground", "ball:500,0,0,5"), 3, "outside"),
-    ((*START, "--energy", "likelihood", "--foreground", "label:empty.nii.gz"), 3, "empty"),
+    ((*START, "--energy", "likelihood", "--foreground", "ball:500,0,0,5"), 3, "foreground 'ball:500,0,0,5': no voxel"),
+    ((*START, "--energy", "likelihood", "--background", "label:empty.nii.gz"), 3, "background 'label:empty.nii.gz'"),
     ((*START, "--energy", "likelihood:update=yes", "--foreground", "ball:12,11,10,3"), 2, "would not use"),
     ((*START, "--channel", "wider.nii.gz"), 3, "grid"),
     ((*START, "--channel", "nowhere.nii.gz"), 3, "no such file"),
@@ -85,8 +85,7 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("words", "code", "told"), BAD, ids=lambda value: " ".join(value) if value and isinstance(
-    value, tuple) else None)
+@pytest.mark.parametrize(("words", "code", "told"), BAD, ids=lambda value: " ".join(value) if isinstance(value, tuple) else None)
 def test_bad_words_are_one_clear_line(words, code, told, scans, tmp_path):
     out = tmp_path / "out"
     done = called(("segment", "ball.nii.gz", "-o", str(out), "--quiet", *words), scans)
