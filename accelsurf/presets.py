@@ -37,7 +37,8 @@ class Preset(NamedTuple):
 
 
 _LEARNED = (
-    "values within 2.5 standard deviations of those in the start (as ConfidenceConnected of ITK takes them): they differ "
+    "values within 2.5 standard deviations of those in the start (as ConfidenceConnected of ITK takes them): "
+    "they differ "
     "with contrast agent, phase and dose, so they are learned"
 )
 _ABDOMEN = "abdominal CT, portal phase, 20 slices of 2 mm (TotalSegmentator tests; automatic reference)"
@@ -47,7 +48,8 @@ _OBLIQUE = "T1 brain at 1 mm, oblique, skull-stripped (nii2meshCPP; FSL FAST)"
 
 PRESETS: dict[str, Preset] = {
     "ct-bone": Preset(
-        "Bone in CT, calibrated in HU. Its own start is all above 226 HU; --start largest:226, or ball:... for one bone.",
+        "Bone in CT, calibrated in HU. Its own start is all above 226 HU; --start largest:226, or ball:... for "
+        "one bone.",
         {"start": ("threshold:226,",), "energy": "threshold:226,", "presmooth": 0.0, "smoothness": 0.2},
         {
             "start": "all above the bound of the energy",
@@ -62,8 +64,10 @@ PRESETS: dict[str, Preset] = {
         "Vessels with contrast agent in CT: balls well inside the lumen.",
         {"energy": "threshold:half:50,learned", "presmooth": 0.5, "smoothness": 0.5},
         {
-            "energy": "from half-way between soft tissue (50 HU) and the mean in the start, as lumens are measured (full "
-            "width at half maximum), to 2.5 standard deviations above that mean: bone and plaque are brighter. Learned, as "
+            "energy": "from half-way between soft tissue (50 HU) and the mean in the start, as lumens are "
+            "measured (full "
+            "width at half maximum), to 2.5 standard deviations above that mean: bone and plaque are brighter. "
+            "Learned, as "
             "contrast differs with phase and dose",
             "presmooth": "0.5 mm: a fraction of what CT resolves",
             "smoothness": "0.5 mm: keeps tubes down to a radius of 0.5 mm, closes thin bridges to bone",
@@ -74,8 +78,10 @@ PRESETS: dict[str, Preset] = {
         "Organs of even values in CT (liver, spleen, kidney): balls well inside, in all of its brightnesses.",
         {"energy": "threshold:learned,learned + 20*local-region", "presmooth": 1.0, "smoothness": 1.0},
         {
-            "energy": _LEARNED + ". local-region puts the surface half-way on edges to what differs much (fat, lung): with "
-            "20 it weighs as the window does where the difference is a fifth of the image's range, and next to nothing at "
+            "energy": _LEARNED + ". local-region puts the surface half-way on edges to what differs much (fat, "
+            "lung): with "
+            "20 it weighs as the window does where the difference is a fifth of the image's range, and next to "
+            "nothing at "
             "neighbours of almost the same brightness (muscle), which only the window keeps out",
             "presmooth": "1 mm: single voxels of organs a few HU apart overlap in noise, means over a few voxels less",
             "smoothness": "1 mm: bridges to neighbours of less than about 2 mm close; organs are rounder",
@@ -87,7 +93,8 @@ PRESETS: dict[str, Preset] = {
         {"energy": "chan-vese", "balance": 2.0, "epsilon": 0.0, "smoothness": 0.0},
         {
             "energy": "two means: bright tissue on a background of zeros, whatever the scanner's unit",
-            "balance": "2: with exact zeros outside, two means put the boundary at half the brightness of tissue; asking "
+            "balance": "2: with exact zeros outside, two means put the boundary at half the brightness of "
+            "tissue; asking "
             "the inside to fit more closely moves it to about two thirds, above fluid and remains of the stripping",
             "epsilon": "0: sulci are a voxel or two wide, a smeared interface closes them",
             "smoothness": "0: the cortex is folded",
@@ -98,7 +105,8 @@ PRESETS: dict[str, Preset] = {
         "Ventricles in T1 MR: a small ball in each, well inside.",
         {"energy": "threshold:,auto", "presmooth": 0.0, "smoothness": 0.5},
         {
-            "energy": "fluid is dark in T1: all below Otsu's threshold between tissue and the dark rest, which lies about "
+            "energy": "fluid is dark in T1: all below Otsu's threshold between tissue and the dark rest, which "
+            "lies about "
             "half-way; by the image, as MR has no unit",
             "presmooth": "none: horns are a few voxels wide",
             "smoothness": "0.5 mm: keeps horns of 1 mm, closes thin passages to other fluid",

@@ -25,8 +25,8 @@ MOST_UNLIKE = 0.1
 USUAL_PERCENTILE, DEEP, FLAT = 75.0, 3, 0.005
 #: Parts of the object with this share of its volume that hang together by less than two voxels to either side.
 LARGE_PART, NECK, MOST_PARTS = 0.05, 2, 200
-#: Voxels of a slab that is worked on at once.
-SLAB = 1 << 23
+#: Voxels of a slab that is worked on at once, and slices of it for each of those around it that it needs besides.
+SLAB, HALOS = 1 << 20, 4
 
 
 class Quality(NamedTuple):
@@ -49,8 +49,8 @@ class Quality(NamedTuple):
     late_growth : float
         Relative change of the volume over the last 20 steps.
     unlike_learned : float or None
-        Share of the object, a voxel off its surface, whose values lie further than 2.5 standard deviations from the mean
-        of those that it was learned from; None where no model was learned once.
+        Share of the object, a voxel off its surface, whose values lie further than 2.5 standard deviations from the
+        mean of those that it was learned from; None where no model was learned once.
     leaked : bool
         Whether it grew beyond ``max_volume``.
     warnings : tuple of str
@@ -187,12 +187,12 @@ def _without_edge(
 ) -> float:
     """Share of the voxels next to the surface, on its inside, where the smoothed image has no edge."""
     scale = largest_spacing(inside.shape, spacing)
-    halo = DEEP + 5 * int(np.ceil(scale / min(spacing))) + 1
-    box = _around(inside, halo)
+    halo = DEEP + 5 * int(np.ceil(scale / spacing[0])) + 1
+    box = _around(inside, DEEP + 5 * int(np.ceil(scale / min(spacing))) + 1)
     inside, image = inside[box], image[box]
     if not inside.size:
         return 0.0
-    step = max(1, SLAB // (inside.shape[1] * inside.shape[2]))
+    step = max(HALOS * halo, SLAB // (inside.shape[1] * inside.shape[2]))
     on_surface, within = [], []
     for first in range(0, inside.shape[0], step):
         low, high = max(first - halo, 0), min(first + step + halo, inside.shape[0])

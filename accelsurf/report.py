@@ -148,8 +148,8 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         With None every value is null.
     """
     if result is None:
-        keys = ("stop", "chosen", "levels", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
-        return dict.fromkeys((*keys, "touches_border", "quality"))
+        keys = ("stop", "chosen", "levels", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm")
+        return dict.fromkeys((*keys, "components", "touches_border", "quality"))
     last = result.ledger[-1] if result.ledger else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
     first = next((row for row in result.ledger if row.level == 0), None)

@@ -109,7 +109,7 @@ class Facts:
     def learned(self, channel: int) -> tuple[float, float]:
         """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""
         if self.foreground is None:
-            raise UsageError("energy: a bound that is to be learned was given nothing to learn from", "give --foreground")
+            raise UsageError("energy: a learned bound was given nothing to learn from", "give --foreground")
         # Before presmoothing: what is left of noise after it says how wide the object's values are, not its edges'.
         mean, variance = gaussian_of(self._raw(channel), least_variance(self.images[channel]))
         reach = LEARNED_DEVIATIONS * variance**0.5

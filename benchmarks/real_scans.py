@@ -1,8 +1,8 @@
-"""Real scans: our commands against their references, the best global thresholds, and other programs from the same start.
+"""Real scans: our commands against their references, best global thresholds, and other programs from the same start.
 
-One call makes the table of docs/real-scans.md, docs/real-scans.json beside it, and pictures. The volumes are public (see
-docs/real-scans.md for their sources); the folder that ACCELSURF_VOLUMES names holds them. Rows that are not run again
-are kept from the JSON.
+One call makes the table of docs/real-scans.md, docs/real-scans.json beside it, and pictures. The volumes are public
+(see docs/real-scans.md for their sources); the folder that ACCELSURF_VOLUMES names holds them. Rows that are not run
+again are kept from the JSON.
 """
 
 from __future__ import annotations
@@ -69,7 +69,9 @@ CASES: dict[str, Case] = {
     "bones": Case("ct_abdomen_hires", "--preset ct-bone", _BONES),
     "head phantom": Case("ct_phantom_oblique", "--preset ct-bone", reference=False),
 }
-COLUMNS = ("object", "wanted", "Dice", "HD95 mm", "mean mm", "best threshold", "best other program", "steps", "s", "stop")
+COLUMNS = (
+    "object", "wanted", "Dice", "HD95 mm", "mean mm", "best threshold", "best other program", "steps", "s", "stop",
+)
 
 
 def main() -> None:
@@ -77,7 +79,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--only", default="", help="names of cases, separated by semicolons")
-    parser.add_argument("--peers", type=float, default=0.0, metavar="SECONDS", help="search other programs so long each")
+    parser.add_argument("--peers", type=float, default=0.0, metavar="SECONDS", help="search each other program so long")
     parser.add_argument("--note", default="", help="about the circumstances, kept with the rows that are run")
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")

@@ -85,7 +85,9 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("words", "code", "told"), BAD, ids=lambda value: " ".join(value) if isinstance(value, tuple) else None)
+@pytest.mark.parametrize(
+    ("words", "code", "told"), BAD, ids=lambda value: " ".join(value) if isinstance(value, tuple) else None
+)
 def test_bad_words_are_one_clear_line(words, code, told, scans, tmp_path):
     out = tmp_path / "out"
     done = called(("segment", "ball.nii.gz", "-o", str(out), "--quiet", *words), scans)

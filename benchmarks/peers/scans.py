@@ -1,7 +1,7 @@
 """Other programs on an object of a scan: from the same start, with settings that a search against the reference chose.
 
-The programs see the image in voxels, as they would by default, cut to what is within `MARGIN` voxels of object and start. They
-are given more than a user has: where values lie in a window, the window that is best by the reference, as the soft
+The programs see the image in voxels, as by default, cut to what is within `MARGIN` voxels of object and start.
+They are given more than a user has: where values lie in a window, the window that is best by the reference, as the soft
 two-sided threshold of ITK-SNAP makes it, so that a speed of one sign is right for them.
 """
 
