@@ -58,7 +58,10 @@ PRESETS: dict[str, Preset] = {
             "presmooth": "none: thin walls are a voxel wide",
             "smoothness": "0.2 mm: takes single voxels of noise, keeps what is thicker than half a millimetre",
         },
-        {},
+        {
+            _HEAD: "no reference; one surface of the skull, converged in 40 steps",
+            _ABDOMEN: "bones hang together in places only: with largest:226, (the spine) Dice 0.30 against all bones",
+        },
     ),
     "ct-vessel": Preset(
         "Vessels with contrast agent in CT: balls well inside the lumen.",
@@ -72,7 +75,10 @@ PRESETS: dict[str, Preset] = {
             "presmooth": "0.5 mm: a fraction of what CT resolves",
             "smoothness": "0.5 mm: keeps tubes down to a radius of 0.5 mm, closes thin bridges to bone",
         },
-        {},
+        {
+            _ABDOMEN: "aorta, with the window alone (learned,learned) Dice 0.83; with half-way to 50 HU not yet run; the "
+            "reference has wall and plaque. Otherwise phantoms",
+        },
     ),
     "ct-organ": Preset(
         "Organs of even values in CT (liver, spleen, kidney): balls well inside, in all of its brightnesses.",
@@ -86,7 +92,10 @@ PRESETS: dict[str, Preset] = {
             "presmooth": "1 mm: single voxels of organs a few HU apart overlap in noise, means over a few voxels less",
             "smoothness": "1 mm: bridges to neighbours of less than about 2 mm close; organs are rounder",
         },
-        {},
+        {
+            _ABDOMEN: "with the window alone and 2 mm: liver from three balls Dice 0.91, spleen from one 0.90; with "
+            "local-region and 1 mm not yet run. Otherwise phantoms",
+        },
     ),
     "mr-brain": Preset(
         "Brain in T1 MR after skull stripping: a ball in it. Not for scans with skull.",
@@ -99,7 +108,10 @@ PRESETS: dict[str, Preset] = {
             "epsilon": "0: sulci are a voxel or two wide, a smeared interface closes them",
             "smoothness": "0: the cortex is folded",
         },
-        {},
+        {
+            _BRAIN: "Dice 0.966 from one ball (defaults 0.95)",
+            _OBLIQUE: "Dice 0.972 from the middle",
+        },
     ),
     "mr-ventricle": Preset(
         "Ventricles in T1 MR: a small ball in each, well inside.",
@@ -111,7 +123,9 @@ PRESETS: dict[str, Preset] = {
             "presmooth": "none: horns are a few voxels wide",
             "smoothness": "0.5 mm: keeps horns of 1 mm, closes thin passages to other fluid",
         },
-        {},
+        {
+            _BRAIN: "not yet run with Otsu's bound; a bound learned from the start stopped at Dice 0.50. Otherwise a phantom",
+        },
     ),
     "mr-cord": Preset(
         "Spinal cord in MR: small balls along it, about one every 10 mm, well inside.",
@@ -123,7 +137,7 @@ PRESETS: dict[str, Preset] = {
             "smoothness": "0: the energy is of many voxels already",
             "levels": "1: the cord has few voxels across",
         },
-        {},
+        {"T2 cervical cord at 1 mm (sct_testing_data; manual reference)": "Dice 0.948 from five balls"},
     ),
     "fluorescence-nucleus": Preset(
         "Nuclei as bright blobs in fluorescence, all as one object; voxels, as units differ between files.",
@@ -133,6 +147,8 @@ PRESETS: dict[str, Preset] = {
             "energy": "means within 8 voxels: brightness differs from cell to cell and falls with depth",
             "presmooth": "1 voxel: photon noise is independent from voxel to voxel",
         },
-        {},
+        {
+            "fluorescence, 100^3 (plant-seg tests)": "all nuclei as one object: Dice 0.71, and 7 large parts on necks",
+        },
     ),
 }
