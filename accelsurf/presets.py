@@ -76,7 +76,8 @@ PRESETS: dict[str, Preset] = {
             "smoothness": "0.5 mm: keeps tubes down to a radius of 0.5 mm, closes thin bridges to bone",
         },
         {
-            _ABDOMEN: "aorta, with the window alone (learned,learned) Dice 0.83; with half-way to 50 HU not yet run; the "
+            _ABDOMEN: "aorta, with the window alone (learned,learned) Dice 0.83; with half-way to 50 HU not "
+                "yet run; the "
             "reference has wall and plaque. Otherwise phantoms",
         },
     ),
@@ -124,7 +125,8 @@ PRESETS: dict[str, Preset] = {
             "smoothness": "0.5 mm: keeps horns of 1 mm, closes thin passages to other fluid",
         },
         {
-            _BRAIN: "not yet run with Otsu's bound; a bound learned from the start stopped at Dice 0.50. Otherwise a phantom",
+            _BRAIN: "not yet run with Otsu's bound; a bound learned from the start stopped at Dice 0.50. "
+                "Otherwise a phantom",
         },
     ),
     "mr-cord": Preset(

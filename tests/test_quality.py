@@ -120,7 +120,8 @@ def test_a_leak_into_tissue_like_the_object_is_told_by_its_values():
 def test_learned_values_are_those_before_presmoothing():
     z, y, x = coordinates()
     scan = 100.0 * (z**2 + y**2 + x**2 < 12**2) + np.random.default_rng(1).normal(0, 10, SHAPE)
-    words = {"spacing": SPACING, "start": "ball:23.5,21.5,19.5,6vox", "max_steps": 1, "energy": "threshold:learned,learned"}
+    words = {"spacing": SPACING, "start": "ball:23.5,21.5,19.5,6vox", "max_steps": 1}
+    words["energy"] = "threshold:learned,learned"
     bounds = [segment(scan, presmooth=sigma, **words).terms[0] for sigma in (0, "1vox")]
     assert [term["HI"] - term["LO"] for term in bounds] == pytest.approx([50, 50], rel=0.06)
     half = segment(scan, **{**words, "energy": "threshold:half:20,"}).terms[0]["LO"]
