@@ -34,6 +34,7 @@ _HOMES = {
     "segment": "accelsurf.segmentation",
     "evolve": "accelsurf.segmentation",
     "evaluate": "accelsurf.metrics",
+    "show": "accelsurf.viewer.notebook",
 }
 
 __all__ = ["__version__", *_HOMES]
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from accelsurf.segmentation import evolve as evolve
     from accelsurf.segmentation import segment as segment
     from accelsurf.surface import Surface as Surface
+    from accelsurf.viewer.notebook import show as show
     from accelsurf.volume import Volume as Volume
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import Energy
-from accelsurf.evolution import Evolution, Restart, Row, Step, Stop, StopReason, StopRule
+from accelsurf.evolution import Evolution, Felt, Kept, Restart, Row, Step, Stop, StopReason, StopRule
 from accelsurf.flows import Flow, Limits
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.pyramid import Level, carried, coarsened, refined
@@ -29,6 +29,22 @@ class Passed(NamedTuple):
     reason: StopReason | None
 
 
+class Parts(NamedTuple):
+    """What moves a surface.
+
+    ``energy`` makes the energy of an image and its spacing, for each level; ``flow``; ``limits``; ``restart`` or None;
+    ``half_width`` of the band, in voxels of each level; ``rule`` of stop of the finest level, None to run to the last
+    step: a coarser level is left at `COARSE_MOTION` times its motion.
+    """
+
+    energy: Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
+    flow: Flow
+    limits: Limits
+    restart: Restart | None
+    half_width: float
+    rule: StopRule | None
+
+
 class CoarseToFine:
     """Evolves a surface from the coarsest level to the finest; iterate over it to run, one `Step` at a time.
 
@@ -42,18 +58,9 @@ class CoarseToFine:
         On the finest level.
     start : ndarray (nz, ny, nx), float32
         psi of the first surface, on the finest level.
-    energy : callable
-        Makes the energy of an image and its spacing; called once for each level.
-    flow : Flow
-    limits : Limits
+    parts : Parts
     max_steps : int
         Of all levels together.
-    restart : Restart or None
-    rule : StopRule or None
-        Of the finest level. A coarser level is left at `COARSE_MOTION` times its motion. None runs the finest level to
-        ``max_steps``.
-    half_width : float
-        Of the band, in voxels of each level.
     workers : Workers
 
     Attributes
@@ -69,20 +76,14 @@ class CoarseToFine:
         grids: Sequence[Level],
         image: NDArray[np.float32],
         start: NDArray[np.float32],
-        energy: Callable[[NDArray[np.float32], tuple[float, float, float]], Energy],
-        flow: Flow,
-        limits: Limits,
+        parts: Parts,
         max_steps: int,
-        restart: Restart | None,
-        rule: StopRule | None,
-        half_width: float,
         workers: Workers,
     ) -> None:
-        self.flow, self.limits, self.max_steps, self.restart, self.rule = flow, limits, max_steps, restart, rule
-        motion = StopRule().motion if rule is None else rule.motion
-        self._coarse_rule = StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC)
+        self._make_energy, self.flow, self.limits, self.restart, self._half_width, self.rule = parts
+        self.max_steps = max_steps
         self.warnings: list[str] = []
-        self._make_energy, self._half_width, self._workers = energy, half_width, workers
+        self._workers = workers
         self._grids = list(grids)
         # Finest first, the present level last: what was used is let go.
         self._images, self._starts = [image], [start]
@@ -121,12 +122,87 @@ class CoarseToFine:
 
     def __iter__(self) -> Iterator[Step]:
         """Run, yielding a Step after each step of the surface, on the grid of its level."""
-        yield from self._now
-        while self._now.level > 0:
+        while (step := self.step()) is not None:
+            yield step
+
+    def step(self) -> Step | None:
+        """Make one step, on the next level where this one has ended; None when the run has."""
+        step = self._now.step()
+        while step is None and self._now.level > 0:
             self._now = self._next_level(self._now)
             if self._asked:
                 self._now.ask_to_stop()
-            yield from self._now
+            step = self._now.step()
+        return step
+
+    # -- changed by hand -----------------------------------------------------------------------------------
+
+    @property
+    def level(self) -> Level:
+        """The grid of the present level."""
+        return self._grids[self._now.level]
+
+    def edit(self, parts: Parts, new_energy: bool, push: Callable[[LevelSet], None] | None = None) -> None:
+        """Go on with other parts, or from a surface changed by ``push``; between two steps, see `Evolution.edited`.
+
+        Parameters
+        ----------
+        parts : Parts
+            The coming levels have them too.
+        new_energy : bool
+            Whether the energy is another one; it is made of this level's image.
+        push : callable, optional
+            Changes the dense psi of the surface, which is then made a distance again.
+        """
+        energy = self._take(parts, new_energy)
+        rule = self._rule_of(self._now.level)
+        self._now = self._now.edited(energy, self.flow, self.limits, self.restart, rule, self._half_width, push)
+
+    def extend(self, max_steps: int) -> None:
+        """Have another limit of the steps of all levels together."""
+        self.max_steps = self._now.max_steps = max_steps
+
+    @property
+    def felt(self) -> Felt | None:
+        """What moved the surface last on this grid."""
+        return self._now.felt
+
+    def look(self) -> Step:
+        """Return the state between two steps, as the row of a step that moves nothing."""
+        return self._now.look()
+
+    def keep(self) -> Kept:
+        """Put aside the state between two steps."""
+        return self._now.keep()
+
+    def resume(self, kept: Kept, parts: Parts, new_energy: bool) -> None:
+        """Go back to a state of this level, with the parts that were at work then.
+
+        Raises
+        ------
+        ValueError
+            When the state is of another level.
+        """
+        if kept.scalars["level"] != self._now.level:
+            raise ValueError(f"kept on level {kept.scalars['level']}, and the run is on {self._now.level}")
+        energy = self._take(parts, new_energy)
+        now, self._asked = self._now, False
+        now.energy, now.flow, now.limits, now.restart = energy or now.energy, self.flow, self.limits, self.restart
+        now.rule = self._rule_of(now.level)
+        now.resume(kept)
+
+    def _rule_of(self, number: int) -> StopRule | None:
+        """The rule of stop on a level."""
+        if number == 0:
+            return self.rule
+        motion = StopRule().motion if self.rule is None else self.rule.motion
+        return StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC)
+
+    def _take(self, parts: Parts, new_energy: bool) -> Energy | None:
+        self._make_energy, self.flow, self.limits, self.restart, self._half_width, self.rule = parts
+        return self._make_energy(self._images[-1], self.level.spacing) if new_energy else None
+
+    # -- levels --------------------------------------------------------------------------------------------
 
     def _steps_here(self) -> int:
         return sum(row.level == self._now.level and row.dt > 0 for row in self.ledger)
@@ -172,7 +248,7 @@ class CoarseToFine:
         fields = None
         if way is not None:
             old, coarse, fine = way
-            fields = carried(self.flow.fields, old, coarse, surface, fine)
+            fields = carried(self.flow.fields, self.flow.absent, old.band.cells, coarse, surface, fine)
         return Evolution(
             surface,
             self._make_energy(self._images[-1], spacing),
@@ -180,7 +256,7 @@ class CoarseToFine:
             self.limits,
             self.max_steps,
             self.restart,
-            self.rule if number == 0 else self._coarse_rule,
+            self._rule_of(number),
             number,
             before,
             fields,

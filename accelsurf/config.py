@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from accelsurf import expression
+from accelsurf.edits import Edit, edits_of, refuse_unknown
 from accelsurf.errors import UsageError
 from accelsurf.presets import PRESETS, PresetName
 
@@ -24,7 +25,7 @@ LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
 
 
 #: Settings that are lists of texts, whose options may be repeated.
-REPEATED = ("start", "foreground", "background", "channel")
+REPEATED = ("start", "foreground", "background", "channel", "edit")
 #: Settings that are true or false.
 SWITCHES = ("save_sdf", "reproducible")
 #: A length in voxels, as it is written.
@@ -213,7 +214,9 @@ class RunConfig(BaseModel):
         "auto", description="auto puts the surface at rest when its energy rises, after it has travelled; off never."
     )
     cfl: float = Field(0.5, gt=0, le=1, description="Largest motion of the surface in one step, in voxels.")
-    max_steps: int = Field(1000, ge=1, description="The run ends after this many steps, converged or not.")
+    max_steps: int = Field(
+        1000, ge=0, description="The run ends after this many steps, converged or not; 0 leaves the start."
+    )
     tolerance: float = Field(
         0.1,
         gt=0,
@@ -265,6 +268,11 @@ class RunConfig(BaseModel):
     threads: Literal["auto"] | Annotated[int, Field(ge=1)] = Field(
         "auto", description="Number of threads; auto: one for each core. The result does not depend on it."
     )
+    edit: Annotated[tuple[Edit, ...], BeforeValidator(edits_of)] = Field(
+        (),
+        description="Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
+        "(or remove=); in TOML tables [[edit]].",
+    )
 
     def __init__(self, **values: Any) -> None:
         # A preset that is none is told by the validation.
@@ -289,6 +297,24 @@ class RunConfig(BaseModel):
                 f"t0: 0 was given, expected a number greater than 0 with k = {self.k:g}",
                 "for k <= 1 the accelerated flow has no start from rest at time 0; auto chooses a time",
             )
+        for edit in self.edit:
+            refuse_unknown(edit, type(self).model_fields)
+        if self.edit:
+            self.at(self.edit[-1].step)
+
+    def matters(self, key: str) -> bool:
+        """Whether a setting means something to this flow and energy.
+
+        Examples
+        --------
+        >>> RunConfig(flow="gradient").matters("gravity"), RunConfig().matters("smoothness")
+        (False, True)
+        """
+        terms = expression.parse(self.energy)
+        used = {self.flow, *(term.name for term in terms)}
+        if any(expression.learns(term) for term in terms):
+            used.add("learning")
+        return key not in _ONLY_FOR or not used.isdisjoint(_ONLY_FOR[key])
 
     def unused(self) -> list[str]:
         """Return the settings that were changed from their defaults and mean nothing to this flow and energy.
@@ -298,13 +324,7 @@ class RunConfig(BaseModel):
         >>> RunConfig(flow="gradient", gravity=0.1).unused()
         ['gravity']
         """
-        terms = expression.parse(self.energy)
-        used = {self.flow, *(term.name for term in terms)}
-        if any(expression.learns(term) for term in terms):
-            used.add("learning")
-        return [
-            key for key, users in _ONLY_FOR.items() if used.isdisjoint(users) and getattr(self, key) != _default(key)
-        ]
+        return [key for key in _ONLY_FOR if not self.matters(key) and getattr(self, key) != _default(key)]
 
     @model_validator(mode="before")
     @classmethod
@@ -341,6 +361,35 @@ class RunConfig(BaseModel):
             kept = {key: value for key, value in kept.items() if value != getattr(former, key)}
         return type(self)(**{**kept, **changes})
 
+    def at(self, step: int) -> Self:
+        """Return the settings in force when a step is made: with the edits up to it, and without any to come.
+
+        Parameters
+        ----------
+        step : int
+            Number of the step; its own edits have happened.
+
+        Raises
+        ------
+        UsageError
+            When an edit has a value that is out of bounds.
+
+        Examples
+        --------
+        >>> config = RunConfig(edit=["step=30 smoothness=0.5"])
+        >>> config.at(29).smoothness, config.at(30).smoothness
+        (0.0, 0.5)
+        """
+        now = self.model_copy(update={"edit": ()})
+        for edit in self.edit:
+            if edit.step > step:
+                break
+            try:
+                now = now.replace(**edit.settings) if edit.settings else now
+            except UsageError as error:
+                raise UsageError(f"edit at step {edit.step}: {error.message}", error.hint) from None
+        return now
+
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
         """Read a configuration file; keys that are not in it keep their defaults.
@@ -364,7 +413,7 @@ class RunConfig(BaseModel):
         Returns
         -------
         str
-            One line per field; fields that are ``None`` are left out.
+            One line per field, a table per edit; fields that are ``None`` are left out.
 
         Examples
         --------
@@ -374,7 +423,11 @@ class RunConfig(BaseModel):
         mesh = ["ply", "stl"]
         ...
         """
-        lines = [f"{key} = {_toml(value)}" for key, value in self.model_dump().items() if value is not None]
+        values = self.model_dump()
+        edits = values.pop("edit")
+        lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
+        for edit in edits:
+            lines += ["", "[[edit]]", *(f"{key} = {_toml(value)}" for key, value in edit.items())]
         return "\n".join(lines) + "\n"
 
     @classmethod
@@ -479,6 +532,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
         case "number" | "integer":
             noun = "a number" if schema["type"] == "number" else "a whole number"
             return [noun + _bounds(schema)]
+        case "array" if "$ref" in schema["items"]:
+            return ["changes, each with the step that it comes before"]
         case "array":
             names = _in_words(schema["items"])
             return ["one or more of " + ", ".join(names) if len(names) > 1 else "one text or a list of them"]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -12,7 +13,8 @@ import numpy as np
 from accelsurf.energies import Energy
 from accelsurf.flows import Account, Flow, Limits, Move, Now
 from accelsurf.flows.base import voxel_rates
-from accelsurf.levelset import LevelSet, Snapshot
+from accelsurf.levelset import KeptSurface, LevelSet, Snapshot, keep, restore
+from accelsurf.pyramid import Level, carried
 
 StopReason = Literal["converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked"]
 
@@ -30,8 +32,8 @@ class Row(NamedTuple):
     potential, kinetic, mass_potential, weight : float
         U, the paper's T, U_mass, and the factor w of the potentials, at time t: E = U + U_mass + T/w never rises.
     friction_work, smoothing_work, noise_work : float
-        What friction has taken from E so far; what diffusion, the limiter, restarts and changes of level have; what
-        noise has put in: E + friction_work + smoothing_work - noise_work stays what it was.
+        What friction has taken from E so far; what diffusion, the limiter, restarts, changes of level and edits have;
+        what noise has put in: E + friction_work + smoothing_work - noise_work stays what it was.
     mass, mass_correction : float
         Mass of the surface, and the part that the flow has had to add so far to conserve it (relative).
     clamped_fraction : float
@@ -53,6 +55,8 @@ class Row(NamedTuple):
         Components removed as smaller than the grid resolves.
     seconds : float
         Wall time of the step.
+    edits : int
+        Changes made by hand right before this step; see `accelsurf.edits`.
     """
 
     step: int
@@ -80,6 +84,7 @@ class Row(NamedTuple):
     restarted: bool
     removed_components: int
     seconds: float
+    edits: int = 0
 
 
 class Stop(NamedTuple):
@@ -91,11 +96,24 @@ class Stop(NamedTuple):
     message: str
 
 
+class Felt(NamedTuple):
+    """What acted in a step, per cell of the band that it began on: raveled ``cells`` (n,) in raster order, ``force``
+    (n,), which counts at the front, and ``speed`` (n,), mm per unit time; along N, so that above 0 shrinks.
+    """
+
+    cells: np.ndarray
+    force: np.ndarray
+    speed: np.ndarray
+
+
 class Step(NamedTuple):
-    """What the loop yields: the ledger's row, and the surface as it is now (look, do not touch)."""
+    """What the loop yields: the ledger's row, the surface as it is now, and what moved it there last on this grid
+    (look, do not touch); the latter is None where no step was made on the grid.
+    """
 
     row: Row
     surface: LevelSet
+    felt: Felt | None = None
 
 
 class StopRule(NamedTuple):
@@ -140,9 +158,9 @@ class Books:
         self._smoothing += energy - 0.5 * (self._last.smoothing - self._last.noise)
         self._last = self._last._replace(friction=0.0, smoothing=0.0, noise=0.0)
 
-    def regrid(self, drop: float) -> None:
-        """The surface came to another grid, on which its potential is less by ``drop``."""
-        self._smoothing += drop
+    def drop(self, energy: float) -> None:
+        """E became less by ``energy`` at once: another grid, other settings, or another surface."""
+        self._smoothing += energy
 
     def enter(self, now: Account, dt: float) -> dict[str, Any]:
         """The columns of a row that begins with ``now`` and lasts ``dt``."""
@@ -162,6 +180,28 @@ class Books:
             "mass_correction": now.mass_correction,
             "clamped_fraction": now.clamped,
         }
+
+
+class Kept(NamedTuple):
+    """An `Evolution` between two steps, put aside; see `Evolution.keep`.
+
+    ``ledger`` so far; ``surface``; ``flow`` and ``energy``, what they remember; ``scalars`` and ``books`` of the loop.
+    """
+
+    ledger: tuple[Row, ...]
+    surface: KeptSurface
+    flow: dict[str, Any]
+    energy: Any
+    scalars: dict[str, Any]
+    books: Books
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes at most; rows are not counted, and what states may share is."""
+        fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
+        before, felt = self.scalars["_snapshot"], self.scalars["_felt"]
+        shared = (12 * before.psi.size if before else 0) + (16 * felt.speed.size if felt else 0)
+        return self.surface.nbytes + fields + 8 * len(self.ledger) + shared
 
 
 class Evolution:
@@ -225,13 +265,17 @@ class Evolution:
         self._time = 0.0
         self._potential = 0.0
         self._snapshot: Snapshot | None = None
+        self._felt: Felt | None = None
         self._books = Books()
         self._fields = fields
+        self._begun = False
+        self._edits = 0
         # What the other level had at the end, and not that level itself, which would be kept alive. What was won
         # there counts: near the end, where this level begins, there is little left to win.
         self._won_before, self._potential_before = 0.0, math.nan
         if before is not None:
             self.ledger, self._time, self._won_before = before.ledger, before._time, before._won
+            self._edits = before._edits
             if fields is not None:
                 self._books, self._potential_before = before._books, before._potential
         self._first = len(self.ledger)
@@ -246,18 +290,130 @@ class Evolution:
 
     def __iter__(self) -> Iterator[Step]:
         """Run, yielding a Step after each step of the surface."""
+        while (step := self.step()) is not None:
+            yield step
+
+    def begin(self) -> None:
+        """Start energy and flow, unless that has been done; the first step does it by itself."""
+        if self._begun:
+            return
+        self._begun = True
         self.energy.start(self.surface)
         if self._fields is None:
             self.flow.start(self.surface)
         else:
             self.flow.take(self._fields)
             self._fields = None
-        while self.stop is None:
-            row = self._step(len(self.ledger))
-            if self._goes_on():
-                return
-            self.ledger.append(row)
-            yield Step(row, self.surface)
+
+    def step(self) -> Step | None:
+        """Make one step; None when the evolution has ended. The last one moves nothing: its row is the final state."""
+        if self.stop is not None:
+            return None
+        self.begin()
+        row = self._step(len(self.ledger))._replace(edits=self._edits)
+        if self._goes_on():
+            return None
+        self._edits = 0
+        self.ledger.append(row)
+        return Step(row, self.surface, self._felt)
+
+    @property
+    def felt(self) -> Felt | None:
+        """What moved the surface last."""
+        return self._felt
+
+    def look(self) -> Step:
+        """Return the state between two steps, as the row of a step that moves nothing; changes nothing of the run."""
+        self.begin()
+        began = time.perf_counter()
+        part, area = self.surface.cut()
+        state = self._state(len(self.ledger), self.energy.value(self.surface, part, area), part, area)
+        return Step(self._still(state, began)._replace(edits=self._edits), self.surface, self._felt)
+
+    # -- changed by hand -----------------------------------------------------------------------------------
+
+    def edited(
+        self,
+        energy: Energy | None,
+        flow: Flow,
+        limits: Limits,
+        restart: Restart | None,
+        rule: StopRule | None,
+        half_width: float,
+        push: Callable[[LevelSet], None] | None = None,
+    ) -> Evolution:
+        """Return the evolution that goes on from here under other settings, or on a surface changed by ``push``.
+
+        Ledger, time and the account of the energy are continued: what E loses or gains here is entered as smoothing.
+        Momentum stays with a flow of the same class; one of another class begins at rest. The rules of stop and
+        restart begin anew, as they would at the start.
+
+        Parameters
+        ----------
+        energy : Energy or None
+            None keeps the one there is.
+        flow : Flow
+            Not started yet.
+        limits, restart, rule
+            From here on.
+        half_width : float
+            Of the band, voxels.
+        push : callable, optional
+            Changes the dense psi of the surface, which is then made a distance again.
+        """
+        self.begin()
+        surface, old = self.surface, self.flow
+        part, area = surface.cut()
+        potential = self.energy.value(surface, part, area)
+        if type(flow) is type(old):
+            potential += old.energy(area)
+            flow.go_on(surface, old, energy is not None)
+        else:
+            self._books.lose(old.energy(area))
+            flow.start(surface)
+        fields, cells = flow.fields, surface.band.cells
+        if push is not None or surface.asked_width != half_width:
+            if push is not None:
+                push(surface)
+            surface.begin_again(half_width)
+            here = Level(0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx))
+            fields = carried(fields, flow.absent, cells, here, surface, here)
+        following = Evolution(
+            surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, self, fields
+        )
+        following.begin()
+        # Potentials of two energies do not compare.
+        following._won_before = 0.0 if energy is not None else self._won
+        following._potential_before = potential - flow.energy(surface.cut()[1])
+        following._edits, following._asked, following._felt = self._edits + 1, self._asked, self._felt
+        return following
+
+    _SCALARS = (
+        "_time", "_potential", "_snapshot", "_won_before", "_potential_before", "_first", "_felt", "level",
+    )
+
+    def keep(self) -> Kept:
+        """Put aside the state between two steps; nothing of the run is changed by it."""
+        self.begin()
+        energy = self.energy.kept() if hasattr(self.energy, "kept") else None
+        scalars = {name: getattr(self, name) for name in self._SCALARS}
+        return Kept(
+            tuple(self.ledger), keep(self.surface), self.flow.kept(), energy, scalars, copy.copy(self._books)
+        )
+
+    def resume(self, kept: Kept) -> None:
+        """Go back to a state kept under the same settings; the steps that follow are then the same, bit for bit."""
+        self.ledger[:] = kept.ledger
+        restore(self.surface, kept.surface)
+        self.flow.resume(self.surface, kept.flow)
+        if hasattr(self.energy, "resume"):
+            self.energy.resume(self.surface, kept.energy)
+        else:
+            self.energy.start(self.surface)
+        for name, value in kept.scalars.items():
+            setattr(self, name, value)
+        self._books = copy.copy(kept.books)
+        self._begun, self._fields, self._edits, self._asked, self.stop = True, None, 0, False, None
 
     # -- one step ------------------------------------------------------------------------------------------
 
@@ -268,18 +424,10 @@ class Evolution:
         part, area = surface.cut()
         potential = self.energy.value(surface, part, area)
         if not math.isnan(self._potential_before):
-            self._books.regrid(self._potential_before - potential)
+            self._books.drop(self._potential_before - potential)
             self._potential_before = math.nan
         self._potential = potential
-        state: dict[str, Any] = {
-            "step": n,
-            "level": self.level,
-            "t": self._time,
-            "potential": potential,
-            "volume_mm3": surface.volume(part),
-            "area_mm2": float(area.sum()),
-            "band_cells": surface.size,
-        }
+        state = self._state(n, potential, part, area)
         reason = self._reason_to_stop(n, potential)
         if reason is not None:
             self._end(*reason, n)
@@ -297,6 +445,8 @@ class Evolution:
         entries = self._books.enter(move.account, move.dt)
         rates = voxel_rates(surface, area > 0, move.speed)
         motion = move.dt * float((area * rates).sum()) / max(state["area_mm2"], 1e-300)
+        # The arrays of the old band, which nothing writes to any more.
+        self._felt = Felt(surface.band.cells, force, move.speed)
         removed = self._drift(move)
         self._time += move.dt
         return Row(
@@ -312,6 +462,18 @@ class Evolution:
             removed_components=removed,
             seconds=time.perf_counter() - began,
         )
+
+    def _state(self, n: int, potential: float, part: np.ndarray, area: np.ndarray) -> dict[str, Any]:
+        """The columns of a row that say where the surface is."""
+        return {
+            "step": n,
+            "level": self.level,
+            "t": self._time,
+            "potential": potential,
+            "volume_mm3": self.surface.volume(part),
+            "area_mm2": float(area.sum()),
+            "band_cells": self.surface.size,
+        }
 
     def _drift(self, move: Move) -> int:
         """Move the surface, and everything that lives on it; returns how many components were removed."""

@@ -60,6 +60,8 @@ TERMS: dict[str, dict[str, Number | Word]] = {
 }
 #: Terms that say where the object is; the others need one of them beside.
 IMAGE_TERMS = ("chan-vese", "local-region", "likelihood", "threshold", "geodesic")
+#: One of each kind of energy that needs no more to be told: for lists to choose from.
+SIMPLE = ("chan-vese", "local-region", "likelihood", "threshold:auto", "geodesic")
 EXAMPLE = "local-region:R=8 + 0.3*geodesic + 0.1*area"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 

@@ -9,7 +9,7 @@ import gzip
 import math
 import re
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -21,6 +21,7 @@ from accelsurf.errors import GeometryError, InputError
 
 NRRD_KEY = "nrrd_space"
 """Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
+
 
 _TRUNCATED_HINT = "the file is truncated: copy or export it again"
 _LARGEST_TEXT_HEADER = 1 << 20
@@ -49,6 +50,19 @@ _META_SIZED = frozenset(
     "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
     "CenterOfRotation AnatomicalOrientation".split()
 )
+
+
+def of_patient(metadata: Mapping[str, str]) -> bool:
+    """Whether a header said that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name.
+
+    Parameters
+    ----------
+    metadata : mapping of str to str
+        As in `Volume.metadata`.
+    """
+    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
+    coded = any(bytes.fromhex(metadata.get(nifti.METADATA_KEY, ""))[17:21])
+    return coded or "space: left-" in metadata.get(NRRD_KEY, "")
 
 
 @dataclass(frozen=True)

@@ -140,13 +140,26 @@ class Prepared:
 
     def fenced(self, energy: Energy, shape: tuple[int, ...]) -> Energy:
         """An energy on the grid of a level with the fence around it, if there is one."""
-        if self._fences is None:
-            return energy
+        return energy if self._fences is None else Fenced(energy, self._fence_on(shape))
+
+    def _fence_on(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        assert self._fences is not None
         level = self._level_of(shape)
         while len(self._fences) <= level:
             fine, coarse = self._grids[len(self._fences) - 1], self._grids[len(self._fences)]
             self._fences.append(pyramid.coarsened(self._fences[-1], fine, coarse))
-        return Fenced(energy, self._fences[level])
+        return self._fences[level]
+
+    @property
+    def first(self) -> tuple[int, int, int]:
+        """Index (z, y, x) in the image of the first voxel of the region of interest."""
+        z, y, x = self._box
+        return z.start, y.start, x.start
+
+    def hold(self, psi: NDArray[np.float32]) -> None:
+        """Cut psi (in place) on the grid of a level off at the fence, if there is one."""
+        if self._fences is not None:
+            np.maximum(psi, self._fence_on(psi.shape), out=psi)
 
     def finished(self, psi: NDArray[np.float32]) -> NDArray[np.float32]:
         """Psi of the last surface on the whole grid: cut at the fence, and half a voxel beyond the region's voxels."""

@@ -76,9 +76,8 @@ PRESETS: dict[str, Preset] = {
             "smoothness": "0.5 mm: keeps tubes down to a radius of 0.5 mm, closes thin bridges to bone",
         },
         {
-            _ABDOMEN: "aorta, with the window alone (learned,learned) Dice 0.83; with half-way to 50 HU not "
-                "yet run; the "
-            "reference has wall and plaque. Otherwise phantoms",
+            _ABDOMEN: "aorta, with the window alone (learned,learned) Dice 0.83; with half-way to 50 HU not yet "
+            "run; the reference has wall and plaque. Otherwise phantoms",
         },
     ),
     "ct-organ": Preset(

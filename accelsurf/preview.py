@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from accelsurf.geometry import Geometry
 from accelsurf.splat import render
+from accelsurf.upright import IN_PLANE, LETTERS, PLANES, Upright
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,8 +33,6 @@ BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "
 _INK, _GRID = "#222222", "#D9D9D9"
 _RUN_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
 _RUN_DASHES = ("solid", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1, 2)))
-_LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))  # low and high end of the world's x, y, z axes in LPS
-_IN_PLANE = ((1, 2), (0, 2), (0, 1))  # vertical and horizontal axis of a slice across z, y, x
 _DPI = 110
 
 
@@ -102,9 +101,9 @@ def preview_png(scene: Scene) -> bytes:
 
 def _flat_png(scene: Scene, axis: int) -> bytes:
     """Draw a run on an image of one slice; the picture is as wide and high as suits the image."""
-    order = _upright(scene.geometry).order
+    order = Upright.of(scene.geometry).order
     plane = order.index(axis)
-    tall, wide = (_extent(scene.geometry, order[i]) for i in _IN_PLANE[plane])
+    tall, wide = (_extent(scene.geometry, order[i]) for i in IN_PLANE[plane])
     inch = min(6.8 / wide, 8.0 / tall)  # per mm
     left, high, right = max(wide * inch, 2.5), max(tall * inch, 4.0), 4.6
     width, height = left + right + 2.7, high + 1.55
@@ -156,7 +155,7 @@ def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
     box = np.concatenate(everything) if everything else None
     for column, (name, scene) in enumerate(scenes.items()):
         top = figure.add_subplot(grid[0, column])
-        _draw_slice(top, scene, 0 if axis is None else _upright(scene.geometry).order.index(axis))
+        _draw_slice(top, scene, 0 if axis is None else Upright.of(scene.geometry).order.index(axis))
         top.set_title(f"{name}\n{scene.title}", fontsize=10, color=_INK)
         color = _RUN_COLORS[column % len(_RUN_COLORS)]
         if axis is None:
@@ -178,43 +177,6 @@ def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
 # ------------------------------------------------------------------------------------------------------------ slices
 
 
-@dataclass(frozen=True, eq=False)
-class _Upright:
-    """Arrays turned so that their axes run along the nearest world axes, (z, y, x) as ever."""
-
-    order: tuple[int, int, int]  # array axis that becomes z, y, x
-    flips: tuple[bool, bool, bool]  # of the new axes
-    spacing: tuple[float, float, float]
-    first: tuple[float, float, float]  # coordinate of the first voxel along the new axes, mm
-    names: tuple[str, str, str]
-
-    def turn(self, array: NDArray[Any]) -> NDArray[Any]:
-        turned = array.transpose(self.order)
-        return turned[tuple(slice(None, None, -1) if flip else slice(None) for flip in self.flips)]
-
-    def coordinate(self, axis: int, index: float) -> float:
-        return self.first[axis] + index * self.spacing[axis]
-
-
-def _upright(geometry: Geometry) -> _Upright:
-    """Find the grid axis nearest to each world axis, every grid axis used once, nearest pairs first."""
-    direction = np.asarray(geometry.direction)
-    near = np.abs(direction)
-    chosen: dict[int, int] = {}  # world axis (x, y, z) -> grid axis (x, y, z)
-    for flat in np.argsort(-near, axis=None, kind="stable"):
-        world, axis = (int(i) for i in np.unravel_index(flat, (3, 3)))
-        if world not in chosen and axis not in chosen.values():
-            chosen[world] = axis
-    order = tuple(2 - chosen[world] for world in (2, 1, 0))
-    flips = tuple(bool(direction[world, chosen[world]] < 0) for world in (2, 1, 0))
-    spacing = tuple(geometry.spacing[axis] for axis in order)
-    parallel = all(near[world, chosen[world]] > 1 - 1e-6 for world in range(3))
-    corner = geometry.index_to_world([geometry.shape[axis] - 1 if flips[order.index(axis)] else 0 for axis in range(3)])
-    first = tuple(corner[::-1]) if parallel else (0.0, 0.0, 0.0)
-    names = ("z", "y", "x") if parallel else ("z'", "y'", "x'")
-    return _Upright(order, flips, spacing, first, names)  # type: ignore[arg-type]
-
-
 def _centroid(psi: NDArray[Any]) -> tuple[int, int, int]:
     """Voxel in the middle of the object, or of the volume when there is none."""
     inside = psi < 0
@@ -227,10 +189,10 @@ def _centroid(psi: NDArray[Any]) -> tuple[int, int, int]:
 
 def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
     """Draw one slice: plane 0 is axial, 1 coronal, 2 sagittal."""
-    up = _upright(scene.geometry)
+    up = Upright.of(scene.geometry)
     image, psi = up.turn(scene.image), up.turn(scene.psi)
     place = _centroid(psi)
-    vertical, horizontal = _IN_PLANE[plane]
+    vertical, horizontal = IN_PLANE[plane]
     cut = tuple(place[axis] if axis == plane else slice(None) for axis in range(3))
     values = np.asarray(image[cut], dtype=np.float64)
     low, high = np.percentile(values, (1, 99))
@@ -263,7 +225,7 @@ def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
     if len(lines) > 1:
         axes.legend(fontsize=8, loc="lower right", framealpha=0.75, borderpad=0.3, labelcolor=_INK)
     where = f"{up.names[plane]} = {up.coordinate(plane, place[plane]):.4g} mm"
-    kind = ("Axial", "Coronal", "Sagittal")[plane] if scene.anatomical else "Slice"
+    kind = PLANES[plane] if scene.anatomical else "Slice"
     axes.set_title(f"{kind}, {where}", fontsize=10, color=_INK)
     _style(axes, f"{up.names[horizontal]} (mm)", f"{up.names[vertical]} (mm)", lines=False)
     if scene.anatomical:
@@ -271,7 +233,7 @@ def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
 
 
 def _contour(
-    axes: Axes, psi: NDArray[Any], up: _Upright, vertical: int, horizontal: int, color: str, dashes: Any
+    axes: Axes, psi: NDArray[Any], up: Upright, vertical: int, horizontal: int, color: str, dashes: Any
 ) -> None:
     """Draw the zero level, dark below and coloured above, so that it shows on any grey."""
     if min(psi.shape) < 2 or not (psi < 0).any() or not (psi > 0).any():
@@ -284,8 +246,8 @@ def _contour(
 
 def _write_letters(axes: Axes, horizontal: int, vertical: int, top_is_low: bool) -> None:
     """Write the patient's directions at the edges of a slice."""
-    left, right = _LETTERS[2 - horizontal]
-    low, high = _LETTERS[2 - vertical]
+    left, right = LETTERS[2 - horizontal]
+    low, high = LETTERS[2 - vertical]
     top, bottom = (low, high) if top_is_low else (high, low)
     for x, y, letter in ((0.045, 0.5, left), (0.955, 0.5, right), (0.5, 0.95, top), (0.5, 0.05, bottom)):
         axes.text(

@@ -168,25 +168,37 @@ def _between(padded: NDArray[np.float32], axis: int, n: int) -> NDArray[np.float
 
 
 def carried(
-    fields: Sequence[NDArray[np.float32]], old: LevelSet, coarse: Level, new: LevelSet, fine: Level
+    fields: Sequence[NDArray[np.float32]],
+    absent: Sequence[float],
+    old: NDArray[np.int64],
+    coarse: Level,
+    new: LevelSet,
+    fine: Level,
 ) -> list[NDArray[np.float32]]:
-    """Return fields (n,) of the band of ``old``, level ``coarse``, on the band of ``new``, level ``fine``.
+    """Return fields (n,) of the band cells ``old`` of level ``coarse`` on the band of ``new``, level ``fine``.
 
     Each cell gets the value at its closest point on the surface: the mean of the coarse band cells around it, weighted
-    as in linear interpolation; cells that are not in the band do not count.
+    as in linear interpolation; cells that are not in the band do not count. Where there are none, as on surface that
+    was not there before, it is what ``absent`` says for each field.
     """
     if not fields or new.size == 0 or old.size == 0:
-        return [np.zeros(new.size, np.float32) for _ in fields]
+        return [np.full(new.size, value, np.float32) for value in absent]
     out = [np.empty(new.size, np.float32) for _ in fields]
     for begin in range(0, new.size, CHUNK):
         chunk = slice(begin, min(begin + CHUNK, new.size))
-        for one, values in zip(out, _carried(fields, old, coarse, new, fine, chunk), strict=True):
+        for one, values in zip(out, _carried(fields, absent, old, coarse, new, fine, chunk), strict=True):
             one[chunk] = values
     return out
 
 
 def _carried(
-    fields: Sequence[NDArray[np.float32]], old: LevelSet, coarse: Level, new: LevelSet, fine: Level, chunk: slice
+    fields: Sequence[NDArray[np.float32]],
+    absent: Sequence[float],
+    old: NDArray[np.int64],
+    coarse: Level,
+    new: LevelSet,
+    fine: Level,
+    chunk: slice,
 ) -> list[NDArray[np.float64]]:
     """`carried` for some of the slots."""
     cells, feet = new.band.cells[chunk], new.band.foot[chunk]
@@ -201,16 +213,17 @@ def _carried(
     sums = [np.zeros(cells.size) for _ in fields]
     for offset in np.ndindex(2, 2, 2):
         weight = np.prod(np.where(offset, share, 1.0 - share), axis=1)
-        cell = np.clip(corner + offset, 0, np.array(old.shape) - 1)
-        raveled = np.ravel_multi_index(tuple(cell.T), old.shape)
-        slot = np.minimum(np.searchsorted(old.band.cells, raveled), old.size - 1)
-        weight[old.band.cells[slot] != raveled] = 0.0
+        cell = np.clip(corner + offset, 0, np.array(coarse.shape) - 1)
+        raveled = np.ravel_multi_index(tuple(cell.T), coarse.shape)
+        slot = np.minimum(np.searchsorted(old, raveled), old.size - 1)
+        weight[old[slot] != raveled] = 0.0
         total += weight
         for one, field in zip(sums, fields, strict=True):
             one += weight * field[slot]
-    # Where an object of the coarse level came out a little elsewhere there may be none: it is at rest there.
-    total[total == 0.0] = 1.0
-    return [one / total for one in sums]
+    # An object of the coarse level may come out a little elsewhere.
+    none = total == 0.0
+    total[none] = 1.0
+    return [np.where(none, value, one / total) for one, value in zip(sums, absent, strict=True)]
 
 
 def smallest_depth(psi: NDArray[np.float32]) -> float:

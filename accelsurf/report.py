@@ -56,6 +56,7 @@ TRACE_COLUMNS = (
     "restarted",
     "removed_components",
     "seconds",
+    "edits",
 )
 #: Parts of a run that are timed, in the order they happen.
 TIMED = ("load", "start", "evolve", "mesh", "write", "total")
@@ -148,8 +149,8 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         With None every value is null.
     """
     if result is None:
-        keys = ("stop", "chosen", "levels", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm")
-        return dict.fromkeys((*keys, "components", "touches_border", "quality"))
+        keys = ("stop", "chosen", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2")
+        return dict.fromkeys((*keys, "length_mm", "components", "touches_border", "quality"))
     last = result.ledger[-1] if result.ledger else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
     first = next((row for row in result.ledger if row.level == 0), None)
@@ -162,6 +163,10 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         },
         "chosen": result.chosen,
         "levels": describe_levels(result),
+        "edits": [
+            {**edit.model_dump(mode="json"), "done": number < result.edits_done}
+            for number, edit in enumerate(result.config.edit)
+        ],
         "energy": {
             "name": result.energy,
             "terms": result.terms,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -14,28 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf import contours, expression, pyramid, report
-from accelsurf.channels import chosen as read_channels
-from accelsurf.coarse_to_fine import CoarseToFine, Passed
+from accelsurf import contours, report
+from accelsurf.coarse_to_fine import Passed
 from accelsurf.config import RunConfig
 from accelsurf.contours import Contours
-from accelsurf.energies import Energy
-from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution import Restart, Row, Step, Stop
-from accelsurf.flows import Limits
+from accelsurf.errors import InputError
+from accelsurf.evolution import Row, Step, Stop
 from accelsurf.geometry import Geometry
-from accelsurf.levelset import Workers
-from accelsurf.preparation import SCALE_PERCENTILES, Prepared, presmoothed, scale
+from accelsurf.preparation import SCALE_PERCENTILES, presmoothed, scale
 from accelsurf.quality import Quality, assess
+from accelsurf.run import EnergyLike, Run
 from accelsurf.surface import Surface, extract
-from accelsurf.systems import half_width, is_maker, make_energy, make_flow, own_energy, stop_rule
+from accelsurf.systems import half_width, stop_rule
 from accelsurf.volume import Volume
 
-__all__ = ["SCALE_PERCENTILES", "Result", "Run", "evolve", "presmoothed", "scale", "segment"]
-
-#: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
-#: `Result.image`, and the spacing, (hz, hy, hx) mm.
-EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
+__all__ = ["SCALE_PERCENTILES", "EnergyLike", "Result", "Run", "evolve", "presmoothed", "result_of", "scale", "segment"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +60,8 @@ class Result:
         The input.
     start : ndarray or None
         psi of the start, for an image of one slice; None for volumes, where it would cost memory.
+    edits_done : int
+        How many of the edits of ``config`` the run came to.
     terms : list of dict
         The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
     chosen : dict
@@ -90,6 +83,7 @@ class Result:
     levels: list[Passed] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
+    edits_done: int = 0
     kernels: dict[str, float] = field(default_factory=dict)
     terms: list[dict[str, Any]] = field(default_factory=list)
     chosen: dict[str, Any] = field(default_factory=dict)
@@ -159,6 +153,13 @@ class Result:
         """Whether a voxel of the object lies on the volume's border (axes with one slice do not count)."""
         axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
         return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
+
+    def plot(self, **options: Any) -> Any:
+        """Show the result in a notebook or a window, or write a picture or a page; options as of `accelsurf.show`."""
+        # By its public name: this module does not know the viewer, and loads it for those who ask for pictures only.
+        import accelsurf
+
+        return accelsurf.show(self, **options)
 
     @cached_property
     def quality(self) -> Quality:
@@ -235,7 +236,7 @@ def segment(
         for step in run:
             if on_step is not None and on_step(step.row):
                 run.evolution.ask_to_stop()
-    return run.result()
+    return result_of(run)
 
 
 def evolve(
@@ -302,158 +303,60 @@ def _resolved(
     return (config or RunConfig()).replace(**options) if options else config or RunConfig(), energy
 
 
-class Run:
-    """A run made ready: image prepared, start built, flow chosen.
+def result_of(run: Run) -> Result:
+    """Return what a run left, or has reached between two steps: then with the reason ``interrupted``.
 
-    Parameters
-    ----------
-    volume : Volume
-    config : RunConfig
-    energy : Energy or callable, optional
-        In place of the energy that ``config`` names; see `segment`.
-    channels : sequence of Volume, optional
-        Further channels, before those that ``config`` names.
+    The ledger is a copy; ``psi`` may be a view of the surface, which goes on if the run does.
     """
-
-    def __init__(
-        self,
-        volume: Volume,
-        config: RunConfig,
-        energy: EnergyLike | None = None,
-        channels: Sequence[Volume] = (),
-    ) -> None:
-        began = time.perf_counter()
-        if config.noise > 0 and config.seed is None:
-            # Drawn once and kept: the report's settings then repeat the run.
-            config = config.replace(seed=secrets.randbelow(2**31))
-        self.volume, self.config = volume, config
-        self._prepared = Prepared(volume, [*channels, *read_channels(config.channel)], config)
-        self.leaked = False
-        self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
-        psi = self._prepared.psi
-        grids = self._grids(psi, energy)
-        self.evolution = CoarseToFine(
-            grids,
-            self._prepared.image,
-            psi,
-            self._energy_maker(energy, len(grids)),
-            make_flow(config),
-            Limits(config.cfl, config.percentile),
-            config.max_steps,
-            Restart() if config.restart == "auto" else None,
-            stop_rule(config, len(grids)),
-            half_width(config),
-            self.workers,
-        )
-        # The evolution uses its memory up.
-        del self._prepared.psi
-        self._start_seconds = time.perf_counter() - began
-        self.workers.seconds.clear()
-        self._began = time.perf_counter()
-
-    def _grids(self, psi: NDArray[np.float32], energy: EnergyLike | None) -> list[pyramid.Level]:
-        """The levels that the configuration asks for; see record 0015 for what ``auto`` is."""
-        geometry, wanted = self._prepared.geometry, self.config.levels
-        shape, spacing = geometry.shape, geometry.spacing
-        if wanted == "auto":
-            if energy is not None or any(term.name == "geodesic" for term in expression.parse(self.config.energy)):
-                return pyramid.levels(shape, spacing, 1)
-            grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
-            return grids[: pyramid.resolved(grids, psi)]
-        grids = pyramid.levels(shape, spacing, wanted)
-        if len(grids) < wanted:
-            raise UsageError(
-                f"levels: {wanted} was given, expected at most {len(grids)} for this image",
-                f"the coarsest grid has at least {pyramid.FEWEST} voxels along an axis that is halved",
-            )
-        return grids
-
-    def _energy_maker(
-        self, energy: EnergyLike | None, levels: int
-    ) -> Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]:
-        """What makes the energy of each level; an energy that is made already is only for one."""
-        config = self.config
-        self.energy_name: str = config.energy
-        prepared = self._prepared
-        if energy is None or isinstance(energy, str):
-            return lambda image, spacing: prepared.fenced(
-                make_energy(config, image, spacing, prepared.facts), image.shape
-            )
-        if levels > 1 and not is_maker(energy):
-            raise UsageError(
-                f"levels: {levels} was given, expected 1: the energy has one image, and each level needs its own",
-                "give a class or function that makes the energy of (image, spacing), or levels=1",
-            )
-
-        def made(image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
-            own = own_energy(energy, config, image, spacing)
-            self.energy_name = own.name
-            return prepared.fenced(own, image.shape)
-
-        return made
-
-    def __iter__(self) -> Iterator[Step]:
-        """Run, yielding each step; ended when the object is larger than it may be."""
-        most = self.config.max_volume
-        for step in self.evolution:
-            if most is not None and step.row.volume_mm3 > most and not self.leaked:
-                self.leaked = True
-                self.evolution.ask_to_stop()
-            yield step
-
-    def _chosen(self) -> dict[str, Any]:
-        """What the run took for settings that image and grid decide."""
-        config, levels = self.config, len(self.evolution.passed)
-        diffusion = config.diffusion
-        if diffusion == "auto":
-            diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
-        rule = stop_rule(config, levels)
-        return {
-            "presmooth_mm": self._prepared.presmooth,
-            "scale": [{"at_0": low, "at_1": low + width} for low, width in self._prepared.facts.scales],
-            "step_voxels": config.cfl,
-            "limiter_percentile": config.percentile,
-            "diffusion": diffusion,
-            "stop": {"voxels": rule.motion, "steps": rule.window},
-            "half_width_voxels": half_width(config),
-            "levels": levels,
-        }
-
-    def result(self) -> Result:
-        """What the run left, once its evolution has stopped."""
-        surface, stop = self.evolution.surface, self.evolution.stop
-        assert stop is not None
-        if self.leaked and stop.reason == "interrupted":
-            message = f"the object grew beyond {self.config.max_volume:g} mm3, the largest volume it may have"
-            stop = stop._replace(reason="leaked", message=message)
-        psi = self._prepared.finished(surface.psi)
-        return Result(
-            labels=(psi < 0).astype(np.uint8),
-            psi=psi,
-            image=self._prepared.shown(),
-            geometry=self.volume.geometry,
-            config=self.config,
-            energy=self.energy_name,
-            ledger=self.evolution.ledger,
-            stop=stop,
-            levels=self.evolution.passed,
-            seconds={"start": self._start_seconds, "evolve": time.perf_counter() - self._began},
-            volume=self.volume,
-            start=self._prepared.start,
-            chosen=self._chosen(),
-            learned=self._prepared.learned,
-            terms=[self._prepared.facts.chosen[place] for place in sorted(self._prepared.facts.chosen)],
-            kernels=dict(self.workers.seconds),
-            warnings=self.evolution.warnings
-            + [
-                f"{key} was given, but means nothing to flow {self.config.flow} with energy {self.energy_name}"
-                for key in self.config.unused()
-            ],
-        )
+    stop, ledger = run.stop, list(run.evolution.ledger)
+    if stop is None:
+        row = run.look().row
+        ledger.append(row)
+        stop = Stop("interrupted", row.step, row.t, f"looked at after {row.step} steps")
+    missed = run.config.edit[run.edits_done :]
+    prepared, chosen = run.prepared, run.prepared.facts.chosen
+    psi = prepared.finished(run.evolution.surface.psi)
+    return Result(
+        labels=(psi < 0).view(np.uint8),
+        psi=psi,
+        image=prepared.shown(),
+        geometry=run.volume.geometry,
+        config=run.config,
+        energy=run.energy_name,
+        ledger=ledger,
+        stop=stop,
+        levels=run.evolution.passed,
+        seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
+        volume=run.volume,
+        start=prepared.start,
+        chosen=chosen_of(run),
+        learned=prepared.learned,
+        terms=[chosen[place] for place in sorted(chosen)],
+        kernels=dict(run.workers.seconds),
+        edits_done=run.edits_done,
+        warnings=run.evolution.warnings
+        + [
+            f"{key} was given, but means nothing to flow {run.config.flow} with energy {run.energy_name}"
+            for key in run.config.unused()
+        ]
+        + [f"edit at step {edit.step} was not made: the run ended after {stop.steps} steps" for edit in missed],
+    )
 
 
-def available_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+def chosen_of(run: Run) -> dict[str, Any]:
+    """Return what a run took for settings that image and grid decide."""
+    config, levels = run.config, len(run.evolution.passed)
+    diffusion = config.diffusion
+    if diffusion == "auto":
+        diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
+    rule = stop_rule(config, levels)
+    return {
+        "presmooth_mm": run.prepared.presmooth,
+        "scale": [{"at_0": low, "at_1": low + width} for low, width in run.prepared.facts.scales],
+        "step_voxels": config.cfl,
+        "limiter_percentile": config.percentile,
+        "diffusion": diffusion,
+        "stop": {"voxels": rule.motion, "steps": rule.window},
+        "half_width_voxels": half_width(config),
+        "levels": levels,
+    }

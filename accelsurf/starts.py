@@ -181,6 +181,37 @@ def build(starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | No
     return psi
 
 
+def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], float]:
+    """Return centre, as an index (z, y, x), and radius (mm) of a ball in a volume.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be parsed or is no ball.
+    InputError
+        When no voxel centre is inside it.
+
+    Examples
+    --------
+    >>> ball_of("ball:3,4,6,2", Geometry((9, 9, 9), (2.0, 1.0, 1.0)))
+    ((3.0, 4.0, 3.0), 2.0)
+    """
+    start = parse(text)
+    if start.kind != "ball":
+        raise UsageError(f"{text!r} was given, expected a ball", f"as in {KINDS['ball']}")
+    if start.vox:
+        x, y, z = start.numbers[:3]
+        radius = start.numbers[3] * min(geometry.steps)
+    else:
+        z, y, x = (float(v) for v in geometry.world_to_index(start.numbers[:3]))
+        radius = start.numbers[3]
+    centre = np.array([z, y, x])
+    nearest = np.clip(np.round(centre), 0, np.array(geometry.shape) - 1)
+    if not float(np.linalg.norm((nearest - centre) * geometry.spacing)) < radius:
+        raise InputError(*_nothing_inside(text, geometry))
+    return (z, y, x), radius
+
+
 def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
     kind = parse(text).kind
     if kind == "label":

@@ -161,6 +161,8 @@ def make_energy(
     if facts is None:
         facts = Facts([image], [Scale()], spacing)
     terms = expression.parse(config.energy)
+    # Of an energy before, which may have had more terms.
+    facts.chosen.clear()
     channels = [image, *facts.others(image.shape, spacing)]
     if len(terms) == 1 and terms[0].weight == 1.0 and len(_seen(terms[0], channels)) == 1:
         # The term carries the area itself.

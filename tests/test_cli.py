@@ -188,11 +188,13 @@ def test_every_setting_is_an_option(capsys):
         **dict(t0=0.1, gravity=2, noise=0.5, noise_length=6, noise_time=2, sobolev_length=7),
         **dict(blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4),
         **dict(foreground=("center", "ball:-1,2,-3,4"), background=("otsu:dark", "label:b.nii@2"), channel=("a", "b")),
+        edit=["step=4 flow=sobolev", "step=9 add=ball:1,2,3,4vox"],
     )
     words = []
     for key, value in values.model_dump().items():
         option = "--" + key.replace("_", "-")
         if key in REPEATED:
+            value = [str(edit) for edit in values.edit] if key == "edit" else value
             words += [word for text in value for word in (option, text)]
         else:
             words += [option] if value is True else [option, ",".join(value) if key == "mesh" else value]

@@ -52,6 +52,7 @@ ODD = RunConfig(
     seed=2**40,
     reproducible=True,
     threads=2,
+    edit=["step=3 smoothness=0.25 add='ball:1,2,3,4'", {"step": 1, "flow": "momentum", "cfl": 1 / 3}],
 )
 
 
@@ -91,7 +92,7 @@ def test_odd_config_changes_every_field():
         ("mask", 5, "a text"),
         ("start", (), "one text"),
         ("start", 5, "one text"),
-        ("max_steps", 0, "a whole number at least 1"),
+        ("max_steps", -1, "a whole number at least 0"),
         ("max_steps", 2.5, "a whole number"),
         ("percentile", 101, "at most 100"),
         ("tolerance", 0, "greater than 0"),

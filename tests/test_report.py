@@ -21,6 +21,7 @@ from accelsurf.pyramid import Level
 from accelsurf.quality import Quality
 from accelsurf.splat import render
 from accelsurf.surface import extract
+from accelsurf.upright import Upright
 
 KEYS = {
     *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
@@ -224,7 +225,7 @@ def test_anatomical_axes_stand_upright_whatever_the_order_of_the_grid():
     # Stored sagittally: index x runs to the back, index y to the feet, index z to the right.
     direction = np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
     geometry = Geometry((4, 5, 6), (3.0, 2.0, 1.0), (10.0, 20.0, 30.0), direction)
-    upright = preview._upright(geometry)
+    upright = Upright.of(geometry)
     array = np.arange(4 * 5 * 6).reshape(4, 5, 6)
     turned = upright.turn(array)
     assert turned.shape == (5, 6, 4) and upright.spacing == (2.0, 1.0, 3.0)
@@ -238,7 +239,7 @@ def test_anatomical_axes_stand_upright_whatever_the_order_of_the_grid():
 def test_oblique_axes_are_marked_and_start_at_zero():
     c, s = np.cos(0.2), np.sin(0.2)
     turn = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
-    upright = preview._upright(Geometry((4, 5, 6), (1.0, 1.0, 1.0), (9.0, 9.0, 9.0), turn))
+    upright = Upright.of(Geometry((4, 5, 6), (1.0, 1.0, 1.0), (9.0, 9.0, 9.0), turn))
     assert upright.names == ("z'", "y'", "x'") and upright.coordinate(2, 0) == 0.0
 
 

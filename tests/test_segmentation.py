@@ -6,7 +6,9 @@ from accelsurf.config import RunConfig
 from accelsurf.errors import InputError, UsageError
 from accelsurf.metrics import dice
 from accelsurf.phantoms import distance_at, make, recipe_from
-from accelsurf.segmentation import Run, evolve, presmoothed, scale, segment
+from accelsurf.preparation import presmoothed, scale
+from accelsurf.run import Run
+from accelsurf.segmentation import evolve, segment
 from accelsurf.volume import Volume
 
 #: Antialiased: only then does the image tell where in a voxel the surface is.

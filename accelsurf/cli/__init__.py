@@ -25,6 +25,7 @@ EXIT_CODES = {
     4: "not converged (only with --strict)",
     5: "the surface vanished or filled the volume; with --strict also a doubtful result",
     7: "an output exists already, or cannot be written",
+    8: "nothing can be drawn: no screen or driver, or a package of the viewer is missing",
     INTERRUPTED: "interrupted (Ctrl-C); what was reached is written",
 }
 
@@ -39,7 +40,9 @@ app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in nois
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
 app.command("accelsurf.cli.synth:synth", name="synth", help="Make a synthetic volume and its truth from a recipe.")
 app.command("accelsurf.cli.compare:compare", name="compare", help="Run several flows on one volume side by side.")
+app.command("accelsurf.cli.movie:movie", name="movie", help="Make a movie of a run, without a screen.")
 app.command("accelsurf.cli.evaluate:evaluate", name="evaluate", help="Measure how well two label maps agree.")
+app.command("accelsurf.cli.view:view", name="view", help="Watch and steer a segmentation in a window.")
 app.command("accelsurf.cli.info:info", name="info", help="Show versions, names, exit codes and settings.")
 
 

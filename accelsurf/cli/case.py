@@ -6,22 +6,19 @@ all; and whatever happens after that, a report says how it ended.
 
 from __future__ import annotations
 
-import functools
-import json
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from accelsurf import preview, report
+from accelsurf import outputs, preview, report
 from accelsurf.cli import INTERRUPTED
-from accelsurf.cli import outputs as files
 from accelsurf.config import RunConfig
-from accelsurf.errors import AccelsurfError, EmptyResultError, OutputError
+from accelsurf.errors import AccelsurfError, EmptyResultError
+from accelsurf.outputs import make_writable, refuse_existing, tells_of_failure, write_bytes
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
@@ -101,7 +98,7 @@ class Case:
 
     def label_format(self, config: RunConfig) -> str:
         """Return the format of the label map."""
-        return files.label_format(config, self._suffix)
+        return outputs.label_format(config, self._suffix)
 
     @property
     def report_path(self) -> Path:
@@ -110,67 +107,10 @@ class Case:
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
         """Return every output of the run by kind, the report last; before the image is read, all that there may be."""
-        names = files.names(config, self.label_format(config), None if self.volume is None else self.one_slice)
+        names = outputs.names(config, self.label_format(config), None if self.volume is None else self.one_slice)
         return {kind: self.folder / f"{self.name}_{name}" for kind, name in names.items()} | {
             "report": self.report_path
         }
-
-
-def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
-    """Refuse to start when an output exists already, or the folder cannot take one; make the folder.
-
-    A report of a run that failed does not count as existing: it holds no result.
-
-    Raises
-    ------
-    OutputError
-        When an output exists and may not be replaced, or nothing can be written there.
-    """
-    there = [path for path in paths.values() if os.path.lexists(path)]
-    kept = [path for path in there if not (path == paths.get("report") and _tells_of_failure(path))]
-    if kept and not overwrite:
-        more = f" and {len(kept) - 1} more" if len(kept) > 1 else ""
-        raise OutputError(f"{kept[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
-    folders = [path for path in there if path.is_dir()]
-    if folders:
-        raise OutputError(f"{folders[0]}: is a folder, a file is to be written there", "choose another folder with -o")
-    for folder in {path.parent for path in paths.values()}:
-        _make_writable(folder)
-
-
-def _tells_of_failure(path: Path) -> bool:
-    try:
-        return bool(json.loads(path.read_text(encoding="utf-8"))["status"] == "failed")
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
-def _make_writable(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name in the same folder, then rename it.
-
-    Raises
-    ------
-    OutputError
-        When the file cannot be written.
-    """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        draft.write_bytes(content)
-        os.replace(draft, path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})", "is the disk full?") from None
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def run_case(case: Case, watcher: Watcher) -> int:
@@ -224,7 +164,7 @@ def _compute(case: Case, watcher: Watcher) -> None:
     if note := case.volume.metadata.get(io.WARNING_KEY):
         case.warnings.append(note)
     labels = case.label_format(case.config)
-    files.check(case.config, labels, case.volume.geometry)
+    outputs.check(case.config, labels, case.volume.geometry)
     if not pictures.keeps(case.volume.geometry, f".{labels}"):
         case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     with watcher.watch(case.name, case.config.max_steps):
@@ -243,25 +183,10 @@ def _timed(case: Case, part: str, work: Callable[[], Any]) -> Any:
 
 def _write(case: Case, config: RunConfig) -> None:
     """Write everything but the report. A run that left no surface leaves a trace and a picture only."""
-    from accelsurf import io
-
     assert case.result is not None
-    result, paths = case.result, case.paths(config)
-    empty = result.stop.reason in ("vanished", "filled")
-    writers: dict[str, Callable[[Path], None]] = {}
-    if not empty:
-        mesh = _timed(case, "mesh", lambda: result.contours if case.one_slice else result.surface)
-        writers["labels"] = lambda path: io.write_labels(result.labels_volume(), path)
-        for kind in paths:
-            if kind.startswith(("surface-", "contour-")):
-                writers[kind] = lambda path: mesh.write(path, config.mesh_space)
-        if config.save_sdf:
-            writers["sdf"] = lambda path: io.write(result.labels_volume().with_array(result.psi), path)
-    writers["trace"] = lambda path: write_bytes(path, report.trace_csv(result.ledger).encode())
-    writers["preview"] = lambda path: write_bytes(path, preview.preview_png(scene(case)))
-    for kind, writer in writers.items():
-        _timed(case, "write", functools.partial(writer, paths[kind]))
-        case.outputs.append(report.describe_output(paths[kind], kind.partition("-")[0]))
+    names = {kind: path.name for kind, path in case.paths(config).items() if kind != "report"}
+    for kind, path in outputs.write_result(case.result, case.folder, names, scene(case), case.seconds):
+        case.outputs.append(report.describe_output(path, kind))
 
 
 def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
@@ -276,29 +201,8 @@ def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
     reference : ndarray, optional
         Labels to draw as a second contour.
     """
-    result, volume = case.result, case.volume
-    assert result is not None and volume is not None and case.config is not None
-    return preview.Scene(
-        image=result.image,
-        psi=result.psi,
-        geometry=result.geometry,
-        ledger=result.ledger,
-        surface=None if case.one_slice or result.stop.reason in ("vanished", "filled") else result.surface,
-        start=result.start,
-        title=title or f"{case.name}: {case.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}",
-        anatomical=_is_patient(volume),
-        reference=reference,
-    )
-
-
-def _is_patient(volume: Volume) -> bool:
-    """Whether the header says that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name."""
-    from accelsurf.headers import NRRD_KEY
-    from accelsurf.nifti import METADATA_KEY
-
-    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
-    coded = any(bytes.fromhex(volume.metadata.get(METADATA_KEY, ""))[17:21])
-    return coded or "space: left-" in volume.metadata.get(NRRD_KEY, "")
+    assert case.result is not None and case.config is not None
+    return outputs.scene(case.result, title or outputs.told(case.name, case.result), reference)
 
 
 def _shortcoming(case: Case) -> AccelsurfError | None:
@@ -328,13 +232,13 @@ def report_failure(case: Case, error: BaseException) -> None:
 
     A report that stands for a result is not replaced, unless outputs may be.
     """
-    if os.path.lexists(case.report_path) and not (case.overwrite or _tells_of_failure(case.report_path)):
+    if os.path.lexists(case.report_path) and not (case.overwrite or tells_of_failure(case.report_path)):
         return
     stopped = isinstance(error, KeyboardInterrupt)
     code = INTERRUPTED if stopped else error.exit_code if isinstance(error, AccelsurfError) else 1
     code = 3 if isinstance(error, MemoryError) else code
     try:
-        _make_writable(case.folder)
+        make_writable(case.folder)
         if case.checksum is None and case.source.is_file():
             from accelsurf.io import sha256
 

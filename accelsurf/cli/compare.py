@@ -52,8 +52,9 @@ def compare(
     """
     from accelsurf import io
     from accelsurf.channels import read as read_channels
-    from accelsurf.cli.case import Case, refuse_existing
+    from accelsurf.cli.case import Case
     from accelsurf.cli.progress import Watcher
+    from accelsurf.outputs import refuse_existing
     from accelsurf.report import describe_input
 
     display = display or Display()
@@ -120,8 +121,9 @@ def conclude(
     """
     from accelsurf import metrics, preview, report
     from accelsurf.cli import INTERRUPTED
-    from accelsurf.cli.case import scene, write_bytes
+    from accelsurf.cli.case import scene
     from accelsurf.cli.progress import table
+    from accelsurf.outputs import write_bytes
 
     runs: list[dict[str, Any]] = []
     rows: list[tuple[str, ...]] = []

@@ -38,10 +38,11 @@ def demo(
         Replace outputs that exist.
     """
     from accelsurf import io, phantoms
-    from accelsurf.cli.case import Case, refuse_existing, run_case
+    from accelsurf.cli.case import Case, run_case
     from accelsurf.cli.compare import conclude
     from accelsurf.cli.progress import Watcher
     from accelsurf.config import RunConfig
+    from accelsurf.outputs import refuse_existing
     from accelsurf.report import describe_input
 
     assert output is not None

@@ -25,7 +25,7 @@ _GROUPS = {
     **dict.fromkeys(("preset", "energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon", "foreground", "background", "channel"), RUN),
     **dict.fromkeys(("mask", "roi", "max_volume"), RUN),
-    **dict.fromkeys(("levels", "max_steps", "seed", "reproducible", "threads"), RUN),
+    **dict.fromkeys(("levels", "max_steps", "edit", "seed", "reproducible", "threads"), RUN),
     **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
 }
 _METAVARS = {
@@ -46,6 +46,7 @@ _METAVARS = {
         "epsilon": "VOXELS",
         "percentile": "PERCENT",
     },
+    "edit": "CHANGE",
     **{"levels": "N|auto", "diffusion": "D|free|auto", "friction": "t|A", "restart": "auto|off", "mesh": "NAMES"},
 }
 
@@ -79,12 +80,16 @@ def _shown(value: Any) -> str | bool:
     """Return a default as it would be typed; nothing for a field that has none."""
     if value is None:
         return False
+    if value == ():
+        return "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
     return ",".join(value) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 Settings = _settings("Settings")
+#: For commands that write none of a run's files.
+RunSettings = _settings("RunSettings", leave_out=("mesh", "mesh_space", "save_sdf", "format"))
 #: For commands that choose the flow and the files themselves.
 SharedSettings = _settings("SharedSettings", leave_out=("flow", "mesh", "mesh_space", "save_sdf", "format"))
 

@@ -33,7 +33,7 @@ def synth(
         Replace outputs that exist.
     """
     from accelsurf import io, phantoms
-    from accelsurf.cli.case import refuse_existing, write_bytes
+    from accelsurf.outputs import refuse_existing, write_bytes
     from accelsurf.report import describe_output, to_json, versions
 
     folder = required(output, "-o DIR, the output folder,")

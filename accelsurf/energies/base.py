@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,10 @@ class Energy(Protocol):
 
     The loop calls `start` once; then, in each step, `value`, `force` and, with the surface moved, `follow`. What
     `value` found out about the surface may be kept for the `force` that comes after it.
+
+    An energy that carries something from step to step may have two more methods, as `ImageEnergy` has: ``kept()``
+    returns it (and must not change it later), ``resume(surface, kept)`` takes it back. Where they are missing, a run
+    that goes back to a state calls `start` there.
 
     Attributes
     ----------
@@ -98,6 +102,14 @@ class RegionSums:
             self._beyond_band + self._plain_sums(change.left_inside) - self._plain_sums(change.entered_inside)
         )
 
+    def kept(self) -> np.ndarray:
+        """The sums beyond the band, which depend on the way here in their last digits."""
+        return self._beyond_band
+
+    def resume(self, kept: np.ndarray) -> None:
+        """Take them back."""
+        self._beyond_band = kept
+
     def inside(self, surface: LevelSet, part: np.ndarray) -> Sums:
         """Sums over the inside of the surface, voxels cut by it counted in part."""
         band = surface.workers.sums(
@@ -147,6 +159,14 @@ class ImageEnergy(ABC):
     def follow(self, surface: LevelSet, change: Change) -> None:
         """Take up the cells that entered or left the band."""
         self.sums.follow(change)
+
+    def kept(self) -> Any:
+        """What is carried from step to step; a subclass that carries more than the sums extends both methods."""
+        return self.sums.kept()
+
+    def resume(self, surface: LevelSet, kept: Any) -> None:
+        """Go on, on this surface, from what was ``kept`` on it."""
+        self.sums.resume(kept)
 
     @abstractmethod
     def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,18 @@ class WeightedSum:
         """Take up what changed, every term."""
         for _, energy in self._terms:
             energy.follow(surface, change)
+
+    def kept(self) -> list[Any]:
+        """What the terms carry from step to step, in their order; None for those that carry nothing."""
+        return [energy.kept() if hasattr(energy, "kept") else None for _, energy in self._terms]
+
+    def resume(self, surface: LevelSet, kept: list[Any]) -> None:
+        """Go on, on this surface, from what was ``kept`` on it."""
+        for (_, energy), what in zip(self._terms, kept, strict=True):
+            if hasattr(energy, "resume"):
+                energy.resume(surface, what)
+            else:
+                energy.start(surface)
 
     def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""

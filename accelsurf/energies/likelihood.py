@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
+from accelsurf.energies.at_front import sample_at_front
 from accelsurf.energies.base import ImageEnergy, Interface, RegionSums, Sums
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
@@ -209,8 +210,6 @@ class HistogramLikelihood:
             p1, p2 = (self._parzen.density(self._parzen.histogram(values)) for values in samples)
             self._fixed = np.stack([-np.log(p1), -np.log(p2)])
         self._table = np.zeros(BINS)
-        # The force as an image, up to date in the band only.
-        self._field = np.zeros(self.sums.image.size, np.float32)
 
     def start(self, surface: LevelSet) -> None:
         """Take up a surface: the histogram of the inside voxels that are not in the band."""
@@ -228,6 +227,14 @@ class HistogramLikelihood:
         """Take up the cells that entered or left the band."""
         left, entered = (self.sums.image[cells] for cells in (change.left_inside, change.entered_inside))
         self._beyond_band = self._beyond_band + self._parzen.histogram(left) - self._parzen.histogram(entered)
+
+    def kept(self) -> np.ndarray:
+        """What it carries from step to step; not to be changed."""
+        return self._beyond_band
+
+    def resume(self, surface: LevelSet, kept: np.ndarray) -> None:
+        """Go on, on this surface, from what was ``kept`` on it."""
+        self._beyond_band = kept
 
     def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the densities for the next `force`."""
@@ -252,9 +259,20 @@ class HistogramLikelihood:
         return energy * surface.voxel_volume + self._area.value(area)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Force f (n,) at the front: its field at each cell's closest surface point, or across it."""
-        cells, image, scale = surface.band.cells, self.sums.image, self._parzen.scale
-        surface.workers.run(histogram.look_up, surface.size, cells, image, scale, self._table, self._field)
-        force = self._interface.force(self._field, surface, front, curvature, (0.0, 1.0, 0.0))
+        """Force f (n,) at the front: that of the image at each cell's closest surface point, or its mean across.
+
+        Smeared it costs O(volume): the force is then needed as an image.
+        """
+        if self._interface.epsilon == 0:
+            values = sample_at_front(self.sums.image, surface, front)
+            force = np.where(front, self._looked_up(values, surface), np.float32(0.0))
+        else:
+            field = self._looked_up(self.sums.image, surface)
+            force = self._interface.force(field, surface, front, curvature, (0.0, 1.0, 0.0))
         self._area.add_force(force, curvature)
         return force
+
+    def _looked_up(self, values: np.ndarray, surface: LevelSet) -> np.ndarray:
+        out = np.empty(values.size, np.float32)
+        surface.workers.run(histogram.look_up, values.size, values, self._parzen.scale, self._table, out)
+        return out

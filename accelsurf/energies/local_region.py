@@ -51,6 +51,7 @@ class LocalRegion:
         self.radius, self.alpha = float(radius), float(alpha)
         self._area = AreaTerm(alpha)
         self._interface = Interface(float(epsilon))
+        self._laid_out = False
 
     def start(self, surface: LevelSet) -> None:
         """Lay out the nodes; sum the whole volume, and the inside voxels that are not in the band.
@@ -60,24 +61,40 @@ class LocalRegion:
         InputError
             When the image is not on the surface's grid.
         """
+        self._lay_out(surface)
+        self._inside = np.zeros_like(self._total)
+        where = surface.dense, self._image, surface.grid, self._nodes
+        surface.workers.alone(windows.splat_inside, *where, self._inside[0], self._inside[1])
+
+    def kept(self) -> np.ndarray:
+        """What it carries from step to step; not to be changed."""
+        return self._inside.copy()
+
+    def resume(self, surface: LevelSet, kept: np.ndarray) -> None:
+        """Go on, on this surface, from what was ``kept`` on it."""
+        self._lay_out(surface)
+        self._inside = kept.copy()
+
+    def _lay_out(self, surface: LevelSet) -> None:
+        """Lay out the nodes and sum the whole volume, once."""
+        if self._laid_out:
+            return
         check_shape(self._shape, surface)
         grid = surface.grid
         axes = [_layout(n, self.radius / h) for n, h in zip(grid[:3], grid[3:], strict=True)]
         sizes, distances, before, reach = zip(*axes, strict=True)
         self._nodes, self._reach = windows.Nodes(*sizes, *distances, *before), reach
         count = math.prod(sizes)
-        self._total, self._inside = np.zeros((2, count)), np.zeros((2, count))
+        self._total = np.zeros((2, count))
         for begin in range(0, self._image.size, SLAB):
             cells = np.arange(begin, min(begin + SLAB, self._image.size))
             self._splat(surface, cells, np.ones(cells.size), self._total)
-        surface.workers.alone(
-            windows.splat_inside, surface.dense, self._image, grid, self._nodes, self._inside[0], self._inside[1]
-        )
         self._windows = np.stack([self._smooth(surface, field.reshape(sizes)) for field in self._total])
         n, total = self._windows
         squares = float(np.dot(self._image.astype(np.float64), self._image.astype(np.float64)))
         # About one mean in each window.
         self._one_mean = squares - float((total[n > 0] ** 2 / n[n > 0]).sum())
+        self._laid_out = True
 
     def follow(self, surface: LevelSet, change: Change) -> None:
         """Take up the cells that entered or left the band."""

@@ -69,6 +69,17 @@ class Checked:
         """Take up what changed."""
         self._energy.follow(surface, change)
 
+    def kept(self) -> Any:
+        """What the energy carries from step to step, if it can say so."""
+        return self._energy.kept() if hasattr(self._energy, "kept") else None
+
+    def resume(self, surface: LevelSet, kept: Any) -> None:
+        """Go on from what was kept, or from full sums."""
+        if hasattr(self._energy, "resume"):
+            self._energy.resume(surface, kept)
+        else:
+            self._energy.start(surface)
+
     def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; NaN and infinity pass, they end the run as ``diverged``.
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from accelsurf.flows.base import (
     Account,
+    Flow,
     Limits,
     Now,
+    Remembers,
     diffusion_reach,
     free_diffusion,
     smallest_spacing,
@@ -57,6 +60,24 @@ class Clock:
     def rest(self) -> None:
         """Back to the time of a start from rest."""
         self.time, self.last_dt = self.t0 or 0.0, 0.0
+
+    def kept(self) -> tuple[float | None, float, float]:
+        """What it remembers: t0 as it was found, time and last step."""
+        return self.t0, self.time, self.last_dt
+
+    def resume(self, kept: tuple[float | None, float, float]) -> None:
+        """Be as it was."""
+        self.t0, self.time, self.last_dt = kept
+
+    def go_on(self, before: Clock) -> None:
+        """Go on from a clock with other settings: its time, unless it is at rest, where each has its own."""
+        same = (self.k, self.lambda_, self.friction, self._given) == (
+            before.k, before.lambda_, before.friction, before._given
+        )
+        if same:
+            self.resume(before.kept())
+        elif not before.at_rest:
+            self.time, self.last_dt = before.time, before.last_dt
 
     def tick(self, dt: float) -> None:
         """Go on by ``dt``."""
@@ -116,7 +137,7 @@ class Clock:
         return self.weight(self.time + (self.last_dt if self.k > 2 else 0.0))
 
 
-class Accelerated:
+class Accelerated(Remembers):
     """What the two mass models share. See `Clock` for k, lambda_, friction and t0.
 
     Parameters
@@ -151,11 +172,36 @@ class Accelerated:
         """The factor w of the potential, lambda k^2 t^(k-2) (lambda with a constant friction)."""
         return self.clock.weight()
 
-    def _begin(self) -> None:
+    def _begin(self, surface: LevelSet) -> None:
+        self._workers = surface.workers
         self.clock.start()
         self._strongest = 0.0
         if self.noise is not None:
             self.noise.start()
+
+    def kept(self) -> dict[str, Any]:
+        """All that the flow remembers from step to step, but not its settings."""
+        noise = None if self.noise is None else self.noise.kept()
+        return {**super().kept(), "clock": self.clock.kept(), "noise": noise}
+
+    def resume(self, surface: LevelSet, kept: dict[str, Any]) -> None:
+        """Be as a flow of the same settings was when its state was ``kept``."""
+        super().resume(surface, kept)
+        self._workers = surface.workers
+        self.clock.resume(kept["clock"])
+        if self.noise is not None:
+            self.noise.resume(kept["noise"])
+
+    def go_on(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+        """Go on with other settings: speeds and time on the clock stay; noise that was not there begins."""
+        assert isinstance(before, Accelerated)
+        Remembers.resume(self, surface, before.kept())
+        self._workers = surface.workers
+        self.clock.go_on(before.clock)
+        if self.noise is not None and before.noise is not None:
+            self.noise.resume(before.noise.kept())
+        if forces_changed:
+            self._strongest = 0.0
 
     def _put_to_rest(self) -> None:
         self.clock.rest()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from typing import NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -126,19 +127,72 @@ class Flow(Protocol):
         """Take the extended fields back, on the new band."""
         ...
 
+    @property
+    def absent(self) -> list[float]:
+        """Values of the fields on surface that was not there before."""
+        ...
 
-class Descent:
+    def energy(self, area: np.ndarray) -> float:
+        """U_mass + T/w now, in the units of U."""
+        ...
+
+    def kept(self) -> dict[str, Any]:
+        """All that the flow remembers from step to step, but not its settings; not changed by later steps."""
+        ...
+
+    def resume(self, surface: LevelSet, kept: dict[str, Any]) -> None:
+        """Be as a flow of the same settings was when its state was ``kept``, on this surface."""
+        ...
+
+    def go_on(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+        """Go on from a flow of the same class with other settings; ``forces_changed``: under another energy."""
+        ...
+
+
+class Remembers:
+    """What a flow remembers: the attributes named in ``remembered``; arrays are copied."""
+
+    remembered: ClassVar[tuple[str, ...]] = ()
+    _strongest = 0.0
+
+    @property
+    def absent(self) -> list[float]:
+        """0: surface that was not there before is at rest."""
+        return [0.0 for _ in self.fields]
+
+    @property
+    def fields(self) -> list[np.ndarray]:
+        """None, unless a flow says so."""
+        return []
+
+    def kept(self) -> dict[str, Any]:
+        """All that the flow remembers from step to step, but not its settings."""
+        return {name: copy.copy(getattr(self, name)) for name in self.remembered}
+
+    def resume(self, surface: LevelSet, kept: dict[str, Any]) -> None:
+        """Be as a flow of the same settings was when its state was ``kept``."""
+        for name in self.remembered:
+            setattr(self, name, copy.copy(kept[name]))
+
+    def go_on(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+        """Go on from a flow of the same class with other settings; under another energy its forces do not count."""
+        self.resume(surface, before.kept())
+        if forces_changed:
+            self._strongest = 0.0
+
+
+class Descent(Remembers):
     """What flows without inertia share: no kinetic energy, and a step that follows the strongest speed so far."""
 
     weight = 1.0
+    remembered: ClassVar[tuple[str, ...]] = ("_strongest",)
 
     def __init__(self) -> None:
         self._strongest = 0.0
 
-    @property
-    def fields(self) -> list[np.ndarray]:
-        """None: descent remembers nothing."""
-        return []
+    def energy(self, area: np.ndarray) -> float:
+        """None but the potential."""
+        return 0.0
 
     def reach(self, surface: LevelSet) -> float:
         """The front."""
@@ -164,6 +218,8 @@ class Descent:
 
 class Remembering(Descent):
     """A descent that carries one field from step to step on the surface."""
+
+    remembered = ("_strongest", "_last")
 
     def __init__(self) -> None:
         super().__init__()

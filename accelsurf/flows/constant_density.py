@@ -30,6 +30,7 @@ class ConstantDensity(Accelerated):
     """
 
     name = "constant-density"
+    remembered = ("_strongest", "beta")
     beta = np.zeros(0, np.float32)
 
     @property
@@ -44,15 +45,18 @@ class ConstantDensity(Accelerated):
     def start(self, surface: LevelSet) -> None:
         """At rest on ``surface``."""
         self.beta = np.zeros(surface.size, np.float32)
-        self._workers = surface.workers
-        self._begin()
+        self._begin(surface)
 
     def rest(self, area: np.ndarray) -> float:
         """At rest where the surface is, with the clock of the friction as at the start."""
-        lost = self._kinetic(area, self.beta, self.beta) / self.weight
+        lost = self.energy(area)
         self.beta[:] = 0.0
         self._put_to_rest()
         return lost
+
+    def energy(self, area: np.ndarray) -> float:
+        """T/w now."""
+        return self._kinetic(area, self.beta, self.beta) / self.weight
 
     def take(self, fields: list[np.ndarray]) -> None:
         """The speeds on the new band."""

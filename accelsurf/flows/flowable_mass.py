@@ -9,6 +9,7 @@ import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated, travel_dt, wave_dt
 from accelsurf.flows.base import (
+    Flow,
     Limits,
     Move,
     Now,
@@ -64,6 +65,7 @@ class FlowableMass(Accelerated):
     """
 
     name = "flowable-mass"
+    remembered = ("_strongest", "velocity", "density", "mass", "_correction")
     velocity = np.zeros((0, 3), np.float32)
     density = np.zeros(0, np.float32)
 
@@ -93,7 +95,7 @@ class FlowableMass(Accelerated):
         self.density = np.full(surface.size, self.rho, np.float32)
         self.mass = 0.0
         self._correction = 1.0
-        self._begin()
+        self._begin(surface)
 
     def rest(self, area: np.ndarray) -> float:
         """At rest where the surface is; the mass stays where it has flowed to."""
@@ -101,6 +103,24 @@ class FlowableMass(Accelerated):
         self.velocity[:] = 0.0
         self._put_to_rest()
         return lost
+
+    def energy(self, area: np.ndarray) -> float:
+        """T/w and the mass potential g A P now."""
+        kinetic = self._kinetic(area, self.velocity, self.velocity) / self.weight
+        squares = 0.5 * float((area * self.density.astype(np.float64) ** 2).sum())
+        return kinetic + self.gravity * float(area.sum()) * squares
+
+    @property
+    def absent(self) -> list[float]:
+        """At rest, with the density of the start."""
+        return [0.0, 0.0, 0.0, self.rho]
+
+    def go_on(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+        """Go on with other settings; the mass is that of the surface now, also where some was added or taken."""
+        super().go_on(surface, before, forces_changed)
+        assert isinstance(before, FlowableMass)
+        self.density *= np.float32(self.rho / before.rho)
+        self.mass = 0.0
 
     def move(self, now: Now, limits: Limits) -> Move:
         """Kick the velocity by the forces over the step around the present time."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +46,14 @@ class Noise:
         self._random = np.random.default_rng(self.seed)
         self._elapsed = 0.0
         self._rested = False
+
+    def kept(self) -> tuple[dict[str, Any], float, bool]:
+        """Where the sequence is."""
+        return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._rested
+
+    def resume(self, kept: tuple[dict[str, Any], float, bool]) -> None:
+        """Go on from there."""
+        self._random.bit_generator.state, self._elapsed, self._rested = copy.deepcopy(kept)
 
     def rest(self) -> None:
         """The surface was put at rest."""

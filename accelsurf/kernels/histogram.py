@@ -47,9 +47,9 @@ def inside_histogram(first_block, last_block, dense, image, scale, sums):
 
 
 @kernel
-def look_up(start, stop, cells, image, scale, table, out):
-    """Write the ``table`` at the image's value, linear between bins, to ``out`` (raveled) at the cells of the range."""
+def look_up(start, stop, values, scale, table, out):
+    """Write the ``table`` at each of the values of the range, linear between bins, to ``out``."""
     low, per_value = scale
     for s in range(start, stop):
-        below, share = place_of(image[cells[s]], low, per_value, table.shape[0])
-        out[cells[s]] = table[below] + share * (table[below + 1] - table[below])
+        below, share = place_of(values[s], low, per_value, table.shape[0])
+        out[s] = table[below] + share * (table[below + 1] - table[below])

@@ -59,6 +59,11 @@ class LevelSet:
     overwrite : bool
         ``psi`` is not needed any more: its memory is used instead of a copy's.
 
+    Attributes
+    ----------
+    asked_width, half_width : float
+        As given, and as it is with unequal spacings; voxels.
+
     Notes
     -----
     psi is a signed distance (mm) in the band and +-gamma outside it, gamma = half_width x max(h). Cells are
@@ -84,8 +89,7 @@ class LevelSet:
         # A stencil across a slanted surface reaches further, in voxels along the normal, the less the spacings are
         # alike: at most by |n/h| |h n| <= (ratio + 1/ratio)/2 (Kantorovich).
         self._slant = 0.5 * (max(steps) / min(steps) + min(steps) / max(steps))
-        self.half_width = float(half_width) * self._slant
-        self.gamma = np.float32(self.half_width * max(steps))
+        self._set_width(half_width)
         self.workers = workers or Workers(1)
         self._outwards: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
         self._measured: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
@@ -94,6 +98,12 @@ class LevelSet:
         dense = np.array(psi, dtype=np.float32, order="C", copy=None if overwrite else True).ravel()
         self.dense = Lattice(dense, np.full(dense.size, -1, np.int32))
         self._start()
+
+    def _set_width(self, half_width: float) -> None:
+        """Half width of the band in voxels along the normal, as the constructor was given it."""
+        steps = [h for n, h in zip(self.shape, (self.grid.hz, self.grid.hy, self.grid.hx), strict=True) if n > 1]
+        self.asked_width, self.half_width = float(half_width), float(half_width) * self._slant
+        self.gamma = np.float32(self.half_width * max(steps, default=1.0))
 
     def _start(self) -> None:
         count = march.front_cells(self.dense, self.grid, np.empty(0, np.int64))
@@ -309,11 +319,22 @@ class LevelSet:
         self._inside_beyond_band += change.left_inside.size - change.entered_inside.size
         run(band_kernels.drop_cells, total, self.dense, cells, keep, self.gamma)
         run(band_kernels.store_band, size, self.dense, new)
-        self.band, self._outwards, self._measured, self._fronts = new, None, None, {FRONT_WIDTH: front}
+        self.take_band(new)
+        self._fronts = {FRONT_WIDTH: front}
         if carried is None:
             for field in extended:
                 self.extend_outwards(field, front)
         return change
+
+    def take_band(self, band: Band) -> None:
+        """Take up a band that the dense arrays hold already; what was measured on the last one is forgotten."""
+        self.band, self._outwards, self._measured, self._fronts = band, None, None, {}
+
+    def begin_again(self, half_width: float) -> None:
+        """Take the dense psi, changed by hand, for any function as the constructor does."""
+        self.dense.slot[self.band.cells] = -1
+        self._set_width(half_width)
+        self._start()
 
     def _feet(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
         """Closest points of psi as it is: (cells, feet, states, n), the band's slots, then those that may enter."""

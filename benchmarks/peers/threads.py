@@ -10,7 +10,8 @@ import numpy as np
 from accelsurf import io
 from accelsurf.config import RunConfig
 from accelsurf.levelset import Workers
-from accelsurf.segmentation import Run
+from accelsurf.run import Run
+from accelsurf.segmentation import result_of
 from benchmarks.peers.advance import grow
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import LONG, MissingError, Options, digest, goal, table, timed
@@ -101,9 +102,9 @@ def segment_on(volume: Any, config: RunConfig) -> dict[str, Any]:
         run = Run(volume, config)
         clock = Clock(run.workers)
         with run.workers:
-            for _ in run.evolution:
+            for _ in run:
                 pass
-        return clock, run.result().labels
+        return clock, result_of(run).labels
 
     seconds, (clock, labels) = timed(work)
     return facts_of(seconds, clock, labels)

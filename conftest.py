@@ -1,0 +1,11 @@
+"""What pytest leaves alone here: the window's modules, where the packages of the viewer are not installed."""
+
+import importlib.util
+import signal
+
+if importlib.util.find_spec("PySide6") is None or importlib.util.find_spec("pyvistaqt") is None:
+    collect_ignore = [f"accelsurf/viewer/{name}.py" for name in ("controls", "desktop", "look")]
+
+# Started in the background, a process and all that it starts ignore Ctrl-C; some tests send it to programs.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
