@@ -17,6 +17,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from accelsurf import expression
 from accelsurf.edits import Edit, edits_of, refuse_unknown
 from accelsurf.errors import UsageError
+from accelsurf.presets import PRESETS, PresetName
 
 FlowName = Literal["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"]
 MeshFormat = Literal["ply", "stl", "obj", "vtp", "csv"]
@@ -27,6 +28,8 @@ LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
 REPEATED = ("start", "foreground", "background", "channel", "edit")
 #: Settings that are true or false.
 SWITCHES = ("save_sdf", "reproducible")
+#: A length in voxels, as it is written.
+VOXELS = r"^(\d+\.?\d*|\.\d+)vox$"
 _WITH_MOMENTUM = ("constant-density", "flowable-mass")
 #: Flows and terms of energies that a setting means something to; settings not named here mean something to all.
 _ONLY_FOR: dict[str, tuple[str, ...]] = {
@@ -37,7 +40,8 @@ _ONLY_FOR: dict[str, tuple[str, ...]] = {
     "blend": ("momentum",),
     "balance": ("chan-vese",),
     "epsilon": ("chan-vese", "local-region"),
-    **dict.fromkeys(("foreground", "background"), ("likelihood",)),
+    "foreground": ("likelihood", "learning"),
+    "background": ("likelihood",),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon"), ("geodesic",)),
 }
 
@@ -94,6 +98,11 @@ class RunConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
+    preset: PresetName | None = Field(
+        None,
+        description="Settings for a kind of scan, under those given beside it: " + ", ".join(PRESETS) + ". "
+        "accelsurf info says what each sets, and why.",
+    )
     energy: Annotated[str, BeforeValidator(_expression)] = Field(
         "chan-vese",
         description="Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic'. chan-vese: two "
@@ -151,8 +160,10 @@ class RunConfig(BaseModel):
         description="Weight of the fit inside against the fit outside (lambda1/lambda2 of Chan and Vese, no unit): "
         "above 1 the object must be closer to its mean, so a bright object loses its dim rim.",
     )
-    presmooth: float = Field(
-        0.0, ge=0, description="Sigma of a Gaussian applied to the image before the run, in mm; 0 for none."
+    presmooth: Annotated[float, Field(ge=0)] | Annotated[str, Field(pattern=VOXELS)] = Field(
+        0.0,
+        description="Sigma of a Gaussian applied to the image before the run, in mm, or in voxels of the smallest "
+        "spacing with the suffix vox; 0 for none.",
     )
     edge_scale: Annotated[float, Field(gt=0)] | Literal["auto"] = Field(
         "auto",
@@ -270,8 +281,11 @@ class RunConfig(BaseModel):
     )
 
     def __init__(self, **values: Any) -> None:
+        # A preset that is none is told by the validation.
+        preset = values.get("preset")
+        under = PRESETS[preset].settings if isinstance(preset, str) and preset in PRESETS else {}
         try:
-            super().__init__(**values)
+            super().__init__(**{**under, **values})
         except ValidationError as error:
             raise _usage_error(error, values) from None
         self._check_together()
@@ -317,7 +331,10 @@ class RunConfig(BaseModel):
         (False, True)
         """
         terms = expression.parse(self.energy)
-        return key not in _ONLY_FOR or not {self.flow, *(term.name for term in terms)}.isdisjoint(_ONLY_FOR[key])
+        used = {self.flow, *(term.name for term in terms)}
+        if any(expression.learns(term) for term in terms):
+            used.add("learning")
+        return key not in _ONLY_FOR or not used.isdisjoint(_ONLY_FOR[key])
 
     def unused(self) -> list[str]:
         """Return the settings that were changed from their defaults and mean nothing to this flow and energy.
@@ -344,7 +361,8 @@ class RunConfig(BaseModel):
         Parameters
         ----------
         **changes
-            New values by field name.
+            New values by field name. With a ``preset`` among them, its values replace defaults and those of the former
+            preset; what was set otherwise stays.
 
         Raises
         ------
@@ -356,7 +374,12 @@ class RunConfig(BaseModel):
         >>> RunConfig().replace(flow="gradient").flow
         'gradient'
         """
-        return type(self)(**{**self.model_dump(), **changes})
+        kept = self.model_dump()
+        if "preset" in changes:
+            under = PRESETS[self.preset].settings if self.preset is not None else {}
+            former = type(self)(**under)
+            kept = {key: value for key, value in kept.items() if value != getattr(former, key)}
+        return type(self)(**{**kept, **changes})
 
     def at(self, step: int) -> Self:
         """Return the settings in force when a step is made: with the edits up to it, and without any to come.
@@ -538,6 +561,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return ["true", "false"]
         case "null":
             return []
+        case "string" if schema.get("pattern") == VOXELS:
+            return ["a number of voxels such as 1.5vox"]
         case _:
             return ["a text"]
 

@@ -19,7 +19,7 @@ from accelsurf.errors import UsageError
 #: Settings that the whole run has: what was read, prepared and will be written.
 FIXED = (
     "start", "presmooth", "levels", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "seed", "reproducible",
-    "threads", "edit", "mask", "roi", "channel", "foreground", "background",
+    "threads", "edit", "mask", "roi", "channel", "foreground", "background", "preset",
 )
 FORM = 'step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on'
 

@@ -37,8 +37,11 @@ class Word(NamedTuple):
 
 
 POSITIVE = Number(0.0, low_too=False)
-#: A bound in the image's unit, a percentile of the image, Otsu's threshold, or none.
-BOUND = Number(words=("auto", ""), percent=True)
+#: What stands before the value that a bound lies half-way to.
+HALF = "half:"
+#: A bound in the image's unit, a percentile of the image, Otsu's threshold, learned from the start's values, half-way
+#: between their mean and a value, or none.
+BOUND = Number(words=("auto", "learned", ""), percent=True)
 CHANNEL = Number(1.0)
 #: What each term may be told, in the order in which values without a key are taken.
 TERMS: dict[str, dict[str, Number | Word]] = {
@@ -104,6 +107,14 @@ def parse(text: str) -> tuple[Term, ...]:
     if not any(term.name in IMAGE_TERMS for term in items):
         raise _error(text, f"a term that sees the image: {', '.join(IMAGE_TERMS)}")
     return tuple(items)
+
+
+def learns(term: Term) -> bool:
+    """Whether a term learns once from the start, unless it is given something else to learn from."""
+    if term.name == "likelihood":
+        return term.settings.get("update") == "no"
+    words = [value for value in term.settings.values() if isinstance(value, str)]
+    return term.name == "threshold" and any(word == "learned" or word.startswith(HALF) for word in words)
 
 
 def from_tables(tables: Sequence[Any]) -> str:
@@ -184,12 +195,13 @@ def _value(text: str, what: str, kind: Number | Word, value: str) -> Value:
     if isinstance(kind, Word):
         raise _error(text, f"{' or '.join(kind.words)} for {what}, not {value!r}")
     percent = kind.percent and value.endswith("%")
-    digits = value.removesuffix("%") if percent else value
+    half = kind.percent and value.startswith(HALF)
+    digits = value.removesuffix("%") if percent else value.removeprefix(HALF) if half else value
     number = float(digits) if _NUMBER.fullmatch(digits) else math.nan
     low, high = (0.0, 100.0) if percent else (kind.low, kind.high)
     if not (low < number < high or (number == low and kind.low_too) or number == high) or not math.isfinite(number):
         raise _error(text, f"{_in_words(kind)} for {what}, not {value or 'nothing'!r}")
-    return value if percent else number
+    return value if percent or half else number
 
 
 def _in_words(kind: Number) -> str:
@@ -200,7 +212,7 @@ def _in_words(kind: Number) -> str:
         bounds += f" and at most {kind.high:g}"
     words = [f"a number{bounds}", *(word for word in kind.words if word)]
     if kind.percent:
-        words.append("a percentile such as 80%")
+        words += ["a percentile such as 80%", f"{HALF}V (half-way from V to the start's mean)"]
     return " or ".join(words)
 
 

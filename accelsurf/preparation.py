@@ -13,7 +13,7 @@ from accelsurf import expression, io, pyramid, starts
 from accelsurf.config import RunConfig
 from accelsurf.energies import Energy
 from accelsurf.energies.fenced import Fenced, fence_of
-from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.geometry import Geometry
 from accelsurf.terms import Facts, Scale
 from accelsurf.volume import Volume, check_image
@@ -48,6 +48,8 @@ class Prepared:
         The first surface there; whoever uses up its memory takes it away.
     facts : Facts
         For the energies.
+    presmooth : float
+        Sigma that the image was smoothed by, mm.
 
     Raises
     ------
@@ -70,13 +72,15 @@ class Prepared:
                     f"{one.geometry.difference(volume.geometry)}",
                     "resample it to the image's grid first",
                 )
+        self._files = [volume, *others]
         self._whole, self.box = volume.geometry, region_of_interest(config.roi, volume.geometry)
         self.geometry = cropped(volume.geometry, self.box)
-        smoothed = presmoothed(volume, config.presmooth)
+        self.presmooth = in_mm(config.presmooth, volume.geometry)
+        smoothed = presmoothed(volume, self.presmooth)
         psi = starts.build(config.start, volume, smoothed) if start is None else start
         foreground, background = (
-            _cut(starts.build(texts, volume, smoothed) < 0, self.box) if texts else None
-            for texts in (config.foreground, config.background)
+            _cut(_learned_from(name, texts, volume, smoothed), self.box) if texts else None
+            for name, texts in (("foreground", config.foreground), ("background", config.background))
         )
         mask = read_mask(config.mask, volume.geometry) if config.mask is not None else None
         self._fences = None if mask is None else [fence_of(_cut(mask, self.box), self.geometry.spacing)]
@@ -91,17 +95,32 @@ class Prepared:
         del smoothed, psi, values
         images = [self.image]
         for one in others:
-            values = _cut(presmoothed(one, config.presmooth), self.box)
+            values = _cut(presmoothed(one, self.presmooth), self.box)
             scales.append(scale_of(values))
             images.append(apply(values, scales[-1]))
         self._grids = pyramid.levels(self.geometry.shape, self.geometry.spacing)
         self._others: list[list[NDArray[np.float32]]] = [images[1:]]
         # Fixed models learn from the start where nothing else is given.
-        terms = expression.parse(config.energy)
-        learns = any(term.name == "likelihood" and term.settings.get("update") == "no" for term in terms)
-        if foreground is None and learns:
+        self._terms = terms = expression.parse(config.energy)
+        self._learns = any(expression.learns(term) for term in terms)
+        if foreground is None and self._learns:
             foreground = self.psi < 0
-        self.facts = Facts(images, scales, self.geometry.spacing, foreground, background, self._others_on)
+        self.facts = Facts(images, scales, self.geometry.spacing, foreground, background, self._others_on, self._raw)
+
+    def _raw(self, channel: int) -> NDArray[Any]:
+        """Values of the foreground in a channel before presmoothing, on the scale that energies see."""
+        low, width = self.facts.scales[channel]
+        assert self.facts.foreground is not None
+        values = self._files[channel].array[self.box][self.facts.foreground].astype(np.float32)
+        return np.asarray((values - np.float32(low)) / np.float32(width))
+
+    @property
+    def learned(self) -> tuple[float, float] | None:
+        """Values of the first channel between which the object's should lie; None where no model is learned once."""
+        # What is given with --foreground is learned from by likelihood unless it updates, and then it is refused.
+        names = {term.name for term in self._terms}
+        learns = self._learns or "likelihood" in names
+        return self.facts.learned(0) if learns and self.facts.foreground is not None else None
 
     def _started(self, psi: NDArray[np.float32], config: RunConfig) -> NDArray[np.float32]:
         """The start within region and fence, which must leave something of it."""
@@ -227,6 +246,14 @@ def cropped(geometry: Geometry, box: Box) -> Geometry:
     return Geometry((shape[0], shape[1], shape[2]), geometry.spacing, corner, geometry.direction)
 
 
+def _learned_from(name: str, texts: Sequence[str], volume: Volume, image: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Voxels that are written as a start; what is wrong with them is told of ``name``, the option."""
+    try:
+        return np.asarray(starts.build(texts, volume, image) < 0)
+    except AccelsurfError as error:
+        raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
+
+
 def _cut(array: NDArray[Any], box: Box) -> NDArray[Any]:
     return np.ascontiguousarray(array[box])
 
@@ -249,6 +276,21 @@ def read_mask(file: str, geometry: Geometry) -> NDArray[np.bool_]:
     if not mask.any():
         raise InputError(f"mask {file}: it is empty", "give one with voxels above 0, where the surface may be")
     return mask
+
+
+def in_mm(length: float | str, geometry: Geometry) -> float:
+    """A length of `RunConfig` in mm: as it is, or ``Nvox`` in voxels of the smallest spacing.
+
+    Examples
+    --------
+    >>> in_mm("1.5vox", Geometry((8, 6, 4), (3.0, 2.0, 2.0)))
+    3.0
+    """
+    if not isinstance(length, str):
+        return length
+    return float(length.removesuffix("vox")) * min(
+        h for n, h in zip(geometry.shape, geometry.spacing, strict=True) if n > 1
+    )
 
 
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:

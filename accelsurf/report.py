@@ -143,14 +143,18 @@ def describe_config(
 def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
     """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
+    ``chosen`` has what the run took for settings that image and grid decide: ``presmooth_mm``; ``scale``, the values of
+    each channel that became 0 and 1; ``step_voxels`` and ``limiter_percentile``; ``diffusion``, a rate or free;
+    ``stop``: still within so many voxels over so many steps; ``half_width_voxels`` of the band; ``levels``.
+
     Parameters
     ----------
     result : Result or ObjectsResult or None
         Of several objects the sums, and an entry for each in ``objects``. With None every value is null.
     """
     if result is None:
-        keys = ("stop", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2", "length_mm")
-        return dict.fromkeys((*keys, "components", "touches_border", "quality", "objects"))
+        keys = ("stop", "chosen", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2")
+        return dict.fromkeys((*keys, "length_mm", "components", "touches_border", "quality", "objects"))
     many = cast("ObjectsResult", result) if hasattr(result, "objects") else None
     last = result.ledger[-1] if result.ledger else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
@@ -162,6 +166,7 @@ def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
             "time": result.stop.time,
             "message": result.stop.message,
         },
+        "chosen": result.chosen,
         "levels": describe_levels(result),
         "edits": [
             {**edit.model_dump(mode="json"), "done": number < result.edits_done}

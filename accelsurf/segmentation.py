@@ -19,10 +19,11 @@ from accelsurf.contours import Contours
 from accelsurf.errors import InputError
 from accelsurf.evolution import Row, Step, Stop
 from accelsurf.geometry import Geometry
-from accelsurf.preparation import SCALE_PERCENTILES, presmoothed, scale
+from accelsurf.preparation import SCALE_PERCENTILES, Prepared, presmoothed, scale
 from accelsurf.quality import Quality, assess
 from accelsurf.run import EnergyLike, Run
 from accelsurf.surface import Surface, extract
+from accelsurf.systems import half_width, stop_rule
 from accelsurf.volume import Volume
 
 __all__ = ["SCALE_PERCENTILES", "EnergyLike", "Result", "Run", "evolve", "presmoothed", "result_of", "scale", "segment"]
@@ -63,6 +64,10 @@ class Result:
         How many of the edits of ``config`` the run came to.
     terms : list of dict
         The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
+    chosen : dict
+        What the run took for settings that image and grid decide: see `report.describe_result`.
+    learned : (float, float) or None
+        Values, on the scale of ``image``, between which those of the object should lie by what it was learned from.
     """
 
     labels: NDArray[np.uint8]
@@ -81,6 +86,8 @@ class Result:
     edits_done: int = 0
     kernels: dict[str, float] = field(default_factory=dict)
     terms: list[dict[str, Any]] = field(default_factory=list)
+    chosen: dict[str, Any] = field(default_factory=dict)
+    learned: tuple[float, float] | None = None
 
     @cached_property
     def surface(self) -> Surface:
@@ -157,7 +164,7 @@ class Result:
     @cached_property
     def quality(self) -> Quality:
         """What tells, without a reference, whether to trust the result."""
-        return assess(self.labels, self.image, self.geometry.spacing, self.ledger, self.stop)
+        return assess(self.labels, self.image, self.geometry.spacing, self.ledger, self.stop, self.learned)
 
     @property
     def report(self) -> dict[str, Any]:
@@ -322,6 +329,8 @@ def result_of(run: Run) -> Result:
         seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
         volume=run.volume,
         start=prepared.start,
+        chosen=chosen_of(prepared, run.config, len(run.evolution.passed)),
+        learned=prepared.learned,
         terms=[chosen[place] for place in sorted(chosen)],
         kernels=dict(run.workers.seconds),
         edits_done=run.edits_done,
@@ -332,3 +341,21 @@ def result_of(run: Run) -> Result:
         ]
         + [f"edit at step {edit.step} was not made: the run ended after {stop.steps} steps" for edit in missed],
     )
+
+
+def chosen_of(prepared: Prepared, config: RunConfig, levels: int) -> dict[str, Any]:
+    """Return what a run on so many levels took for settings that image and grid decide."""
+    diffusion = config.diffusion
+    if diffusion == "auto":
+        diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
+    rule = stop_rule(config, levels)
+    return {
+        "presmooth_mm": prepared.presmooth,
+        "scale": [{"at_0": low, "at_1": low + width} for low, width in prepared.facts.scales],
+        "step_voxels": config.cfl,
+        "limiter_percentile": config.percentile,
+        "diffusion": diffusion,
+        "stop": {"voxels": rule.motion, "steps": rule.window},
+        "half_width_voxels": half_width(config),
+        "levels": levels,
+    }

@@ -23,7 +23,7 @@ from accelsurf.object_starts import Box
 from accelsurf.objects import Objects
 from accelsurf.preparation import Prepared, cropped
 from accelsurf.run import available_cores, seeded
-from accelsurf.segmentation import Result, as_channel, as_volume, resolved
+from accelsurf.segmentation import Result, as_channel, as_volume, chosen_of, resolved
 from accelsurf.surface import Surface
 from accelsurf.volume import Volume
 
@@ -63,6 +63,8 @@ class ObjectsResult:
     warnings : list of str
     terms : list of dict
         The terms of the energy with their settings.
+    chosen : dict
+        What was taken for settings that image and grid decide.
     """
 
     labels: NDArray[np.unsignedinteger[Any]]
@@ -78,6 +80,7 @@ class ObjectsResult:
     warnings: list[str] = field(default_factory=list)
     terms: list[dict[str, Any]] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
+    chosen: dict[str, Any] = field(default_factory=dict)
     #: Several objects run on the image's own grid, and each has its own quality.
     levels: ClassVar[list[Passed]] = []
     quality: ClassVar[None] = None
@@ -293,5 +296,5 @@ def _result(
     ]
     return ObjectsResult(
         labels, objects, boxes, image, geometry, config, config.energy, volume, seconds, run.kernels, unused, terms,
-        prepared.start,
+        prepared.start, chosen_of(prepared, config, 1),
     )

@@ -120,8 +120,12 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
 
 def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
     expected = form.count(",") + 1
+    parts = values.split(",")
+    if form.startswith(("threshold", "largest")) and len(parts) == 2 and any(parts):
+        # An open side, as in the energy of that name.
+        parts = [parts[0].strip() or "-inf", parts[1].strip() or "inf"]
     try:
-        numbers = tuple(float(value) for value in values.split(","))
+        numbers = tuple(float(value) for value in parts)
     except ValueError:
         numbers = ()
     if len(numbers) != expected or any(math.isnan(v) for v in numbers):

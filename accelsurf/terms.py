@@ -23,10 +23,10 @@ from accelsurf.energies import (
     Parzen,
     Threshold,
     WeightedSum,
-    edge_indicator,
     gaussian_of,
 )
-from accelsurf.energies.geodesic import largest_spacing
+from accelsurf.energies.geodesic import edge_contrast as strong_edge
+from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude, largest_spacing
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
@@ -35,6 +35,9 @@ from accelsurf.regions import otsu_level
 
 #: R of local-region unless given, voxels of the largest spacing.
 WINDOW_VOXELS = 8.0
+#: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
+#: between two of them, and ConfidenceConnected of ITK takes as many.
+LEARNED_DEVIATIONS = 2.5
 #: Terms whose energy is a mean over channels, or a sum: what several channels say together.
 MEAN_OVER_CHANNELS, SUM_OVER_CHANNELS = ("chan-vese", "local-region"), ("likelihood",)
 
@@ -65,6 +68,8 @@ class Facts:
         Where likelihood learns; without ``background`` all that is not foreground.
     others : callable, optional
         The other channels, after the first, on the grid of a given shape and spacing.
+    raw : callable, optional
+        Values of a channel in the foreground before any presmoothing, on the scale of ``images``.
 
     Attributes
     ----------
@@ -81,9 +86,11 @@ class Facts:
         foreground: Mask | None = None,
         background: Mask | None = None,
         others: Callable[[tuple[int, ...], tuple[float, float, float]], list[Image]] | None = None,
+        raw: Callable[[int], NDArray[Any]] | None = None,
     ) -> None:
         self.images, self.scales, self.spacing = list(images), list(scales), spacing
         self.foreground, self.background = foreground, background
+        self._raw = raw or (lambda channel: self.images[channel][self.foreground])
         self.others = others or (lambda shape, spacing: self.images[1:])
         self.chosen: dict[int, dict[str, Any]] = {}
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
@@ -115,12 +122,27 @@ class Facts:
             self._learned[channel] = image[self.foreground], image[other]
         return self._learned[channel]
 
-    def bound(self, channel: int, value: float | str) -> float | None:
+    def learned(self, channel: int) -> tuple[float, float]:
+        """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""
+        if self.foreground is None:
+            raise UsageError("energy: a learned bound was given nothing to learn from", "give --foreground")
+        # Before presmoothing: what is left of noise after it says how wide the object's values are, not its edges'.
+        mean, variance = gaussian_of(self._raw(channel), least_variance(self.images[channel]))
+        reach = LEARNED_DEVIATIONS * variance**0.5
+        return mean - reach, mean + reach
+
+    def bound(self, channel: int, value: float | str, upper: bool) -> float | None:
         """A bound of threshold on the scale of the image as energies see it; None for an open side."""
         if value == "":
             return None
         if value == "auto":
             return self.once(otsu_level, channel)
+        if value == "learned":
+            return self.learned(channel)[1 if upper else 0]
+        if isinstance(value, str) and value.startswith(expression.HALF):
+            low, high = self.learned(channel)
+            other = (float(value.removeprefix(expression.HALF)) - self.scales[channel].low) / self.scales[channel].width
+            return 0.5 * (0.5 * (low + high) + other)
         if isinstance(value, str):
             return float(self.once(np.percentile, channel, float(value.removesuffix("%"))))
         scale = self.scales[channel]
@@ -263,7 +285,7 @@ def _likelihood(
 def _threshold(
     settings: Settings, config: RunConfig, image: Image, spacing: Spacing, facts: Facts, channel: int, alpha: float
 ) -> Made:
-    low, high = (facts.bound(channel, settings.get(key, "")) for key in ("LO", "HI"))
+    low, high = (facts.bound(channel, settings.get(key, ""), key == "HI") for key in ("LO", "HI"))
     start, width = facts.scales[channel]
     soft = float(settings["soft"]) / width if "soft" in settings else facts.once(soft_edge, channel, low, high)
     used = {key: None if v is None else start + width * v for key, v in (("LO", low), ("HI", high))}
@@ -276,9 +298,11 @@ def _geodesic(
     scale = settings.get("scale", config.edge_scale)
     contrast = settings.get("contrast", config.edge_contrast)
     balloon = _number(settings, "balloon", config.balloon)
-    edges = (None if isinstance(value, str) else value for value in (scale, contrast))
+    scale = largest_spacing(image.shape, spacing) if isinstance(scale, str) else float(scale)
+    gradient = gradient_magnitude(image, spacing, scale)
+    contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
     used = {"scale": scale, "contrast": contrast, "balloon": balloon}
-    return Geodesic(edge_indicator(image, spacing, *edges), alpha, balloon), used
+    return Geodesic(edge_indicator_of(gradient, contrast), alpha, balloon), used
 
 
 #: How each term is made; each gives its energy and the settings that it has.

@@ -1,6 +1,8 @@
-"""Real scans: agreement with their references, seconds, and that the mesh lies where the label map does.
+"""Real scans: our commands against their references, best global thresholds, and other programs from the same start.
 
-The volumes are public (see docs/real-scans.md for their sources); the folder that ACCELSURF_VOLUMES names holds them.
+One call makes the table of docs/real-scans.md, docs/real-scans.json beside it, and pictures. The volumes are public
+(see docs/real-scans.md for their sources); the folder that ACCELSURF_VOLUMES names holds them. Rows that are not run
+again are kept from the JSON.
 """
 
 from __future__ import annotations
@@ -8,86 +10,191 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
+import shlex
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from accelsurf import io, metrics
+from accelsurf.report import peak_rss_mb, versions
 from accelsurf.volume import Volume
+from benchmarks.peers.scans import best_window, compare_peers
 
-#: Name -> (file, options of `accelsurf segment`, reference or None). Starts are world mm (LPS).
-CASES: dict[str, tuple[str, list[str], str | None]] = {
-    "brain": ("mri_brain256.nii.gz", ["--start", "ball:{center},30"], "mri_brain256_ref.nii.gz"),
-    "brain, balance 2": (
-        "mri_brain256.nii.gz",
-        ["--start", "ball:{center},30", "--balance", "2", "--epsilon", "0"],
-        "mri_brain256_ref.nii.gz",
+ROOT = Path(__file__).resolve().parent.parent
+PAGE, FACTS = ROOT / "docs" / "real-scans.md", ROOT / "docs" / "real-scans.json"
+BEGIN, END = "<!-- scripts/study real-scans writes this table -->", "<!-- end of the table -->"
+
+
+@dataclass(frozen=True)
+class Case:
+    """An object in a scan: ``options`` of `accelsurf segment`; the reference's ``labels``, all above 0 unless given."""
+
+    image: str
+    options: str
+    labels: tuple[int, ...] = ()
+    wanted: float | None = None
+    reference: bool = True
+
+
+_LIVER = "--start ball:163,318,19,12vox --start ball:151,313,0,12vox --start ball:155,277,19,12vox"
+_CORD = " ".join(
+    f"--start ball:{place},2.5vox"
+    for place in ("31.8,5,24.8", "30.8,16,24.7", "30.3,27,25.0", "30.3,38,25.3", "30.3,49,25.6")
+)
+_BONES = (32, 33, 69, 70, *range(97, 104), *range(109, 116))
+CASES: dict[str, Case] = {
+    "brain": Case("mri_brain256", "--start ball:126,110,130,30vox --preset mr-brain", wanted=0.96),
+    "brain, defaults": Case("mri_brain256", "--start ball:126,110,130,30vox"),
+    "oblique brain": Case("mri_brain_oblique", "--start center --preset mr-brain"),
+    "oblique brain, defaults": Case("mri_brain_oblique", "--start center"),
+    "white matter": Case(
+        "mri_brain_oblique",
+        "--start ball:55,90,85,6vox --start ball:88,90,85,6vox --energy likelihood:update=no", (2,), 0.90,
     ),
-    "head phantom": ("ct_phantom_oblique.nii.gz", ["--start", "ball:{center},40"], None),
+    "ventricles": Case(
+        "mri_brain256", "--start ball:144,100,115,4vox --start ball:109,97,117,4vox --preset mr-ventricle", (4, 43)
+    ),
+    "cord": Case("mri_cord_iso", f"{_CORD} --preset mr-cord", wanted=0.85),
+    "liver": Case("ct_abdomen_hires", f"{_LIVER} --preset ct-organ", (5,), 0.88),
+    "liver, window by hand": Case(
+        "ct_abdomen_hires", f"{_LIVER} --energy threshold:65,130 --presmooth 3 --smoothness 3", (5,), 0.88
+    ),
+    "spleen": Case("ct_abdomen_hires", "--start ball:372,311,9,12vox --preset ct-organ", (1,)),
+    "aorta": Case("ct_abdomen_hires", "--start ball:263,299,11,7vox --preset ct-vessel", (52,)),
+    "bones": Case("ct_abdomen_hires", "--preset ct-bone", _BONES),
+    "head phantom": Case("ct_phantom_oblique", "--preset ct-bone", reference=False),
 }
+COLUMNS = (
+    "object", "wanted", "Dice", "HD95 mm", "mean mm", "best threshold", "best other program", "steps", "s", "stop",
+)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--only", default="", help="cases whose name contains this")
+    parser.add_argument("--only", default="", help="names of cases, separated by semicolons")
+    parser.add_argument("--peers", type=float, default=0.0, metavar="SECONDS", help="search each other program so long")
+    parser.add_argument("--note", default="", help="about the circumstances, kept with the rows that are run")
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")
     if not folder:
         sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans (sources: docs/real-scans.md)")
+    names = [name.strip() for name in options.only.split(";") if name.strip()] or list(CASES)
+    for name in set(names) - set(CASES):
+        sys.exit(f"{name}: there is no such case, expected {'; '.join(CASES)}")
     options.output.mkdir(parents=True, exist_ok=True)
-    rows = [
-        run(name, Path(folder), *case, options.output, options.threads)
-        for name, case in CASES.items()
-        if options.only in name
-    ]
-    facts = {"machine": {"processor": platform.machine(), "threads": options.threads}, "cases": rows}
-    (options.output / "real_scans.json").write_text(json.dumps(facts, indent=1) + "\n")
-    print(f"written: {options.output / 'real_scans.json'}")
+    for name in names:
+        row = run(name, CASES[name], Path(folder), options)
+        if options.note:
+            row["note"] = options.note
+        keep(name, row)
+        print(json.dumps({key: value for key, value in row.items() if key not in ("peers", "quality")}), flush=True)
 
 
-def run(
-    name: str, folder: Path, file: str, arguments: list[str], reference: str | None, output: Path, threads: int
-) -> dict:
-    image = io.read(folder / file)
-    center = ",".join(f"{v:.2f}" for v in image.geometry.center_world())
-    arguments = [argument.replace("{center}", center) for argument in arguments]
-    target = output / name.replace(", ", "_").replace(" ", "_")
-    command = ["accelsurf", "segment", file, "-o", target.name, *arguments, "--threads", str(threads)]
+def keep(name: str, row: dict[str, Any]) -> None:
+    """Put a row into the JSON and the page; what other programs reached stays where they were not run again."""
+    facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"cases": {}}
+    if "peers" not in row and "peers" in facts["cases"].get(name, {}):
+        row["peers"] = facts["cases"][name]["peers"]
+    facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
+    facts["cases"] = {key: {**facts["cases"], name: row}[key] for key in CASES if key in {**facts["cases"], name: row}}
+    FACTS.write_text(json.dumps(facts, indent=1) + "\n")
+    page = PAGE.read_text()
+    before, rest = page.split(BEGIN)
+    PAGE.write_text(before + BEGIN + "\n\n" + text_of(facts["cases"]) + "\n" + END + rest.split(END)[1])
+
+
+def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Run a case as a user does, and measure what it wrote."""
+    source, target = folder / f"{case.image}.nii.gz", options.output / name.replace(", ", "_").replace(" ", "_")
+    typed = shlex.split(case.options)
+    row: dict[str, Any] = {"command": f"accelsurf segment {source.name} -o {target.name} {case.options}"}
+    call = [sys.executable, "-m", "accelsurf", "segment", str(source), "-o", str(target), *typed]
     began = time.perf_counter()
-    call = [sys.executable, "-m", *command, "--overwrite", "--quiet"]
-    call[call.index(file)], call[call.index(target.name)] = str(folder / file), str(target)
-    done = subprocess.run(call, capture_output=True, text=True)
-    row: dict = {"name": name, "command": " ".join(command), "exit_code": done.returncode}
-    row["seconds"] = time.perf_counter() - began
+    done = subprocess.run(
+        [*call, "--threads", str(options.threads), "--overwrite", "--quiet"], capture_output=True, text=True
+    )
+    row |= {"exit_code": done.returncode, "seconds": time.perf_counter() - began, "threads": options.threads}
     if done.returncode:
         row["error"] = done.stderr.strip()
-        print(f"{name}: exit {done.returncode}: {row['error']}")
         return row
-    stem = file.removesuffix(".nii.gz")
-    report = json.loads((target / f"{stem}_report.json").read_text())
-    row |= {key: report[key] for key in ("stop", "volume_mm3", "area_mm2", "peak_rss_mb", "components", "warnings")}
-    labels = io.read_labels(target / f"{stem}_seg.nii.gz")
-    row["same_grid"] = labels.geometry.matches(image.geometry)
-    row["mesh_beyond_labels_voxels"] = mesh_beyond_labels(target / f"{stem}_surface.ply", labels)
-    if reference is not None:
-        truth = io.read_labels(folder / reference)
-        truth = truth.with_array((truth.array > 0).astype(np.uint8))
+    report = json.loads((target / f"{case.image}_report.json").read_text())
+    row |= {key: report[key] for key in ("stop", "levels", "volume_mm3", "peak_rss_mb", "quality", "warnings")}
+    row["levels"] = len(report["levels"])
+    image, labels = io.read(source), io.read_labels(target / f"{case.image}_seg.nii.gz")
+    row["mesh_beyond_labels_voxels"] = mesh_beyond_labels(target / f"{case.image}_surface.ply", labels)
+    truth = None
+    if case.reference:
+        truth = io.read_labels(folder / f"{case.image}_ref.nii.gz")
+        chosen = np.isin(truth.array, case.labels) if case.labels else truth.array > 0
+        truth = truth.with_array(chosen.astype(np.uint8))
         row["metrics"] = metrics.evaluate(labels, truth).to_dict()
-        row["best_threshold_dice"] = best_threshold(image.array, truth.array)
-    print(json.dumps({key: value for key, value in row.items() if key != "warnings"}))
+        window = best_window(image.as_float32(), truth.array > 0)
+        row["best_threshold"] = window._asdict()
+        if options.peers > 0:
+            starts = tuple(word for i, word in enumerate(typed) if typed[i - 1] == "--start")
+            row["peers"] = compare_peers(image, truth.array > 0, starts, window, options.peers)
+            row["peers"]["threads"] = options.threads
+    picture(options.output / f"real-{target.name}.png", name, image, labels, truth)
+    row["memory_of_study_mb"] = peak_rss_mb()
     return row
 
 
-def best_threshold(image: np.ndarray, truth: np.ndarray) -> float:
-    """Dice of the best global threshold among 64: the least that a segmentation should beat."""
-    levels = np.percentile(image[image > image.min()], np.linspace(1, 99, 64))
-    return max(metrics.dice(image > level, truth) for level in levels)
+def text_of(cases: dict[str, dict[str, Any]]) -> str:
+    """The table and the commands, as Markdown."""
+    lines = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)]
+    for name, row in cases.items():
+        if "error" in row:
+            lines.append(f"| {name} | | {row['error'].splitlines()[0]} |" + " |" * (len(COLUMNS) - 3))
+            continue
+        found, best = row.get("metrics"), max((row.get("peers") or {}).get("best", {}).items(), key=_dice, default=None)
+        wanted, stop = CASES[name].wanted, row["stop"]
+        cells = [name, f"{wanted:.2f}" if wanted else ""]
+        keys = (("dice", ".3f"), ("hd95_mm", ".1f"), ("mean_surface_distance_mm", ".2f"))
+        cells += [format(found[key], form) for key, form in keys] if found else ["no reference", "", ""]
+        cells.append(f"{row['best_threshold']['dice']:.3f}" if found else "")
+        cells.append(f"{best[1]['dice']:.3f} ({best[0]})" if best else "")
+        levels = f" on {row['levels']} grids" if row["levels"] > 1 else ""
+        cells += [f"{stop['steps']}{levels}", f"{row['seconds']:.0f}", stop["reason"]]
+        lines.append(f"| {' | '.join(cells)} |")
+    commands = [f"    {row['command']}" for row in cases.values()]
+    return "\n".join([*lines, "", *commands, ""])
+
+
+def _dice(item: tuple[str, dict[str, Any]]) -> float:
+    return float(item[1]["dice"])
+
+
+def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume | None) -> None:
+    """The slice with most of the object, across its z axis: ours solid, the reference dashed."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    inside = (truth if truth is not None else labels).array > 0
+    k = int(inside.sum(axis=(1, 2)).argmax())
+    rows, columns = (np.flatnonzero((inside | (labels.array > 0)).any(axis=axes)) for axes in ((0, 2), (0, 1)))
+    (y0, y1), (x0, x1) = ((max(int(at[0]) - 15, 0), int(at[-1]) + 16) for at in (rows, columns))
+    part = image.array[k, y0:y1, x0:x1].astype(np.float32)
+    figure, axes = pyplot.subplots(figsize=(4, 4), dpi=100)
+    spacing = image.geometry.spacing
+    low, high = np.percentile(part, (1, 99))
+    axes.imshow(part, cmap="gray", vmin=low, vmax=high, aspect=spacing[1] / spacing[2])
+    axes.contour(labels.array[k, y0:y1, x0:x1], [0.5], colors="#ff9d2e", linewidths=1.2)
+    if truth is not None:
+        axes.contour(truth.array[k, y0:y1, x0:x1], [0.5], colors="#2ec4ff", linewidths=0.9, linestyles="dashed")
+    axes.set_title(f"{title}: ours solid" + (", reference dashed" if truth is not None else ""), fontsize=9)
+    axes.axis("off")
+    figure.tight_layout(pad=0.3)
+    figure.savefig(path)
+    pyplot.close(figure)
 
 
 def mesh_beyond_labels(path: Path, labels: Volume) -> float:

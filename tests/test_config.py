@@ -9,6 +9,7 @@ from accelsurf.config import RunConfig, expected
 from accelsurf.errors import UsageError
 
 ODD = RunConfig(
+    preset="ct-bone",
     energy="0.5*geodesic:scale=1 + threshold:-1e-3,20",
     flow="gradient",
     start=("ball:-1.5,2,3,4", 'label:a "quoted"\\ name\x7f é\n.nii.gz'),

@@ -94,5 +94,49 @@ def test_slabs_make_no_difference(monkeypatch):
     mask = z**2 + y**2 + x**2 < 12**2
     scan = mask + np.random.default_rng(1).normal(0, 0.3, SHAPE)
     whole = look(mask, scan)
-    monkeypatch.setattr(quality, "SLAB", 5 * SHAPE[1] * SHAPE[2])
+    monkeypatch.setattr(quality, "SLAB", 1)
+    monkeypatch.setattr(quality, "HALOS", 1)
     assert look(mask, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.01)
+
+
+def test_a_leak_into_tissue_like_the_object_is_told_by_its_values():
+    # An organ, muscle next to it and lung around: learned against all else, the broad background loses muscle too.
+    z, y, x = coordinates()
+    organ = (x + 6) ** 2 + y**2 + z**2 < 10**2
+    muscle = ((x - 8) ** 2 + y**2 + z**2 < 11**2) & ~organ
+    scan = -900.0 + 990 * organ + 960 * muscle + np.random.default_rng(1).normal(0, 8, SHAPE)
+    start = "ball:15,21.5,19.5,6vox"
+    leaked = segment(scan, spacing=SPACING, start=start, energy="likelihood:update=no")
+    assert leaked.labels[muscle].mean() > 0.8 and leaked.quality.unlike_learned > 0.2
+    assert leaked.stop.reason == "converged" and leaked.quality.no_edge_fraction < 0.1  # nothing else tells
+    assert any(words.startswith("values: ") and "leaked" in words for words in leaked.quality.warnings)
+    held = segment(scan, spacing=SPACING, start=start, preset="ct-organ")
+    assert held.labels[muscle].mean() < 0.15 and held.quality.unlike_learned < 0.05
+    assert not any(words.startswith("values: ") for words in held.quality.warnings)
+    # What was not learned cannot be unlike.
+    assert segment(scan, spacing=SPACING, start=start, max_steps=5).quality.unlike_learned is None
+
+
+def test_learned_values_are_those_before_presmoothing():
+    z, y, x = coordinates()
+    scan = 100.0 * (z**2 + y**2 + x**2 < 12**2) + np.random.default_rng(1).normal(0, 10, SHAPE)
+    words = {"spacing": SPACING, "start": "ball:23.5,21.5,19.5,6vox", "max_steps": 1}
+    words["energy"] = "threshold:learned,learned"
+    bounds = [segment(scan, presmooth=sigma, **words).terms[0] for sigma in (0, "1vox")]
+    assert [term["HI"] - term["LO"] for term in bounds] == pytest.approx([50, 50], rel=0.06)
+    half = segment(scan, **{**words, "energy": "threshold:half:20,"}).terms[0]["LO"]
+    assert half == pytest.approx(60, abs=0.5)
+
+
+def test_it_takes_less_memory_than_the_solver():
+    # As much as the image of the solver, 16 bytes for a voxel, in what Python and numpy count.
+    import tracemalloc
+
+    ax = np.arange(160, dtype=np.float32) - 79.5
+    inside = (ax[:, None, None] ** 2 + ax[:, None] ** 2 + ax**2 < 70**2).astype(np.uint8)
+    image = inside.astype(np.float32)
+    tracemalloc.start()
+    assess(inside, image, (1.0, 1.0, 1.0), [], DONE, (0.5, 1.5))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 16 * inside.size

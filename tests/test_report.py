@@ -58,7 +58,8 @@ def finished(**changes):
         components=1,
         touches_border=False,
         terms=[{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
-        quality=Quality(0.25, 0.5, 0.125, 1, 2.0, 0.01, False, ("border: 25% of it",)),
+        chosen={"presmooth_mm": 0.5},
+        quality=Quality(0.25, 0.5, 0.125, 1, 2.0, 0.01, None, False, ("border: 25% of it",)),
     )
     return SimpleNamespace(**{**values, **changes})
 
@@ -83,6 +84,7 @@ def test_every_key_is_there_with_and_without_a_result():
         **{"friction_work": 0.5, "smoothing_work": 0.25, "noise_work": 0.0},
         "terms": [{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
     }
+    assert full["chosen"] == {"presmooth_mm": 0.5}
     assert full["mass"] is None  # constant density conserves none
     heavy = finished(config=RunConfig(flow="flowable-mass", gravity=1))
     flowable = report.build(status="ok", exit_code=0, result=heavy)

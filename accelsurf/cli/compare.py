@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,6 +51,7 @@ def compare(
         Replace outputs that exist.
     """
     from accelsurf import io
+    from accelsurf.channels import read as read_channels
     from accelsurf.cli.case import Case
     from accelsurf.cli.progress import Watcher
     from accelsurf.outputs import refuse_existing
@@ -60,7 +62,7 @@ def compare(
     configs = {name: run_config(settings, config, flow=name) for name in _names(flows)}
     paths = {"comparison": folder / "compare.json", "picture": folder / "compare.png"}
     refuse_existing(paths, overwrite)
-    volume = io.read(source)
+    volume, *channels = read_channels(source)
     truth = io.read_labels(reference) if reference is not None else None
     if truth is not None:
         check_reference(truth, volume)
@@ -69,7 +71,7 @@ def compare(
     for name, chosen in configs.items():
         case = Case(source, folder, chosen, name=name)
         case.volume = volume
-        evolve_case(case, watcher)
+        evolve_case(case, watcher, channels)
         cases.append(case)
         if watcher.interrupted:
             break
@@ -78,13 +80,13 @@ def compare(
     return conclude(cases, paths, facts, truth, source.name, display.quiet)
 
 
-def evolve_case(case: Case, watcher: Any) -> None:
+def evolve_case(case: Case, watcher: Any, channels: Sequence[Volume] = ()) -> None:
     """Run the flow of one case, without writing anything; its result is kept in it."""
     from accelsurf.segmentation import segment
 
     assert case.config is not None and case.volume is not None
     with watcher.watch(case.name, case.config.max_steps):
-        case.result = segment(case.volume, config=case.config, on_step=watcher.on_step)
+        case.result = segment(case.volume, channels=channels, config=case.config, on_step=watcher.on_step)
 
 
 def check_reference(truth: Volume, volume: Volume) -> None:

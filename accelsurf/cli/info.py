@@ -19,6 +19,7 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
     from accelsurf.cli import EXIT_CODES
     from accelsurf.config import ENERGIES, FLOWS, MeshFormat, RunConfig
     from accelsurf.evolution import StopReason
+    from accelsurf.presets import PRESETS
     from accelsurf.report import to_json, versions
 
     facts = {
@@ -31,13 +32,14 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
         "mesh_formats": list(get_args(MeshFormat)),
         "recipes": phantoms.recipe_names(),
         "exit_codes": {str(code): meaning for code, meaning in EXIT_CODES.items()},
+        "presets": {name: preset._asdict() for name, preset in PRESETS.items()},
         "config_schema": RunConfig.json_schema(),
     }
     if as_json:
         print(to_json(facts))
         return 0
     for title, value in facts.items():
-        if title == "config_schema":
+        if title in ("config_schema", "presets"):
             continue
         if isinstance(value, dict):
             print(title.replace("_", " ") + ":")
@@ -45,6 +47,14 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
                 print(f"  {key:12}  {entry}")
         else:
             print(f"{title.replace('_', ' ')}: {', '.join(value)}")
+    print("\nPresets (--preset NAME; options beside it win):")
+    for name, preset in PRESETS.items():
+        print(f"\n  {name}: {preset.summary}")
+        for key, value in preset.settings.items():
+            shown = ",".join(value) if isinstance(value, tuple) else value
+            print(f"    {key} = {shown}: {preset.reasons[key]}")
+        for volume, outcome in preset.tried.items():
+            print(f"    tried on {volume}: {outcome}")
     print("\nSettings (accelsurf segment --help has their defaults):")
     for key, field in RunConfig.model_fields.items():
         print(f"  {key:12}  {field.description}")

@@ -10,6 +10,7 @@ from cyclopts import Group, Parameter
 
 from accelsurf.config import REPEATED, SWITCHES, RunConfig, read_toml
 from accelsurf.errors import UsageError
+from accelsurf.presets import PRESETS
 
 RUN = Group("What to run", sort_key=1)
 FLOW = Group("Fine control of the flow", sort_key=2)
@@ -21,14 +22,14 @@ Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
 _GROUPS = {
-    **dict.fromkeys(("energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
+    **dict.fromkeys(("preset", "energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
     **dict.fromkeys(("edge_scale", "edge_contrast", "balloon", "foreground", "background", "channel"), RUN),
     **dict.fromkeys(("objects", "mask", "roi", "max_volume"), RUN),
     **dict.fromkeys(("levels", "max_steps", "edit", "seed", "reproducible", "threads"), RUN),
     **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
 }
 _METAVARS = {
-    **dict.fromkeys(("flow", "format", "mesh_space"), "NAME"),
+    **dict.fromkeys(("preset", "flow", "format", "mesh_space"), "NAME"),
     **dict.fromkeys(("foreground", "background"), "WHERE"),
     **dict.fromkeys(("objects", "mask", "channel"), "FILE"),
     **{"energy": "EXPRESSION", "roi": "BOX", "max_volume": "MM3"},
@@ -40,7 +41,7 @@ _METAVARS = {
         "start": "WHERE",
         "smoothness": "MM",
         "balance": "RATIO",
-        "presmooth": "MM",
+        "presmooth": "MM|Nvox",
         "cfl": "VOXELS",
         "epsilon": "VOXELS",
         "percentile": "PERCENT",
@@ -96,6 +97,9 @@ SharedSettings = _settings("SharedSettings", leave_out=("flow", "objects", "mesh
 def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunConfig:
     """Return the configuration of a run: options given beat the file, which beats the defaults.
 
+    A preset given as an option stands for options: it beats the file too, but none of the options beside it. One that
+    the file names is beaten by what the file says besides.
+
     Parameters
     ----------
     settings : Settings or SharedSettings or None
@@ -112,7 +116,9 @@ def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunCon
     """
     given = {f.name: getattr(settings, f.name) for f in fields(settings)} if settings is not None else {}
     typed = {key: value for key, value in given.items() if value is not None}
-    return RunConfig(**{**(read_toml(file) if file is not None else {}), **typed, **forced})
+    preset = typed.get("preset")
+    under = PRESETS[preset].settings if preset in PRESETS else {}
+    return RunConfig(**{**(read_toml(file) if file is not None else {}), **under, **typed, **forced})
 
 
 @Parameter(name="*")

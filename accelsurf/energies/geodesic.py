@@ -98,8 +98,12 @@ def edge_indicator(
     (True, True)
     """
     gradient = gradient_magnitude(image, spacing, largest_spacing(image.shape, spacing) if scale is None else scale)
-    k = edge_contrast(gradient) if contrast is None else float(contrast)
-    return np.asarray(1.0 / (1.0 + (gradient / np.float32(k)) ** 2), np.float32)
+    return edge_indicator_of(gradient, edge_contrast(gradient) if contrast is None else float(contrast))
+
+
+def edge_indicator_of(gradient: np.ndarray, contrast: float) -> np.ndarray:
+    """Edge indicator 1/(1 + (gradient/contrast)^2) of a gradient's magnitude."""
+    return np.asarray(1.0 / (1.0 + (gradient / np.float32(contrast)) ** 2), np.float32)
 
 
 def largest_spacing(shape: Sequence[int], spacing: Sequence[float]) -> float:

@@ -1,0 +1,151 @@
+"""Presets: settings for a kind of scan, each with what its values mean and the scans that it was tried on.
+
+A preset names quantities of the object and of the modality (Hounsfield units, widths of structures, voxels), never of a
+file. Where the values of a modality have no unit, or depend on contrast agent and sequence, bounds and models are
+learned from the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple
+
+PresetName = Literal[
+    "ct-bone", "ct-vessel", "ct-organ", "mr-brain", "mr-ventricle", "mr-cord", "fluorescence-nucleus"
+]
+
+
+class Preset(NamedTuple):
+    """Settings for a kind of scan.
+
+    Attributes
+    ----------
+    summary : str
+        For what, and what start it wants.
+    settings : mapping
+        Values of `RunConfig` by name; those not named keep their defaults.
+    reasons : mapping
+        What each of these values means, by the same names.
+    tried : mapping of str to str
+        The volumes that it was tried on, by public source, and how it did.
+    """
+
+    summary: str
+    settings: Mapping[str, Any]
+    reasons: Mapping[str, str]
+    tried: Mapping[str, str]
+
+
+_LEARNED = (
+    "values within 2.5 standard deviations of those in the start (as ConfidenceConnected of ITK takes them): "
+    "they differ "
+    "with contrast agent, phase and dose, so they are learned"
+)
+_ABDOMEN = "abdominal CT, portal phase, 20 slices of 2 mm (TotalSegmentator tests; automatic reference)"
+_HEAD = "CT of a head phantom, oblique, 2.4 mm slices (niivue-images)"
+_BRAIN = "T1 brain at 1 mm, skull-stripped (niivue demo images; FreeSurfer)"
+_OBLIQUE = "T1 brain at 1 mm, oblique, skull-stripped (nii2meshCPP; FSL FAST)"
+
+PRESETS: dict[str, Preset] = {
+    "ct-bone": Preset(
+        "Bone in CT, calibrated in HU. Its own start is all above 226 HU; --start largest:226, or ball:... for "
+        "one bone.",
+        {"start": ("threshold:226,",), "energy": "threshold:226,", "presmooth": 0.0, "smoothness": 0.2},
+        {
+            "start": "all above the bound of the energy",
+            "energy": "226 HU is the customary lower bound of bone: soft tissue with contrast agent ends at about 150, "
+            "compact bone begins at 300. Spongy bone below it is left out; metal is taken in",
+            "presmooth": "none: thin walls are a voxel wide",
+            "smoothness": "0.2 mm: takes single voxels of noise, keeps what is thicker than half a millimetre",
+        },
+        {
+            _HEAD: "no reference; one surface of the skull, converged in 40 steps",
+            _ABDOMEN: "bones hang together in places only: with largest:226, (the spine) Dice 0.30 against all bones",
+        },
+    ),
+    "ct-vessel": Preset(
+        "Vessels with contrast agent in CT: balls well inside the lumen.",
+        {"energy": "threshold:half:50,learned", "presmooth": 0.5, "smoothness": 0.5},
+        {
+            "energy": "from half-way between soft tissue (50 HU) and the mean in the start, as lumens are "
+            "measured (full "
+            "width at half maximum), to 2.5 standard deviations above that mean: bone and plaque are brighter. "
+            "Learned, as "
+            "contrast differs with phase and dose",
+            "presmooth": "0.5 mm: a fraction of what CT resolves",
+            "smoothness": "0.5 mm: keeps tubes down to a radius of 0.5 mm, closes thin bridges to bone",
+        },
+        {
+            _ABDOMEN: "aorta, with the window alone (learned,learned) Dice 0.83; with half-way to 50 HU not yet "
+            "run; the reference has wall and plaque. Otherwise phantoms",
+        },
+    ),
+    "ct-organ": Preset(
+        "Organs of even values in CT (liver, spleen, kidney): balls well inside, in all of its brightnesses.",
+        {"energy": "threshold:learned,learned", "presmooth": 1.0, "smoothness": 1.0},
+        {
+            "energy": _LEARNED + ". It lies within the edge to fat and lung: small organs come out small",
+            "presmooth": "1 mm: single voxels of organs a few HU apart overlap in noise, means over a few voxels less",
+            "smoothness": "1 mm: bridges to neighbours of less than about 2 mm close; organs are rounder",
+        },
+        {
+            _ABDOMEN: "with 2 mm in place of 1 mm: liver from three balls Dice 0.91, spleen from one 0.90; with "
+            "1 mm not yet run. Otherwise phantoms",
+        },
+    ),
+    "mr-brain": Preset(
+        "Brain in T1 MR after skull stripping: a ball in it. Not for scans with skull.",
+        {"energy": "chan-vese", "balance": 2.0, "epsilon": 0.0, "smoothness": 0.0},
+        {
+            "energy": "two means: bright tissue on a background of zeros, whatever the scanner's unit",
+            "balance": "2: with exact zeros outside, two means put the boundary at half the brightness of "
+            "tissue; asking "
+            "the inside to fit more closely moves it to about two thirds, above fluid and remains of the stripping",
+            "epsilon": "0: sulci are a voxel or two wide, a smeared interface closes them",
+            "smoothness": "0: the cortex is folded",
+        },
+        {
+            _BRAIN: "Dice 0.966 from one ball (defaults 0.95)",
+            _OBLIQUE: "Dice 0.972 from the middle",
+        },
+    ),
+    "mr-ventricle": Preset(
+        "Ventricles in T1 MR: a small ball in each, well inside.",
+        {"energy": "threshold:,auto", "presmooth": 0.0, "smoothness": 0.5},
+        {
+            "energy": "fluid is dark in T1: all below Otsu's threshold between tissue and the dark rest, which "
+            "lies about "
+            "half-way; by the image, as MR has no unit",
+            "presmooth": "none: horns are a few voxels wide",
+            "smoothness": "0.5 mm: keeps horns of 1 mm, closes thin passages to other fluid",
+        },
+        {
+            _BRAIN: "not yet run with Otsu's bound; a bound learned from the start stopped at Dice 0.50. "
+                "Otherwise a phantom",
+        },
+    ),
+    "mr-cord": Preset(
+        "Spinal cord in MR: small balls along it, about one every 10 mm, well inside.",
+        {"energy": "likelihood:histogram,no", "presmooth": 0.0, "smoothness": 0.0, "levels": 1},
+        {
+            "energy": "histograms learned once from the balls and from all else: grey and white matter are two values, "
+            "fluid around is of another; updated ones leak along the fluid",
+            "presmooth": "none: the cord is about 10 mm wide, in few voxels",
+            "smoothness": "0: the energy is of many voxels already",
+            "levels": "1: the cord has few voxels across",
+        },
+        {"T2 cervical cord at 1 mm (sct_testing_data; manual reference)": "Dice 0.948 from five balls"},
+    ),
+    "fluorescence-nucleus": Preset(
+        "Nuclei as bright blobs in fluorescence, all as one object; voxels, as units differ between files.",
+        {"start": ("otsu",), "energy": "local-region", "presmooth": "1vox"},
+        {
+            "start": "brighter than Otsu's threshold; --start ball:... for one nucleus",
+            "energy": "means within 8 voxels: brightness differs from cell to cell and falls with depth",
+            "presmooth": "1 voxel: photon noise is independent from voxel to voxel",
+        },
+        {
+            "fluorescence, 100^3 (plant-seg tests)": "all nuclei as one object: Dice 0.71, and 7 large parts on necks",
+        },
+    ),
+}
