@@ -220,3 +220,35 @@ class Interface(NamedTuple):
             out,
         )
         return out
+
+
+class Restrained:
+    """Base of an energy whose force is held back in places; all else is the energy's own.
+
+    A subclass gives `force`, as `Energy` says it.
+
+    Parameters
+    ----------
+    energy : Energy
+        What pulls the surface where nothing holds it.
+    """
+
+    def __init__(self, energy: Energy) -> None:
+        self._energy = energy
+
+    @property
+    def alpha(self) -> float:
+        """The energy's own."""
+        return self._energy.alpha
+
+    def start(self, surface: LevelSet) -> None:
+        """Take up a surface."""
+        self._energy.start(surface)
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up what changed."""
+        self._energy.follow(surface, change)
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface."""
+        return self._energy.value(surface, part, area)

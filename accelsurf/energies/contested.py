@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.base import Energy
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.energies.base import Energy, Restrained
+from accelsurf.levelset import LevelSet
 
 #: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
 NEAR = 1.0
@@ -39,7 +39,7 @@ class Neighbour(NamedTuple):
     flow: Flow
 
 
-class Contested:
+class Contested(Restrained):
     """Another energy among neighbours that pull at the same places.
 
     Where surfaces i and j touch neither can push the other back: i's force becomes max(f_i, -max(f_j, 0)), so that it
@@ -63,27 +63,11 @@ class Contested:
     """
 
     def __init__(self, energy: Energy, corner: Corner) -> None:
-        self._energy, self._corner = energy, corner
+        super().__init__(energy)
+        self._corner = corner
         self.neighbours: Sequence[Neighbour] = ()
         # Raster order in the object's grid; only of the front.
         self._cells, self._forces = np.empty(0, np.int64), np.empty(0, np.float32)
-
-    @property
-    def alpha(self) -> float:
-        """The energy's own."""
-        return self._energy.alpha
-
-    def start(self, surface: LevelSet) -> None:
-        """Take up a surface."""
-        self._energy.start(surface)
-
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Take up what changed."""
-        self._energy.follow(surface, change)
-
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
-        """U of the present surface, without its neighbours'."""
-        return self._energy.value(surface, part, area)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front; held where it pushes against a neighbour that does not give way."""

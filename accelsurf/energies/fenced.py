@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.at_front import sample_at_front
-from accelsurf.energies.base import Energy
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.energies.base import Energy, Restrained
+from accelsurf.levelset import LevelSet
 
 #: The surface stands at the fence when it is this close, voxels of the smallest spacing.
 AT_FENCE = 0.25
 
 
-class Fenced:
+class Fenced(Restrained):
     """Another energy within a fence: `hold` puts the surface back behind it, and no force pushes against it.
 
     Parameters
@@ -28,31 +28,14 @@ class Fenced:
     """
 
     def __init__(self, energy: Energy, fence: NDArray[np.float32]) -> None:
-        self._energy, self._fence = energy, np.ascontiguousarray(fence, np.float32).reshape(-1)
-        self._shape = np.shape(fence)
+        super().__init__(energy)
+        self._fence = np.ascontiguousarray(fence, np.float32).reshape(-1)
 
     def __getattr__(self, name: str) -> Any:
         # What others ask of the energy itself, such as its name.
         if name == "_energy":
             raise AttributeError(name)
         return getattr(self._energy, name)
-
-    @property
-    def alpha(self) -> float:
-        """The energy's own."""
-        return self._energy.alpha
-
-    def start(self, surface: LevelSet) -> None:
-        """Take up a surface."""
-        self._energy.start(surface)
-
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Take up what changed."""
-        self._energy.follow(surface, change)
-
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
-        """U of the present surface, which is within the fence."""
-        return self._energy.value(surface, part, area)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front; 0 where the surface stands at the fence and would grow."""
