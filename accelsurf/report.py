@@ -130,6 +130,17 @@ def build(
     }
 
 
+def of_result(result: Result | ObjectsResult) -> dict[str, Any]:
+    """Return the document of a run that ended or was interrupted, without files."""
+    interrupted = result.stop.reason == "interrupted"
+    return build(
+        status="interrupted" if interrupted else "ok",
+        exit_code=130 if interrupted else 0,
+        config=result.config,
+        result=result,
+    )
+
+
 def describe_config(
     config: RunConfig | None, result: Result | ObjectsResult | None
 ) -> dict[str, Any] | None:

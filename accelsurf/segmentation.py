@@ -19,14 +19,14 @@ from accelsurf.contours import Contours
 from accelsurf.errors import InputError
 from accelsurf.evolution import Row, Step, Stop
 from accelsurf.geometry import Geometry
-from accelsurf.preparation import SCALE_PERCENTILES, Prepared, presmoothed, scale
+from accelsurf.preparation import Prepared
 from accelsurf.quality import Quality, assess
 from accelsurf.run import EnergyLike, Run
 from accelsurf.surface import Surface, extract
 from accelsurf.systems import half_width, stop_rule
 from accelsurf.volume import Volume
 
-__all__ = ["SCALE_PERCENTILES", "EnergyLike", "Result", "Run", "evolve", "presmoothed", "result_of", "scale", "segment"]
+__all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Result:
     psi : ndarray (nz, ny, nx), float32
         Signed distance in the band, mm, negative inside; +-gamma outside it.
     image : ndarray (nz, ny, nx), float32
-        The image as the energy saw it: presmoothed, 0 and 1 at its `SCALE_PERCENTILES`.
+        The image as the energy saw it: presmoothed, 0 and 1 at its `accelsurf.preparation.SCALE_PERCENTILES`.
     geometry : Geometry
     config : RunConfig
     energy : str
@@ -169,13 +169,7 @@ class Result:
     @property
     def report(self) -> dict[str, Any]:
         """The run as the JSON report has it, without files."""
-        interrupted = self.stop.reason == "interrupted"
-        return report.build(
-            status="interrupted" if interrupted else "ok",
-            exit_code=130 if interrupted else 0,
-            config=self.config,
-            result=self,
-        )
+        return report.of_result(self)
 
 
 def segment(

@@ -170,13 +170,7 @@ class ObjectsResult:
     @property
     def report(self) -> dict[str, Any]:
         """The run as the JSON report has it, without files."""
-        interrupted = self.stop.reason == "interrupted"
-        return report.build(
-            status="interrupted" if interrupted else "ok",
-            exit_code=130 if interrupted else 0,
-            config=self.config,
-            result=self,
-        )
+        return report.of_result(self)
 
 
 def segment_objects(
