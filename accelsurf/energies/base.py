@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.energies.at_front import check_shape, sample_at_front
 from accelsurf.kernels import motion, region
 from accelsurf.kernels.grid import BLOCK
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import Change, LevelSet, dot
 
 
 class Energy(Protocol):
@@ -124,7 +124,7 @@ class RegionSums:
 
     def _plain_sums(self, cells: NDArray[np.int64] | slice) -> np.ndarray:
         values = self.image[cells].astype(np.float64)
-        return np.array([values.size, values.sum(), np.dot(values, values)])
+        return np.array([values.size, values.sum(), dot(values, values)])
 
 
 class ImageEnergy(ABC):

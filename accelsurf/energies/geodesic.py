@@ -11,7 +11,7 @@ from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.at_front import sample_at_front, slope_at_front
 from accelsurf.energies.base import ImageEnergy
 from accelsurf.errors import InputError
-from accelsurf.levelset import LevelSet
+from accelsurf.levelset import LevelSet, dot
 
 #: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that
 #: counts as half an edge, and how far above the middle of all gradients, noise or texture, half an edge must be.
@@ -49,7 +49,7 @@ class Geodesic(ImageEnergy):
     def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface: phi at the foot of each voxel that the surface cuts, times the area in it."""
         phi = sample_at_front(self.sums.image, surface, area > 0)
-        energy = float(np.dot(phi, area)) + self._area.value(area)
+        energy = dot(phi, area) + self._area.value(area)
         if self.balloon:
             energy += self.balloon * self.sums.inside(surface, part).total * surface.voxel_volume
         return energy

@@ -12,7 +12,7 @@ from accelsurf.energies.at_front import sample_at_front
 from accelsurf.energies.base import ImageEnergy, Interface, RegionSums, Sums
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import Change, LevelSet, dot
 
 #: Least standard deviation of a Gaussian, as part of the image's range: a region of one value has none of its own.
 LEAST_DEVIATION = 0.01
@@ -144,7 +144,7 @@ class Parzen:
     def density(self, counts: np.ndarray) -> np.ndarray:
         """Density p (BINS,), sum 1, of the values of a histogram."""
         total = counts.sum()
-        smooth = self._window @ counts / total if total > 0 else np.full(BINS, 1.0 / BINS)
+        smooth = (self._window * counts).sum(axis=1) / total if total > 0 else np.full(BINS, 1.0 / BINS)
         return np.asarray((1.0 - ANY_VALUE) * smooth + ANY_VALUE / BINS)
 
     def value_and_slope(self, counts: np.ndarray) -> tuple[float, np.ndarray]:
@@ -154,9 +154,9 @@ class Parzen:
             return 0.0, np.zeros(BINS)
         p = self.density(counts)
         ratio = counts / p * (1.0 - ANY_VALUE) / total
-        smooth = self._window @ counts / total
-        slope = -np.log(p) - self._window.T @ ratio + np.dot(ratio, smooth)
-        return -float(np.dot(counts, np.log(p))), slope
+        smooth = (self._window * counts).sum(axis=1) / total
+        slope = -np.log(p) - (self._window.T * ratio).sum(axis=1) + dot(ratio, smooth)
+        return -dot(counts, np.log(p)), slope
 
 
 class HistogramLikelihood:
@@ -251,7 +251,7 @@ class HistogramLikelihood:
         inside = np.clip(self._beyond_band + band, 0.0, self._all)
         outside = self._all - inside
         if self._fixed is not None:
-            energy = float(np.dot(self._fixed[0], inside) + np.dot(self._fixed[1], outside))
+            energy = dot(self._fixed[0], inside) + dot(self._fixed[1], outside)
             self._table = self._fixed[0] - self._fixed[1]
         else:
             (one, slope), (other, other_slope) = (self._parzen.value_and_slope(h) for h in (inside, outside))

@@ -91,7 +91,7 @@ class LocalRegion:
             self._splat(surface, cells, np.ones(cells.size), self._total)
         self._windows = np.stack([self._smooth(surface, field.reshape(sizes)) for field in self._total])
         n, total = self._windows
-        squares = float(np.dot(self._image.astype(np.float64), self._image.astype(np.float64)))
+        squares = float((self._image.astype(np.float64) ** 2).sum())
         # About one mean in each window.
         self._one_mean = squares - float((total[n > 0] ** 2 / n[n > 0]).sum())
         self._laid_out = True

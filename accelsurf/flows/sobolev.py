@@ -8,7 +8,7 @@ import numpy as np
 
 from accelsurf.flows.base import Limits, Move, Now, Remembering, finish, smallest_spacing, voxel_rates
 from accelsurf.kernels import tube
-from accelsurf.levelset import LevelSet
+from accelsurf.levelset import LevelSet, dot
 
 #: Length of the H1 gradient unless one is given, in voxels of the smallest spacing.
 LENGTH = 5.0
@@ -73,23 +73,20 @@ def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.n
     right = eta * force
     g = guess.astype(np.float64)
     residue = right - product(g)
-    enough = TOLERANCE**2 * _dot(right, right / diagonal)
+    enough = TOLERANCE**2 * dot(right, right / diagonal)
     way = np.zeros(n)
     last = 1.0
     for _ in range(MAX_ITERATIONS):
         scaled = residue / diagonal
-        size = _dot(residue, scaled)
+        size = dot(residue, scaled)
         if size <= enough:
             break
         way = scaled + (size / last) * way
         last = size
         image = product(way)
-        step = size / _dot(way, image)
+        step = size / dot(way, image)
         g += step * way
         residue -= step * image
     return g.astype(np.float32)
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> float:
-    # numpy's own sum: the library behind np.dot may split it by the number of its threads.
-    return float((a * b).sum())

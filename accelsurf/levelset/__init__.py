@@ -2,6 +2,6 @@
 
 from accelsurf.levelset.kept import KeptSurface, keep, restore
 from accelsurf.levelset.levelset import FRONT_WIDTH, Change, LevelSet, Snapshot
-from accelsurf.levelset.parallel import Workers
+from accelsurf.levelset.parallel import Workers, dot
 
-__all__ = ["FRONT_WIDTH", "Change", "KeptSurface", "LevelSet", "Snapshot", "Workers", "keep", "restore"]
+__all__ = ["FRONT_WIDTH", "Change", "KeptSurface", "LevelSet", "Snapshot", "Workers", "dot", "keep", "restore"]

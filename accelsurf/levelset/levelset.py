@@ -11,7 +11,7 @@ import numpy as np
 from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels import differences, march, motion, region, transport
 from accelsurf.kernels.grid import Band, Grid, Lattice
-from accelsurf.levelset.parallel import Workers
+from accelsurf.levelset.parallel import Workers, dot
 
 #: Distance from the surface, in voxels, within which cells count as the front: forces, curvature and kicks
 #: are evaluated there; the other band cells get the front's values along the normals. Linear interpolation
@@ -221,7 +221,7 @@ class LevelSet:
         foot, h = self.band.foot[on].astype(np.float64), np.array([self.grid.hz, self.grid.hy, self.grid.hx])
         per_mm = np.sqrt(((foot / h) ** 2).sum(axis=1) / np.maximum((foot**2).sum(axis=1), 1e-300))
         voxels = np.where(known, moved * per_mm, self.half_width)
-        return float(np.dot(area[on], voxels) / area[on].sum())
+        return dot(area[on], voxels) / float(area[on].sum())
 
     # -- how it moves --------------------------------------------------------------------------------------
 
