@@ -248,7 +248,7 @@ class CoarseToFine:
         fields = None
         if way is not None:
             old, coarse, fine = way
-            fields = carried(self.flow.fields, self.flow.absent, old.band.cells, coarse, surface, fine)
+            fields = carried(self.flow.fields, self.flow.absent, old.dense.slot, coarse, surface, fine)
         return Evolution(
             surface,
             self._make_energy(self._images[-1], spacing),

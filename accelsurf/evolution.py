@@ -375,13 +375,14 @@ class Evolution:
         else:
             self._books.lose(old.energy(area))
             flow.start(surface)
-        fields, cells = flow.fields, surface.band.cells
+        fields = flow.fields
         if push is not None or surface.asked_width != half_width:
+            slot = surface.dense.slot.copy()
             if push is not None:
                 push(surface)
             surface.begin_again(half_width)
             here = Level(0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx))
-            fields = carried(fields, flow.absent, cells, here, surface, here)
+            fields = carried(fields, flow.absent, slot, here, surface, here)
         following = Evolution(
             surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, self, fields
         )

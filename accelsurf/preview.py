@@ -317,7 +317,7 @@ def _draw_surface(axes: Axes, scene: Scene, box: NDArray[Any] | None = None, col
     if scene.surface is None or not len(scene.surface.faces):
         axes.text(0.5, 0.5, "no surface", ha="center", va="center", transform=axes.transAxes, color=_INK)
         return
-    size = 460
+    size = 360  # as many as the picture has there
     red, green, blue = (0.2 + 0.8 * int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
     picture = render(scene.surface.vertices, scene.surface.faces, size=size, color=(red, green, blue), box=box)
     axes.imshow(picture.pixels, extent=(0, size, 0, size))

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.kernels import transport
+from accelsurf.kernels.grid import Grid
 from accelsurf.levelset import LevelSet
 
 #: An axis is halved together with the finest when it is at most this much coarser: voxels tend to become cubes.
@@ -43,9 +45,8 @@ class Level(NamedTuple):
         return 0.5 * (np.array(self.factors) - 1.0) * np.array(finest.spacing)
 
 
-#: What is worked on at once, for the sake of memory: voxels of a slab, cells of the band.
+#: Voxels of a slab that is worked on at once, for the sake of memory.
 SLAB_VOXELS = 1 << 21
-CHUNK = 1 << 16
 
 
 def levels(
@@ -170,60 +171,26 @@ def _between(padded: NDArray[np.float32], axis: int, n: int) -> NDArray[np.float
 def carried(
     fields: Sequence[NDArray[np.float32]],
     absent: Sequence[float],
-    old: NDArray[np.int64],
+    slot: NDArray[np.int32],
     coarse: Level,
     new: LevelSet,
     fine: Level,
 ) -> list[NDArray[np.float32]]:
-    """Return fields (n,) of the band cells ``old`` of level ``coarse`` on the band of ``new``, level ``fine``.
+    """Return fields (n,) of a band of level ``coarse``, with its ``slot`` per voxel, on that of ``new``, level ``fine``.
 
     Each cell gets the value at its closest point on the surface: the mean of the coarse band cells around it, weighted
     as in linear interpolation; cells that are not in the band do not count. Where there are none, as on surface that
     was not there before, it is what ``absent`` says for each field.
     """
-    if not fields or new.size == 0 or old.size == 0:
-        return [np.full(new.size, value, np.float32) for value in absent]
-    out = [np.empty(new.size, np.float32) for _ in fields]
-    for begin in range(0, new.size, CHUNK):
-        chunk = slice(begin, min(begin + CHUNK, new.size))
-        for one, values in zip(out, _carried(fields, absent, old, coarse, new, fine, chunk), strict=True):
-            one[chunk] = values
-    return out
-
-
-def _carried(
-    fields: Sequence[NDArray[np.float32]],
-    absent: Sequence[float],
-    old: NDArray[np.int64],
-    coarse: Level,
-    new: LevelSet,
-    fine: Level,
-    chunk: slice,
-) -> list[NDArray[np.float64]]:
-    """`carried` for some of the slots."""
-    cells, feet = new.band.cells[chunk], new.band.foot[chunk]
-    index = np.stack(np.unravel_index(cells, new.shape), axis=1)
-    # Only axes along which both grids go on: the foot never leaves a single slice.
+    if not fields:
+        return []
+    out = np.empty((len(fields), new.size), np.float32)
+    values = np.stack([np.asarray(field, np.float32) for field in fields])
     ratio = np.array([f / c for c, f in zip(coarse.factors, fine.factors, strict=True)])
-    foot = np.where(np.array(new.shape) > 1, feet / np.array(fine.spacing), 0.0)
-    place = (index + foot) * ratio + 0.5 * (ratio - 1.0)
-    corner = np.floor(place).astype(np.int64)
-    share = place - corner
-    total = np.zeros(cells.size)
-    sums = [np.zeros(cells.size) for _ in fields]
-    for offset in np.ndindex(2, 2, 2):
-        weight = np.prod(np.where(offset, share, 1.0 - share), axis=1)
-        cell = np.clip(corner + offset, 0, np.array(coarse.shape) - 1)
-        raveled = np.ravel_multi_index(tuple(cell.T), coarse.shape)
-        slot = np.minimum(np.searchsorted(old, raveled), old.size - 1)
-        weight[old[slot] != raveled] = 0.0
-        total += weight
-        for one, field in zip(sums, fields, strict=True):
-            one += weight * field[slot]
-    # An object of the coarse level may come out a little elsewhere.
-    none = total == 0.0
-    total[none] = 1.0
-    return [np.where(none, value, one / total) for one, value in zip(sums, absent, strict=True)]
+    place = np.stack([ratio, 0.5 * (ratio - 1.0)])
+    on, missing = (slot, Grid(*coarse.shape, *coarse.spacing)), np.array(absent, np.float32)
+    new.workers.run(transport.fields_between, new.size, on, new.band, new.grid, place, values, missing, out)
+    return list(out)
 
 
 def smallest_depth(psi: NDArray[np.float32]) -> float:

@@ -297,10 +297,16 @@ def _evaluate(geometry: Geometry, function: Callable[[NDArray, NDArray, NDArray]
 def _ball(geometry: Geometry, centre_xyz: Sequence[float], radius: float) -> NDArray[np.float32]:
     cx, cy, cz = centre_xyz
     hz, hy, hx = geometry.spacing
-    return _evaluate(
-        geometry,
-        lambda z, y, x: np.sqrt(((z - cz) * hz) ** 2 + ((y - cy) * hy) ** 2 + ((x - cx) * hx) ** 2) - radius,
-    )
+
+    def distance(z: NDArray, y: NDArray, x: NDArray) -> NDArray:
+        # Squares of one axis in double precision, their sums over the volume in single: half the time.
+        squares = [((c * h) ** 2).astype(np.float32) for c, h in ((z - cz, hz), (y - cy, hy), (x - cx, hx))]
+        found = (squares[0] + squares[1]) + squares[2]
+        np.sqrt(found, out=found)
+        found -= np.float32(radius)
+        return found
+
+    return _evaluate(geometry, distance)
 
 
 def _box(geometry: Geometry, start: Start) -> NDArray[np.float32]:

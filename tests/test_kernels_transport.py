@@ -509,3 +509,26 @@ def test_kernels_write_only_their_range():
         wide[:] = np.nan
         call(wide)
         assert np.isfinite(wide[7:20]).all() and np.isnan(wide[:7]).all() and np.isnan(wide[20:]).all()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_fields_go_over_to_another_grid(shape):
+    """The linear value among what is known around the foot, on a grid of other voxels; elsewhere what is asked for."""
+    present, dense, values, slot = vectors_of(shape, 31, columns=2, share=0.5)
+    other, rng = (7, 9, 10), np.random.default_rng(32)
+    grid, cells = reference.grid_of(other, (1.0, 0.5, 0.8)), np.flatnonzero(rng.random(630) < 0.6)
+    foot = rng.uniform(-1.0, 1.0, (cells.size, 3)).astype(np.float32)
+    band = Band(cells, np.ones(cells.size, np.float32), foot)
+    place = np.array([(0.5, 0.7, 0.4), (-0.25, 0.1, 0.3)])
+    fields, absent = np.ascontiguousarray(values.T), np.array([7, -8], np.float32)
+    out = np.full((2, cells.size), np.nan, np.float32)
+    coarse = (slot, reference.grid_of(shape, SPACING))
+    transport.fields_between(0, cells.size, coarse, band, grid, place, fields, absent, out)
+    known = 0
+    for s, cell in enumerate(indices(other)[cells]):
+        at = (cell + foot[s] / np.array([1.0, 0.5, 0.8])) * place[0] + place[1]
+        for field in range(2):
+            want, found = reference.known_linear(dense[..., field], present, at)
+            known += found
+            np.testing.assert_allclose(out[field, s], want if found else absent[field], atol=2e-5)
+    assert 0 < known < out.size

@@ -111,7 +111,7 @@ def test_fields_come_back_to_where_they_were(grid):
 
     old = LevelSet(ball(coarse, grids, centre, radius), coarse.spacing)
     new = LevelSet(refined(old.psi, coarse, fine), fine.spacing)
-    one, two = carried([polar(old, coarse), np.ones(old.size, np.float32)], [0, 0], old.band.cells, coarse, new, fine)
+    one, two = carried([polar(old, coarse), np.ones(old.size, np.float32)], [0, 0], old.dense.slot, coarse, new, fine)
     # In the middle of the ball, where its normals meet, there is no one closest point.
     assert np.abs(one - polar(new, fine))[new.front()].max() < 0.08
     np.testing.assert_allclose(two, 1.0, rtol=1e-6)
@@ -124,8 +124,8 @@ def test_fields_of_nothing():
     old = LevelSet(ball(coarse, grids, (11.5,) * 3, 6.0), coarse.spacing)
     new = LevelSet(np.ones(fine.shape, np.float32), fine.spacing)
     assert new.size == 0
-    assert [f.size for f in carried([np.ones(old.size, np.float32)], [0], old.band.cells, coarse, new, fine)] == [0]
-    assert carried([], [], old.band.cells, coarse, new, fine) == []
+    assert [f.size for f in carried([np.ones(old.size, np.float32)], [0], old.dense.slot, coarse, new, fine)] == [0]
+    assert carried([], [], old.dense.slot, coarse, new, fine) == []
 
 
 def test_depth_is_that_of_the_thinnest_part():
@@ -153,21 +153,9 @@ def test_the_weights_of_the_interpolation_reproduce_cubics_far_from_the_border()
     np.testing.assert_allclose(values[4:-4], (0.01 * at**2 - at)[4:-4], atol=1e-4)
 
 
-def test_slabs_and_chunks_make_no_difference(monkeypatch):
+def test_slabs_make_no_difference(monkeypatch):
     fine, coarse = levels((33, 30, 27), (1.0, 1.1, 1.2), 2)
     psi = np.random.default_rng(5).normal(size=coarse.shape).astype(np.float32)
     whole = refined(psi, coarse, fine)
     monkeypatch.setattr(pyramid, "SLAB_VOXELS", 2 * 30 * 27)
     assert np.array_equal(refined(psi, coarse, fine), whole)
-
-    def surface(level):
-        z, y, x = np.indices(level.shape)
-        middle = [(n - 1) / 2 for n in level.shape]
-        offsets = [(i - m) * h for i, m, h in zip((z, y, x), middle, level.spacing, strict=True)]
-        return LevelSet((np.sqrt(sum(o**2 for o in offsets)) - 4.0).astype(np.float32), level.spacing)
-
-    old, new = surface(coarse), surface(fine)
-    field = np.cos(np.arange(old.size)).astype(np.float32)
-    one = carried([field], [0], old.band.cells, coarse, new, fine)[0]
-    monkeypatch.setattr(pyramid, "CHUNK", 100)
-    assert new.size > 300 and np.array_equal(carried([field], [0], old.band.cells, coarse, new, fine)[0], one)

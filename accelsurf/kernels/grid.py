@@ -47,8 +47,9 @@ class Lattice(NamedTuple):
 @kernel
 def unravel(cell, grid):
     """Index (z, y, x) of a raveled cell."""
-    row = cell // grid.nx
-    iz = row // grid.ny
+    # Unsigned: rounding towards minus infinity would cost a second division.
+    row = np.int64(np.uint64(cell) // np.uint64(grid.nx))
+    iz = np.int64(np.uint64(row) // np.uint64(grid.ny))
     return iz, row - iz * grid.ny, cell - row * grid.nx
 
 

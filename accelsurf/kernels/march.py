@@ -176,7 +176,8 @@ def review_feet(start, stop, dense, grid, cells, foot, state, reviewed):
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
-        own = length(foot, s)
+        own = length(foot, s) - CLOSER * h
+        least = own * own if own > 0.0 else -1.0
         for side in range(6):
             if near[side] < 0:
                 continue
@@ -185,8 +186,8 @@ def review_feet(start, stop, dense, grid, cells, foot, state, reviewed):
                 reviewed[s] = EDGE
             elif state[other] != OPEN:
                 oz, oy, ox = step_of(side, grid)
-                d = np.sqrt((oz + foot[other, 0]) ** 2 + (oy + foot[other, 1]) ** 2 + (ox + foot[other, 2]) ** 2)
-                if d < own - CLOSER * h:
+                cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
+                if cz * cz + cy * cy + cx * cx < least:
                     reviewed[s] = OPEN
                     break
 
@@ -285,7 +286,9 @@ def closer_foot(s, dense, grid, cells, foot, state, near, out):
     Returns whether there is one.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
-    least = 1e30 if state[s] == OPEN else length(foot, s) - CLOSER * h
+    # Squares of distances: -1 where nothing can be closer.
+    own = length(foot, s) - CLOSER * h
+    least = 1e30 if state[s] == OPEN else (own * own if own > 0.0 else -1.0)
     found = False
     cell = cells[s]
     iz, iy, ix = unravel(cell, grid)
@@ -296,7 +299,7 @@ def closer_foot(s, dense, grid, cells, foot, state, near, out):
             continue
         oz, oy, ox = step_of(side, grid)
         cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
-        d = np.sqrt(cz * cz + cy * cy + cx * cx)
+        d = cz * cz + cy * cy + cx * cx
         if d < least:
             least, found = d, True
             out[0], out[1], out[2] = cz, cy, cx

@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel
-from accelsurf.kernels.interpolate import axis_weights, value_and_gradient
+from accelsurf.kernels.interpolate import axis_weights, linear_band_value, value_and_gradient
 
 #: Fixed-point iterations for a departure point; each gains a factor dt |grad V|, at most about 1/10. The first needs
 #: no more than linear interpolation.
@@ -253,3 +253,22 @@ def carry_fields(start, stop, slot, grid, band, velocity, dt, values, out):
                 out[s, c] = found[c]
             else:
                 out[s, c] = values[own, c] if own >= 0 and own < values.shape[0] else 0.0
+
+
+@kernel
+def fields_between(start, stop, coarse, band, grid, place, values, absent, out):
+    """Fields (m, n) at the feet of a ``band`` on another grid: linear there over the band cells around.
+
+    ``coarse`` = (slot, grid) of the level that ``values`` (m, n_old) float32 live on; ``place`` (2, 3) takes an index
+    position of the band's ``grid`` to one of it: factor and addition. Where there is nothing, ``absent`` (m,).
+    """
+    slot, old = coarse
+    at = np.empty(3)
+    for s in range(start, stop):
+        iz, iy, ix = unravel(band.cells[s], grid)
+        at[0] = (iz + band.foot[s, 0] / grid.hz) * place[0, 0] + place[1, 0]
+        at[1] = (iy + band.foot[s, 1] / grid.hy) * place[0, 1] + place[1, 1]
+        at[2] = (ix + band.foot[s, 2] / grid.hx) * place[0, 2] + place[1, 2]
+        for field in range(values.shape[0]):
+            value, found = linear_band_value(values[field], slot, values.shape[1], old, at)
+            out[field, s] = value if found else absent[field]
