@@ -176,7 +176,7 @@ def carried(
     new: LevelSet,
     fine: Level,
 ) -> list[NDArray[np.float32]]:
-    """Return fields (n,) of a band of level ``coarse``, with its ``slot`` per voxel, on that of ``new``, level ``fine``.
+    """Return fields (n,) of a band of level ``coarse``, its ``slot`` per voxel, on that of ``new``, level ``fine``.
 
     Each cell gets the value at its closest point on the surface: the mean of the coarse band cells around it, weighted
     as in linear interpolation; cells that are not in the band do not count. Where there are none, as on surface that
