@@ -25,7 +25,7 @@ ALIKE = math.sqrt(2.0)
 #: Fewest voxels along an axis that is halved: a coarser grid resolves no object.
 FEWEST = 8
 #: The same for a number of levels that nobody asked for, and how deep each part of the start is there, voxels.
-AUTO_FEWEST, AUTO_DEPTH = 24, 3.0
+AUTO_FEWEST, AUTO_DEPTH = 24, 2.0
 #: Catmull-Rom weights of four neighbours at a quarter of the way from the second to the third.
 QUARTER = (-0.0703125, 0.8671875, 0.2265625, -0.0234375)
 

@@ -5,7 +5,7 @@ import pytest
 
 from accelsurf.energies import ChanVese, RegionField
 from accelsurf.evolution import Evolution, Restart, Row, StopRule
-from accelsurf.flows import ConstantDensity, Gradient, Limits
+from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, Limits, Momentum, Sobolev
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checks import check_level_set
 
@@ -167,3 +167,41 @@ def test_the_limits_are_the_same_for_every_flow():
         evolution = Evolution(ball(4), ChanVese(smooth_image()), flow, Limits(cfl=0.25, dt_max=0.3), max_steps=10)
         run(evolution)
         assert all(row.dt <= 0.3 and row.motion_voxels <= 0.25 + 1e-6 for row in evolution.ledger)
+
+
+@pytest.mark.parametrize(("flow", "steps"), [(ConstantDensity, 120), (FlowableMass, 58)])
+@pytest.mark.parametrize("epsilon", [0.0, 1.5])
+def test_a_surface_at_a_sharp_edge_does_not_flicker(flow, steps, epsilon):
+    """Wells there are steeper than the forces on the way say: the step must become shorter, or flicker grows.
+
+    With the step of the forces alone the kinetic energy stays below 0 and the potential rises above its minimum.
+    """
+    image = (radius() < 7.3).astype(np.float64)
+    energy = ChanVese(image, means=(1.0, 0.0), epsilon=epsilon)
+    evolution = Evolution(ball(7.5, (0.5, 0, 0)), energy, flow(), max_steps=steps)
+    run(evolution)
+    rows = evolution.ledger
+    least = min(row.potential for row in rows)
+    first = rows[0].potential - least
+    assert all(row.kinetic >= 0 for row in rows[-18:])
+    assert all(row.potential - least < 0.15 * first for row in rows[-18:])
+
+
+@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, Momentum, Sobolev])
+def test_the_strongest_force_is_remembered_in_mm_when_the_grid_changes(flow):
+    coarse = LevelSet(np.asarray(2.0 * radius() - 14), (2.0, 2.0, 2.0))
+    made = flow()
+    made.start(coarse)
+    made._strongest_yet(3.0, coarse)
+    assert made._strongest_yet(0.5, ball(7)) == pytest.approx(6.0)
+
+
+def test_the_step_becomes_shorter_where_the_surface_turns_around_twice_running():
+    flow = ConstantDensity()
+    flow.start(ball(7))
+    for kinetic, steeper in ((1.0, 1), (-1.0, 1), (1.0, 1), (-1.0, 1), (-1.0, 1.5), (-1.0, 2.25), (2.0, 2.25)):
+        flow._look_for_flicker(kinetic)
+        assert flow._pull_of_wells(2.0, ball(7)) == pytest.approx(2.0 * steeper)
+    for _ in range(30):
+        flow._look_for_flicker(-1.0)
+    assert flow._pull_of_wells(2.0, ball(7)) == pytest.approx(32.0)

@@ -140,7 +140,7 @@ def test_depth_is_that_of_the_thinnest_part():
 def test_levels_that_resolve_a_start():
     grids = levels((96, 96, 96), (1.0, 1.0, 1.0))
     assert len(grids) == 4
-    for radius, count in ((5.0, 1), (10.0, 2), (20.0, 3), (40.0, 4)):
+    for radius, count in ((5.0, 1), (6.0, 2), (10.0, 2), (12.0, 3), (20.0, 3), (40.0, 4)):
         assert resolved(grids, ball(grids[0], grids, (47.5,) * 3, radius)) == count
 
 

@@ -21,6 +21,11 @@ from accelsurf.flows.noise import Noise
 from accelsurf.levelset import LevelSet
 
 
+#: Where the surface turns around in two steps running, its wells are taken to be steeper by this factor, at most so many
+#: times steeper than the strongest force says: the square of what the step becomes shorter by.
+STEEPER, STEEPEST = 1.5, 16.0
+
+
 class Clock:
     """The time t of the weight w = lambda k^2 t^(k-2) and the friction gamma = (k+1)/t.
 
@@ -165,7 +170,7 @@ class Accelerated(Remembers):
         self.rho = float(rho)
         self.diffusion = diffusion
         self.noise = noise
-        self._strongest = 0.0
+        self._forget()
 
     @property
     def weight(self) -> float:
@@ -175,7 +180,7 @@ class Accelerated(Remembers):
     def _begin(self, surface: LevelSet) -> None:
         self._workers = surface.workers
         self.clock.start()
-        self._strongest = 0.0
+        self._forget()
         if self.noise is not None:
             self.noise.start()
 
@@ -201,7 +206,15 @@ class Accelerated(Remembers):
         if self.noise is not None and before.noise is not None:
             self.noise.resume(before.noise.kept())
         if forces_changed:
-            self._strongest = 0.0
+            self._forget()
+
+    #: What is remembered of the wells: the strongest force yet, how many times steeper than it they have shown to be, and
+    #: whether the surface turned around in the last step.
+    wells = ("_strongest", "_voxel", "_steeper", "_turned")
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._steeper, self._turned = 1.0, False
 
     def _put_to_rest(self) -> None:
         self.clock.rest()
@@ -223,6 +236,7 @@ class Accelerated(Remembers):
             return energies[id(velocity)]
 
         kinetic = self._kinetic(area, before, after)
+        self._look_for_flicker(kinetic)
         return Account(
             kinetic=kinetic,
             weight=w,
@@ -231,10 +245,20 @@ class Accelerated(Remembers):
             noise=energy(noisy) - energy(kicked),
         )
 
-    def _strongest_yet(self, pull: float) -> float:
-        # Near the minimum forces fade, but the wells keep their steepness.
-        self._strongest = max(self._strongest, pull)
-        return self._strongest
+    def _pull_of_wells(self, pull: float, surface: LevelSet) -> float:
+        """Strongest force per mass (voxels) so far, and what turning around has shown beyond it."""
+        return self._strongest_yet(pull, surface) * self._steeper
+
+    def _look_for_flicker(self, kinetic: float) -> None:
+        """Take the wells for steeper when speeds before and after the kick are opposed, on the whole, for the second time.
+
+        Leap-frog is stable up to omega dt = 2. A surface that swings by itself in more than four steps turns around in
+        one of them at most; in two running, something swings by omega dt > pi/2, and soon grows.
+        """
+        turned = kinetic < 0.0
+        if turned and self._turned:
+            self._steeper = min(self._steeper * STEEPER, STEEPEST)
+        self._turned = turned
 
     def _bounded(self, dt: float, surface: LevelSet, limits: Limits) -> float:
         """The step ``dt`` within the bounds of diffusion and noise, and the user's."""

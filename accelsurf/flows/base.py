@@ -162,7 +162,8 @@ class Remembers:
     """What a flow remembers: the attributes named in ``remembered``; arrays are copied."""
 
     remembered: ClassVar[tuple[str, ...]] = ()
-    _strongest = 0.0
+    #: The strongest force yet, in voxels of ``_voxel`` mm.
+    _strongest, _voxel = 0.0, 1.0
 
     @property
     def absent(self) -> list[float]:
@@ -187,17 +188,28 @@ class Remembers:
         """Go on from a flow of the same class with other settings; under another energy its forces do not count."""
         self.resume(surface, before.kept())
         if forces_changed:
-            self._strongest = 0.0
+            self._forget()
+
+    def _forget(self) -> None:
+        """Know nothing of the wells."""
+        self._strongest = 0.0
+
+    def _strongest_yet(self, pull: float, surface: LevelSet) -> float:
+        """Strongest ``pull`` (voxels) so far: near the minimum forces fade, but the wells keep their steepness."""
+        # On another level voxels are others.
+        voxel = smallest_spacing(surface)
+        self._strongest, self._voxel = max(self._strongest * self._voxel / voxel, pull), voxel
+        return self._strongest
 
 
 class Descent(Remembers):
     """What flows without inertia share: no kinetic energy, and a step that follows the strongest speed so far."""
 
     weight = 1.0
-    remembered: ClassVar[tuple[str, ...]] = ("_strongest",)
+    remembered: ClassVar[tuple[str, ...]] = ("_strongest", "_voxel")
 
     def __init__(self) -> None:
-        self._strongest = 0.0
+        self._forget()
 
     def energy(self, area: np.ndarray) -> float:
         """None but the potential."""
@@ -209,7 +221,7 @@ class Descent(Remembers):
 
     def start(self, surface: LevelSet) -> None:
         """Forget the forces of another run."""
-        self._strongest = 0.0
+        self._forget()
 
     def rest(self, area: np.ndarray) -> float:
         """Always at rest."""
@@ -225,17 +237,16 @@ class Descent(Remembers):
     def push(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Nothing that could be pushed."""
 
-    def travel_dt(self, rates: np.ndarray, limits: Limits) -> float:
+    def travel_dt(self, rates: np.ndarray, surface: LevelSet, limits: Limits) -> float:
         """Step in which the percentile of the speeds ``rates`` (voxels per unit time) moves the surface by cfl."""
-        # The strongest force so far: near the minimum forces fade, but the wells keep their steepness.
-        fastest = self._strongest = max(self._strongest, percentile(rates, limits.percentile))
+        fastest = self._strongest_yet(percentile(rates, limits.percentile), surface)
         return min(limits.dt_max, limits.cfl / fastest if fastest > 0 else math.inf)
 
 
 class Remembering(Descent):
     """A descent that carries one field from step to step on the surface."""
 
-    remembered = ("_strongest", "_last")
+    remembered = (*Descent.remembered, "_last")
 
     def __init__(self) -> None:
         super().__init__()

@@ -30,7 +30,7 @@ class ConstantDensity(Accelerated):
     """
 
     name = "constant-density"
-    remembered = ("_strongest", "beta")
+    remembered = (*Accelerated.wells, "beta")
     beta = np.zeros(0, np.float32)
 
     @property
@@ -118,7 +118,7 @@ class ConstantDensity(Accelerated):
         transverse waves, dt <= h/(sqrt(3) c_T) with c_T = sqrt(beta^2/2 + w alpha/rho); diffusion and noise.
         """
         surface = now.surface
-        pull = self._strongest_yet(force[1]) / self.rho
+        pull = self._pull_of_wells(force[1], surface) / self.rho
         stiffness = now.alpha / self.rho
         if self.clock.at_rest:
             dt = self.clock.first_dt(pull, stiffness, smallest_spacing(surface), limits.cfl)

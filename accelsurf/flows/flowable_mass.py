@@ -65,7 +65,7 @@ class FlowableMass(Accelerated):
     """
 
     name = "flowable-mass"
-    remembered = ("_strongest", "velocity", "density", "mass", "_correction")
+    remembered = (*Accelerated.wells, "velocity", "density", "mass", "_correction")
     velocity = np.zeros((0, 3), np.float32)
     density = np.zeros(0, np.float32)
 
@@ -258,7 +258,8 @@ class FlowableMass(Accelerated):
         """
         surface, front = now.surface, now.front
         smallest = smallest_spacing(surface)
-        pull = self._strongest_yet(percentile(self._rates(surface, acceleration), limits.percentile, front))
+        fastest_pull = percentile(self._rates(surface, acceleration), limits.percentile, front)
+        pull = self._pull_of_wells(fastest_pull, surface)
         stiffness, sound = now.alpha, 0.0
         if gravity is not None:
             stiffness += max(float(gravity.tension[front].max(initial=0.0)), 0.0)

@@ -42,7 +42,7 @@ class Gradient(Descent):
         """Step with beta = f, dt <= cfl/|f|, dt <= h^2/(4 alpha), and D dt within the reach of diffusion."""
         surface, front = now.surface, now.front
         speed = np.array(now.force, np.float32)
-        dt = self.travel_dt(voxel_rates(surface, front, speed)[front], limits)
+        dt = self.travel_dt(voxel_rates(surface, front, speed)[front], surface, limits)
         if now.alpha > 0:
             dt = min(dt, curvature_bound(surface) / now.alpha)
         if self.diffusion:

@@ -45,7 +45,7 @@ class Momentum(Remembering):
     def move(self, now: Now, limits: Limits) -> Move:
         """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""
         force = np.asarray(now.force, np.float32)
-        dt = self.travel_dt(voxel_rates(now.surface, now.front, force)[now.front], limits)
+        dt = self.travel_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
         if now.alpha > 0:
             dt = min(dt, curvature_bound(now.surface) / now.alpha)
         if not math.isfinite(dt):

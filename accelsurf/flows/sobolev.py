@@ -44,7 +44,7 @@ class Sobolev(Remembering):
         speed = h1_gradient(surface, now.force, length, self._last)
         inner = surface.front(1.0)
         surface.extend_outwards(speed, inner)
-        dt = self.travel_dt(voxel_rates(surface, inner, speed)[inner], limits)
+        dt = self.travel_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
         if not math.isfinite(dt):
             return Move.none(surface)
         move = finish(now, speed, dt, limits)
