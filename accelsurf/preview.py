@@ -95,8 +95,9 @@ def preview_png(scene: Scene) -> bytes:
         return _flat_png(scene, scene.geometry.slice_axis)
     figure = _figure(12.6, 8.6, scene.title)
     grid = figure.add_gridspec(2, 3, left=0.06, right=0.965, top=0.89, bottom=0.075, hspace=0.27, wspace=0.26)
+    place = _centroid(scene)
     for plane in range(3):
-        _draw_slice(figure.add_subplot(grid[0, plane]), scene, plane)
+        _draw_slice(figure.add_subplot(grid[0, plane]), scene, plane, place)
     _draw_energies(figure.add_subplot(grid[1, :2]), scene.ledger)
     _draw_surface(figure.add_subplot(grid[1, 2]), scene)
     return _png(figure)
@@ -121,7 +122,7 @@ def _flat_png(scene: Scene, axis: int) -> bytes:
         wspace=2.2 / (left + right),
         width_ratios=(left, right),
     )
-    _draw_slice(figure.add_subplot(grid[0, 0]), scene, plane)
+    _draw_slice(figure.add_subplot(grid[0, 0]), scene, plane, _centroid(scene))
     energies = figure.add_subplot(grid[0, 1])
     _draw_energies(energies, scene.ledger)
     energies.set_box_aspect(min(0.9, high / right))
@@ -158,7 +159,8 @@ def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
     box = np.concatenate(everything) if everything else None
     for column, (name, scene) in enumerate(scenes.items()):
         top = figure.add_subplot(grid[0, column])
-        _draw_slice(top, scene, 0 if axis is None else Upright.of(scene.geometry).order.index(axis))
+        plane = 0 if axis is None else Upright.of(scene.geometry).order.index(axis)
+        _draw_slice(top, scene, plane, _centroid(scene))
         top.set_title(f"{name}\n{scene.title}", fontsize=10, color=_INK)
         color = _RUN_COLORS[column % len(_RUN_COLORS)]
         if axis is None:
@@ -180,21 +182,22 @@ def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
 # ------------------------------------------------------------------------------------------------------------ slices
 
 
-def _centroid(psi: NDArray[Any]) -> tuple[int, int, int]:
-    """Voxel in the middle of the object, or of the volume when there is none."""
+def _centroid(scene: Scene) -> tuple[int, int, int]:
+    """Voxel of the upright volume in the middle of the object, or of the volume when there is none."""
+    psi = Upright.of(scene.geometry).turn(scene.psi)
     inside = psi < 0
     if not inside.any():
         return psi.shape[0] // 2, psi.shape[1] // 2, psi.shape[2] // 2
-    counts = [inside.sum(axis=tuple(other for other in range(3) if other != axis)) for axis in range(3)]
+    columns = np.count_nonzero(inside, axis=0)
+    counts = [np.count_nonzero(inside.reshape(len(inside), -1), axis=1), columns.sum(axis=1), columns.sum(axis=0)]
     z, y, x = (int(round(float(np.average(np.arange(len(c)), weights=c)))) for c in counts)
     return z, y, x
 
 
-def _draw_slice(axes: Axes, scene: Scene, plane: int) -> None:
-    """Draw one slice: plane 0 is axial, 1 coronal, 2 sagittal."""
+def _draw_slice(axes: Axes, scene: Scene, plane: int, place: tuple[int, int, int]) -> None:
+    """Draw one slice through the voxel ``place`` of the upright volume: plane 0 is axial, 1 coronal, 2 sagittal."""
     up = Upright.of(scene.geometry)
     image, psi = up.turn(scene.image), up.turn(scene.psi)
-    place = _centroid(psi)
     vertical, horizontal = IN_PLANE[plane]
     cut = tuple(place[axis] if axis == plane else slice(None) for axis in range(3))
     values = np.asarray(image[cut], dtype=np.float64)

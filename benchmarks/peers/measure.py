@@ -291,7 +291,9 @@ def digest(array: np.ndarray) -> str:
 def child_environment(threads: int, **more: str) -> dict[str, str]:
     """Environment of a process that is timed: the package found, the threads set."""
     path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
-    return {**os.environ, "PYTHONPATH": path, **dict.fromkeys(THREAD_VARIABLES, str(threads)), **more}
+    # What is warm has its bytecode, too.
+    usual = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return {**usual, "PYTHONPATH": path, **dict.fromkeys(THREAD_VARIABLES, str(threads)), **more}
 
 
 def run_process(command: list[str], threads: int, **more: str) -> tuple[float, str]:
