@@ -116,12 +116,17 @@ class Step(NamedTuple):
     felt: Felt | None = None
 
 
+#: Mean motion in a step, voxels, of a surface that stands still: details finer than the grid pull it to and fro.
+STILL = 0.05
+
+
 class StopRule(NamedTuple):
     """When a run has converged, in physical terms.
 
     Looked at every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a
     window before (what it moved there and back does not count), and the kinetic energy is below ``kinetic``
-    of w times the potential won so far.
+    of w times the potential won so far, or the last step moved the surface by less than `STILL` voxels: a start
+    that is the end wins nothing.
     """
 
     window: int = 20
@@ -567,7 +572,8 @@ class Evolution:
         before, self._snapshot = self._snapshot, self.surface.snapshot()
         if before is None:
             return None
-        moved = self.surface.distance_from(before)
-        if moved > rule.motion or self.ledger[-1].kinetic > rule.kinetic * self.flow.weight * self._won:
+        moved, last = self.surface.distance_from(before), self.ledger[-1]
+        swings = last.kinetic > rule.kinetic * self.flow.weight * self._won and last.motion_voxels > STILL
+        if moved > rule.motion or swings:
             return None
         return "converged", f"the surface moved {moved:.3f} voxels in {rule.window} steps"

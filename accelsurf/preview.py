@@ -11,6 +11,7 @@ the world, so that a `--start` can be read off the picture, otherwise mm along t
 from __future__ import annotations
 
 import io
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from accelsurf.upright import IN_PLANE, LETTERS, PLANES, Upright
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     from accelsurf.evolution import Row
@@ -74,6 +76,18 @@ class Scene:
     reference: NDArray[Any] | None = None
     start: NDArray[Any] | None = None
     labels: NDArray[Any] | None = None
+
+
+def load_meanwhile() -> None:
+    """Load the drawing library in a thread of its own: half a second while compiled kernels compute, not after them."""
+    threading.Thread(target=_library, name="accelsurf-drawing").start()
+
+
+def _library() -> tuple[type[Figure], type[FigureCanvasAgg]]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    return Figure, FigureCanvasAgg
 
 
 def preview_png(scene: Scene) -> bytes:
@@ -348,11 +362,9 @@ def _draw_scale_bar(axes: Axes, size: int, mm_per_pixel: float) -> None:
 
 
 def _figure(width: float, height: float, title: str) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    new_figure, canvas = _library()
+    figure = new_figure(figsize=(width, height), dpi=_DPI, facecolor="white")
+    canvas(figure)
     figure.suptitle(title, fontsize=12, color=_INK, y=0.975)
     return figure
 

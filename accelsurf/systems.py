@@ -27,12 +27,12 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """When a run on so many levels has converged on the finest one.
 
     After a coarser level it begins near its end and is looked at more often. Over an even number of steps: what
-    flickers from step to step is where it was. Steps of flowable-mass are kept short by its waves: a slow surface is
-    not at its end yet.
+    flickers from step to step is where it was. Steps of flowable-mass are kept short by its waves, and the Sobolev
+    gradient is small where forces are uneven: a slow surface is not at its end yet.
     """
     if levels == 1:
         return StopRule(motion=config.tolerance)
-    if config.flow == "flowable-mass":
+    if config.flow in ("flowable-mass", "sobolev"):
         return StopRule(10, 0.4 * config.tolerance)
     return StopRule(6, config.tolerance)
 

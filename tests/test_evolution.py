@@ -205,3 +205,12 @@ def test_the_step_becomes_shorter_where_the_surface_turns_around_twice_running()
     for _ in range(30):
         flow._look_for_flicker(-1.0)
     assert flow._pull_of_wells(2.0, ball(7)) == pytest.approx(32.0)
+
+
+@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass])
+def test_a_start_that_is_the_end_has_converged(flow):
+    """Nothing is won there that the kinetic energy of what trembles could be compared with."""
+    image = (radius() < 7.3).astype(np.float64)
+    energy = ChanVese(image, means=(1.0, 0.0), epsilon=1.5)
+    evolution = Evolution(ball(7.28), energy, flow(), max_steps=100, rule=StopRule())
+    assert run(evolution).reason == "converged"

@@ -178,6 +178,7 @@ def _compute(case: Case, watcher: Watcher) -> None:
     outputs.check(case.config, labels, case.volume.geometry)
     if not pictures.keeps(case.volume.geometry, f".{labels}"):
         case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
+    preview.load_meanwhile()
     with watcher.watch(case.name, case.config.max_steps):
         if case.config.objects is not None:
             case.result = segment_objects(case.volume, channels=more, config=case.config, on_step=watcher.on_step)

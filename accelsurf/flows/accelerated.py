@@ -20,9 +20,8 @@ from accelsurf.flows.base import (
 from accelsurf.flows.noise import Noise
 from accelsurf.levelset import LevelSet
 
-
-#: Where the surface turns around in two steps running, its wells are taken to be steeper by this factor, at most so many
-#: times steeper than the strongest force says: the square of what the step becomes shorter by.
+#: Where the surface turns around in two steps running, its wells are taken to be steeper by this factor, at most so
+#: many times steeper than the strongest force says: the square of what the step becomes shorter by.
 STEEPER, STEEPEST = 1.5, 16.0
 
 
@@ -208,8 +207,8 @@ class Accelerated(Remembers):
         if forces_changed:
             self._forget()
 
-    #: What is remembered of the wells: the strongest force yet, how many times steeper than it they have shown to be, and
-    #: whether the surface turned around in the last step.
+    #: What is remembered of the wells: the strongest force yet, how many times steeper than it they have shown to be,
+    #: and whether the surface turned around in the last step.
     wells = ("_strongest", "_voxel", "_steeper", "_turned")
 
     def _forget(self) -> None:
@@ -250,7 +249,7 @@ class Accelerated(Remembers):
         return self._strongest_yet(pull, surface) * self._steeper
 
     def _look_for_flicker(self, kinetic: float) -> None:
-        """Take the wells for steeper when speeds before and after the kick are opposed, on the whole, for the second time.
+        """Take the wells for steeper when speeds before and after the kick are opposed, as a whole, in two steps running.
 
         Leap-frog is stable up to omega dt = 2. A surface that swings by itself in more than four steps turns around in
         one of them at most; in two running, something swings by omega dt > pi/2, and soon grows.
