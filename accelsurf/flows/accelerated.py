@@ -249,7 +249,7 @@ class Accelerated(Remembers):
         return self._strongest_yet(pull, surface) * self._steeper
 
     def _look_for_flicker(self, kinetic: float) -> None:
-        """Take the wells for steeper when speeds before and after the kick are opposed on the whole, in two steps running.
+        """Take the wells for steeper when the speeds before and after a kick are opposed on the whole, twice running.
 
         Leap-frog is stable up to omega dt = 2. A surface that swings by itself in more than four steps turns around in
         one of them at most; in two running, something swings by omega dt > pi/2, and soon grows.
