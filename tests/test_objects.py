@@ -170,6 +170,19 @@ def test_three_balls_that_meet_in_a_line():
     assert (result.labels[13, 21:25, 21:25] > 0).all()
 
 
+def test_objects_that_meet_at_the_border_come_to_rest():
+    # Their contact runs aslant into four faces of the volume: the surface points nearest to voxels there lie beyond.
+    image = np.zeros((14, 22, 40), np.float32)
+    image[:, :, 4:36] = 1.0
+    image += np.random.default_rng(0).normal(0, 0.1, image.shape).astype(np.float32)
+    starts = np.zeros(image.shape, np.uint8)
+    starts[3:7, 15:19, 9:13], starts[7:11, 3:7, 22:26] = 1, 2
+    result = segment_objects(image, starts, spacing=(2.2, 1.0, 1.0), energy="threshold:0.5,", max_steps=120)
+    assert result.stop.reason == "converged"
+    assert np.count_nonzero(result.labels[:, :, 5:35]) >= 0.995 * 14 * 22 * 30
+    assert sum(row.removed_components for one in result.objects.values() for row in one.ledger) <= 5
+
+
 def test_none_swallows_another_that_is_alike():
     # One even block, and more background on one side than on the other: the models differ, the objects do not.
     image = np.zeros((16, 16, 50), np.float32)

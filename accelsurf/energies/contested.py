@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.base import Energy, Restrained
-from accelsurf.levelset import LevelSet
+from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
 NEAR = 1.0
@@ -104,9 +104,11 @@ class Contested(Restrained):
         for other in self.neighbours:
             shape = np.array(other.surface.shape)
             place = index + foot - np.array(other.corner)
-            nearest = np.rint(place).astype(np.int64)
-            near = np.flatnonzero(((nearest >= 0) & (nearest < shape)).all(axis=1))
-            cells = np.ravel_multi_index(tuple(nearest[near].T), other.surface.shape)
+            # Feet of cells at the volume's border may lie beyond it: there the border's own voxels tell.
+            within = np.clip(place, 0, shape - 1)
+            near = np.flatnonzero((np.abs(place - within) <= FRONT_WIDTH).all(axis=1))
+            place = within
+            cells = np.ravel_multi_index(tuple(np.rint(place[near]).astype(np.int64).T), other.surface.shape)
             slots = other.surface.dense.slot[cells]
             near, cells, slots = near[slots >= 0], cells[slots >= 0], slots[slots >= 0]
             gap = ndimage.map_coordinates(other.surface.psi, place[near].T, order=1, mode="nearest")
