@@ -94,7 +94,7 @@ class Run:
         if config.objects is not None:
             raise UsageError(
                 f"objects: {config.objects} was given to a run of one object",
-                "`accelsurf segment --objects` and accelsurf.segment_objects move several; to watch one of them, start it "
+                "`accelsurf segment --objects` and accelsurf.segment_objects move several; to watch one, start it "
                 "alone with --start label:FILE@ID or --start ball:X,Y,Z,R",
             )
         config = seeded(config)

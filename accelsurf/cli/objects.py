@@ -31,7 +31,9 @@ def paths(case: Case, names: dict[str, str]) -> dict[str, Path]:
 def meshes(case: Case, names: dict[str, str]) -> list[Path]:
     """Return the files there are that are named as the mesh of an object, whatever its id."""
     each = (names[kind].partition(".") for kind in names if kind.startswith(EACH))
-    known = re.compile("|".join(rf"{re.escape(f'{case.name}_{stem}')}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in each))
+    known = re.compile(
+        "|".join(rf"{re.escape(f'{case.name}_{stem}')}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in each)
+    )
     there = case.folder.iterdir() if case.folder.is_dir() else ()
     return sorted(path for path in there if known.fullmatch(path.name))
 

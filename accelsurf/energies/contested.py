@@ -40,8 +40,8 @@ class Neighbour(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """Where a surface is near a neighbour: ``near`` (m,) of the places asked for; the neighbour's ``cells`` and ``slots``
-    there; ``share`` (m,), 1 where the two touch and 0 from `NEAR` on.
+    """Where a surface is near a neighbour: ``near`` (m,) of the places asked for; the neighbour's ``cells`` and
+    ``slots`` there; ``share`` (m,), 1 where the two touch and 0 from `NEAR` on.
     """
 
     other: Neighbour
