@@ -297,6 +297,10 @@ class Evolution:
         """Look at the surface as it is, so that an evolution on another grid can go on from here."""
         self._potential = self.energy.value(self.surface, *self.surface.cut())
 
+    def rest(self) -> None:
+        """Take the momentum from the surface, as a restart does; the books know what it was."""
+        self._books.lose(self.flow.rest(self.surface.cut()[1]))
+
     def __iter__(self) -> Iterator[Step]:
         """Run, yielding a Step after each step of the surface."""
         while (step := self.step()) is not None:

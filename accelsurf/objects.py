@@ -155,6 +155,9 @@ class Moving:
         assert step is not None
         row = step.row
         self.energy.collide(self.surface, self.flow)
+        if self.evolution.stop is not None and self.surface.size:
+            # Neighbours would follow what is left of its speed, into a surface that stands still.
+            self.evolution.rest()
         most = self._config.max_volume
         if most is not None and row.volume_mm3 > most:
             self.leaked = True

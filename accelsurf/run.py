@@ -93,7 +93,9 @@ class Run:
         began = time.perf_counter()
         if config.objects is not None:
             raise UsageError(
-                f"objects: {config.objects} was given to a run of one object", "use accelsurf.segment_objects"
+                f"objects: {config.objects} was given to a run of one object",
+                "`accelsurf segment --objects` and accelsurf.segment_objects move several; to watch one, start it "
+                "alone with --start label:FILE@ID or --start ball:X,Y,Z,R",
             )
         config = seeded(config)
         self.volume, self.config, self._energy = volume, config, energy

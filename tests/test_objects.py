@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import accelsurf
-from accelsurf import cli, io, object_starts
+from accelsurf import cli, io, object_starts, phantoms
 from accelsurf.config import RunConfig
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.geometry import Geometry
@@ -72,6 +72,68 @@ def test_two_balls_that_touch_part_at_the_plane_between_them(two):
         assert beyond.max() <= 0.75
 
 
+@pytest.fixture(scope="module")
+def touching():
+    """The phantom two_balls at 5/9 of its size: balls that touch in one point, along x."""
+    return phantoms.make(phantoms.load_recipe("two_balls").changed(shape=(52, 32, 32), radius=10.0))
+
+
+def balls(path, *rows):
+    path.write_text("id,x,y,z,r\n" + "".join(f"{','.join(map(str, row))}\n" for row in rows))
+    return str(path)
+
+
+def test_phantom_of_two_balls_from_a_ball_in_each(touching, tmp_path):
+    table = balls(tmp_path / "s.csv", (1, -11, 0, 0, 4), (2, 11, 0, 0, 4))
+    result = segment_objects(touching.image, table)
+    assert result.stop.reason == "converged"
+    assert dice(result.labels > 0, touching.truth.array) >= 0.97
+    for one, sign in ((1, -1.0), (2, 1.0)):
+        assert result.objects[one].volume_mm3 == pytest.approx(4 / 3 * np.pi * 10**3, rel=0.05)
+        assert (sign * result.objects[one].surface.vertices[:, 0]).min() >= -1.0
+
+
+def test_starts_in_the_background_take_the_background_and_that_is_told(touching, tmp_path):
+    # Beside both balls: two means, one of which is the background's, say that the object is the background.
+    table = balls(tmp_path / "s.csv", (1, 0, 0, -11, 3), (2, 0, 0, 11, 3))
+    result = segment_objects(touching.image, table, max_steps=60)
+    taken = result.labels > 0
+    assert np.count_nonzero(taken & (touching.truth.array > 0)) < 0.02 * np.count_nonzero(taken)
+    for one in result.objects.values():
+        assert any(warning.startswith("border") for warning in one.quality.warnings)
+
+
+@pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
+def test_mass_that_meets_mass_comes_to_rest_and_gains_no_energy(flow):
+    shape, centres = (22, 22, 36), [(10.5, 10.5, 11.0), (10.5, 10.5, 24.0)]
+    image, truth = scene(shape, ISOTROPIC, centres, 8.0, noise=0.1)
+    result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 3.5, (1, 2)), flow=flow, max_steps=400)
+    for own, one in result.objects.items():
+        assert one.stop.reason == "converged"
+        assert dice(result.labels == own, truth == own) >= 0.95
+        rows = one.ledger
+        energy = np.array([row.potential + row.mass_potential + row.kinetic / row.weight for row in rows])
+        # Within one box U compares; kinetic energy is never more than the potential that was won.
+        assert max(row.kinetic / row.weight for row in rows) <= rows[0].potential
+        assert np.isfinite(energy).all() and rows[-1].kinetic / rows[-1].weight < 0.02 * rows[0].potential
+
+
+def test_objects_within_a_mask(tmp_path):
+    shape, centres = (20, 20, 36), [(9.5, 9.5, 11.0), (9.5, 9.5, 24.0)]
+    image, truth = scene(shape, ISOTROPIC, centres, 7.5, noise=0.1)
+    mask = np.zeros(shape, np.uint8)
+    mask[:, :10, :30] = 1
+    io.write_labels(Volume(mask, Geometry(shape, ISOTROPIC)), tmp_path / "mask.nii.gz")
+    starts = seeds(shape, ISOTROPIC, centres, 3.5, (1, 2))
+    result = segment_objects(image, starts, mask=str(tmp_path / "mask.nii.gz"))
+    assert result.stop.reason == "converged"
+    assert not (result.labels[mask == 0] > 0).any()
+    for own in (1, 2):
+        assert dice(result.labels == own, (truth == own) & (mask > 0)) >= 0.93
+    mask[:, :, 16:] = 0
+    io.write_labels(Volume(mask, Geometry(shape, ISOTROPIC)), tmp_path / "mask.nii.gz")
+    with pytest.raises(InputError, match="object 2: nothing of its start lies in the mask"):
+        segment_objects(image, starts, mask=str(tmp_path / "mask.nii.gz"))
 
 
 def test_no_voxel_is_in_two(two):
@@ -106,6 +168,19 @@ def test_three_balls_that_meet_in_a_line():
         assert dice(result.labels == own, truth == own) >= 0.96
     # Where all three meet nobody is left out.
     assert (result.labels[13, 21:25, 21:25] > 0).all()
+
+
+def test_objects_that_meet_at_the_border_come_to_rest():
+    # Their contact runs aslant into four faces of the volume: the surface points nearest to voxels there lie beyond.
+    image = np.zeros((14, 22, 40), np.float32)
+    image[:, :, 4:36] = 1.0
+    image += np.random.default_rng(0).normal(0, 0.1, image.shape).astype(np.float32)
+    starts = np.zeros(image.shape, np.uint8)
+    starts[3:7, 15:19, 9:13], starts[7:11, 3:7, 22:26] = 1, 2
+    result = segment_objects(image, starts, spacing=(2.2, 1.0, 1.0), energy="threshold:0.5,", max_steps=120)
+    assert result.stop.reason == "converged"
+    assert np.count_nonzero(result.labels[:, :, 5:35]) >= 0.995 * 14 * 22 * 30
+    assert sum(row.removed_components for one in result.objects.values() for row in one.ledger) <= 5
 
 
 def test_none_swallows_another_that_is_alike():
@@ -262,8 +337,9 @@ def test_settings_that_do_not_go_together():
         RunConfig(objects="a.csv", levels=2)
     image = np.zeros(GRID.shape)
     image[2:6, 2:6, 2:6] = 1
-    with pytest.raises(UsageError, match="segment_objects"):
+    with pytest.raises(UsageError) as refused:
         accelsurf.segment(image, objects="a.csv")
+    assert "accelsurf segment --objects" in refused.value.hint and "--start label:FILE@ID" in refused.value.hint
     with pytest.raises(UsageError, match="nothing was given"):
         segment_objects(image)
 
@@ -311,6 +387,16 @@ def test_command_line_from_a_table_to_labels_meshes_and_rows(scan, tmp_path, cap
     assert run(*words, "-o", tmp_path) == 7
     assert run(*words, "-o", tmp_path, "--overwrite", "--strict") == 5
     assert "object 3: vanished" in capsys.readouterr().err
+    # Meshes of objects that are not there any more go; what a person put there stays.
+    (tmp_path / "cells_surface_notes.ply").write_text("mine")
+    (tmp_path / "cells_surface_012.ply").write_text("mine")
+    (scan / "fewer.csv").write_text("id,x,y,z,r\n12,11,9.5,9.5,3\n")
+    fewer = ("segment", scan / "cells.nii.gz", "--objects", scan / "fewer.csv", "--energy", "threshold:0.5,")
+    assert run(*fewer, "-o", tmp_path, "--overwrite", "--quiet") == 0
+    assert sorted(path.name for path in tmp_path.glob("*surface*")) == [
+        "cells_surface_012.ply", "cells_surface_12.ply", "cells_surface_12.stl", "cells_surface_700.stl",
+        "cells_surface_notes.ply",
+    ]
     assert run(*words[:-1], "threshold:5,", "-o", tmp_path / "none") != 0
     assert not list((tmp_path / "none").glob("*surface*"))
 

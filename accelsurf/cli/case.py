@@ -205,9 +205,11 @@ def _write(case: Case, config: RunConfig) -> None:
     assert case.result is not None
     if _is_many(case.result):
         names, picture = case.names(config), scene(case)
-        for path, (kind, writer) in objects.writers(case, config, case.result, names, picture).items():
+        writers = objects.writers(case, config, case.result, names, picture)
+        for path, (kind, writer) in writers.items():
             _timed(case, "write", functools.partial(writer, path))
             case.outputs.append(report.describe_output(path, kind))
+        objects.remove_old(case, names, writers)
         return
     names = {kind: path.name for kind, path in case.paths(config).items() if kind != "report"}
     for kind, path in outputs.write_result(case.result, case.folder, names, scene(case), case.seconds):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelsurf import preview, report
-from accelsurf.errors import AccelsurfError, EmptyResultError
+from accelsurf.errors import AccelsurfError, EmptyResultError, OutputError
 from accelsurf.outputs import write_bytes
 
 if TYPE_CHECKING:
@@ -24,12 +25,35 @@ def paths(case: Case, names: dict[str, str]) -> dict[str, Path]:
     """Return the outputs by kind, as far as they are known before the ids are, and meshes that there are already."""
     whole = {kind: name for kind, name in names.items() if not kind.startswith(EACH)} | {"objects": "objects.csv"}
     out = {kind: case.folder / f"{case.name}_{name}" for kind, name in whole.items()}
-    for kind, name in names.items():
-        if kind.startswith(EACH):
-            stem, _, suffix = name.partition(".")
-            there = [path for path in case.folder.glob("*") if path.name.startswith(f"{case.name}_{stem}_")]
-            out |= {f"{kind}-{path.name}": path for path in sorted(there) if path.suffix == f".{suffix}"}
-    return out
+    return out | {path.name: path for path in meshes(case, names)}
+
+
+def meshes(case: Case, names: dict[str, str]) -> list[Path]:
+    """Return the files there are that are named as the mesh of an object, whatever its id."""
+    each = (names[kind].partition(".") for kind in names if kind.startswith(EACH))
+    known = re.compile(
+        "|".join(rf"{re.escape(f'{case.name}_{stem}')}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in each)
+    )
+    there = case.folder.iterdir() if case.folder.is_dir() else ()
+    return sorted(path for path in there if known.fullmatch(path.name))
+
+
+def remove_old(case: Case, names: dict[str, str], written: Collection[Path]) -> None:
+    """Remove meshes of objects that this run does not have: with the new label map they would be taken for its own.
+
+    Raises
+    ------
+    OutputError
+        When one cannot be removed.
+    """
+    for path in meshes(case, names):
+        if path not in written:
+            try:
+                path.unlink()
+            except OSError as error:
+                raise OutputError(
+                    f"{path}: cannot be removed ({error.strerror or error})", "choose another folder with -o"
+                ) from None
 
 
 def writers(

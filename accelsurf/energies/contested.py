@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.base import Energy, Restrained
-from accelsurf.levelset import LevelSet
+from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
 NEAR = 1.0
@@ -37,6 +37,18 @@ class Neighbour(NamedTuple):
     corner: Corner
     energy: Contested
     flow: Flow
+
+
+class Touch(NamedTuple):
+    """Where a surface is near a neighbour: ``near`` (m,) of the places asked for; the neighbour's ``cells`` and
+    ``slots`` there; ``share`` (m,), 1 where the two touch and 0 from `NEAR` on.
+    """
+
+    other: Neighbour
+    near: NDArray[np.intp]
+    cells: NDArray[np.int64]
+    slots: NDArray[np.int32]
+    share: NDArray[np.float32]
 
 
 class Contested(Restrained):
@@ -74,53 +86,35 @@ class Contested(Restrained):
         own = np.asarray(self._energy.force(surface, front, curvature), np.float32)
         self._cells, self._forces = surface.band.cells[front], own[front]
         on = np.flatnonzero(front)
-        own[on] += self.pressure(surface, on, own[on], lambda other, cells, slots: other.energy.force_in(cells))
+        held = np.zeros(on.size, np.float32)
+        for touch in self._touching(surface, on):
+            held[touch.near] = np.maximum(
+                held[touch.near], against(own[on[touch.near]], touch.other.energy.force_in(touch.cells), touch.share)
+            )
+        own[on] += held
         return own
 
-    def pressure(
-        self,
-        surface: LevelSet,
-        on: NDArray[np.intp],
-        mine: NDArray[np.float32],
-        theirs: Callable[[Neighbour, NDArray[np.int64], NDArray[np.int32]], NDArray[np.float32]],
-    ) -> NDArray[np.float32]:
-        """What neighbours add to a quantity along the inward normal where the surface pushes against them.
-
-        Parameters
-        ----------
-        surface : LevelSet
-        on : ndarray (m,)
-            Slots of the cells where it is wanted.
-        mine : ndarray (m,), float32
-            The surface's own.
-        theirs : callable
-            The neighbour's, for cells of its grid and their slots; only slots of its band are asked for.
-
-        Returns
-        -------
-        ndarray (m,), float32
-            What makes it max(mine, -max(theirs, 0)) where the two touch, less off it. Among several neighbours that of
-            the one that gives way least.
-        """
-        out = np.zeros(on.size, np.float32)
+    def _touching(self, surface: LevelSet, on: NDArray[np.intp]) -> Iterator[Touch]:
+        """Where the surface, at slots ``on`` of its band, is near each neighbour."""
         if not self.neighbours:
-            return out
+            return
         steps = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
         index = np.stack(np.unravel_index(surface.band.cells[on], surface.shape), axis=1) + np.array(self._corner)
         foot = np.where(np.array(surface.shape) > 1, surface.band.foot[on] / steps, 0.0)
         for other in self.neighbours:
             shape = np.array(other.surface.shape)
             place = index + foot - np.array(other.corner)
-            nearest = np.rint(place).astype(np.int64)
-            near = np.flatnonzero(((nearest >= 0) & (nearest < shape)).all(axis=1))
-            cells = np.ravel_multi_index(tuple(nearest[near].T), other.surface.shape)
+            # Feet of cells at the volume's border may lie beyond it: there the border's own voxels tell.
+            within = np.clip(place, 0, shape - 1)
+            near = np.flatnonzero((np.abs(place - within) <= FRONT_WIDTH).all(axis=1))
+            place = within
+            cells = np.ravel_multi_index(tuple(np.rint(place[near]).astype(np.int64).T), other.surface.shape)
             slots = other.surface.dense.slot[cells]
             near, cells, slots = near[slots >= 0], cells[slots >= 0], slots[slots >= 0]
             gap = ndimage.map_coordinates(other.surface.psi, place[near].T, order=1, mode="nearest")
             share = np.clip(1.0 - gap / (NEAR * steps.min()), 0.0, 1.0).astype(np.float32)
-            against = -share * np.minimum(mine[near] + np.maximum(theirs(other, cells, slots), 0.0), 0.0)
-            out[near] = np.maximum(out[near], against)
-        return out
+            touches = share > 0
+            yield Touch(other, near[touches], cells[touches], slots[touches], share[touches])
 
     def force_in(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
         """The object's own force at some cells of its grid in its last step, 0 away from its front."""
@@ -134,10 +128,16 @@ class Contested(Restrained):
         if not self.neighbours or surface.size == 0:
             return
         speed, front = np.asarray(flow.momentum(surface), np.float32), surface.front()
-        push, on = np.zeros(surface.size, np.float32), np.flatnonzero(front)
-        push[on] = self.pressure(
-            surface, on, speed[on], lambda other, cells, slots: other.flow.momentum(other.surface)[slots]
-        )
+        on = np.flatnonzero(front)
+        own, pressed = speed[on], self.force_in(surface.band.cells[on]) < 0
+        stopped, slowed = np.zeros(on.size, np.float32), np.zeros(on.size, np.float32)
+        for other, near, cells, slots, share in self._touching(surface, on):
+            theirs = other.flow.momentum(other.surface)[slots]
+            stopped[near] = np.maximum(stopped[near], against(own[near], theirs, share))
+            both = pressed[near] & (other.energy.force_in(cells) < 0)
+            slowed[near] = np.minimum(slowed[near], np.where(both, -share * np.maximum(own[near], 0.0), 0.0))
+        push = np.zeros(surface.size, np.float32)
+        push[on] = stopped + slowed
         if push.any():
             surface.extend_outwards(push, front)
             flow.push(surface, push)
@@ -162,6 +162,11 @@ class Contested(Restrained):
             if near.any():
                 deepest = max(deepest, -float((surface.band.psi[on] + theirs)[near].min()))
         return deepest
+
+
+def against(mine: NDArray[np.float32], theirs: NDArray[np.float32], share: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What makes a quantity along the inward normal max(mine, -max(theirs, 0)) where two touch, less off it."""
+    return np.asarray(-share * np.minimum(mine + np.maximum(theirs, 0.0), 0.0))
 
 
 def beside(
