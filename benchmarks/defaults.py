@@ -36,7 +36,7 @@ SCANS = {
     "T2 cord": ("mri_cord_iso", "ball:30.3,27,25.0,2.5vox", True),
     "CT of a head phantom": ("ct_phantom_oblique", "ball:88,40,20,4vox", False),
 }
-COLUMNS = ("input", "noise", "Dice", "HD95 voxels", "steps", "stop", "grids", "presmooth", "warnings")
+COLUMNS = ("input", "noise", "Dice", "HD95 voxels", "volume", "steps", "stop", "grids", "presmooth", "warnings")
 
 
 def main() -> None:
@@ -50,7 +50,14 @@ def main() -> None:
         rows = scan(name, options.threads) if name in SCANS else phantom(name, options.threads)
         kept = {key: row for key, row in facts["rows"].items() if row["input"] != name}
         facts["rows"] = kept | {f"{name} {row['noise']}": row for row in rows}
+        write(facts)
+
+
+def write(facts: dict[str, Any]) -> None:
+    """The JSON and the page's table."""
     facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
+    order = [*phantoms.recipe_names(), *SCANS]
+    facts["rows"] = dict(sorted(facts["rows"].items(), key=lambda item: order.index(item[1]["input"])))
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
     before, rest = PAGE.read_text().split(BEGIN)
     PAGE.write_text(before + BEGIN + "\n\n" + text_of(facts["rows"].values()) + "\n" + END + rest.split(END)[1])
@@ -68,7 +75,7 @@ def phantom(name: str, threads: int) -> list[dict[str, Any]]:
             source = Path(folder) / f"{name}.nii.gz"
             io.write(made.image, source)
             row = run(source, ball_in(made.truth), made.truth, threads)
-        rows.append({"input": name, "noise": amount / abs(recipe.contrast), **row})
+        rows.append({"input": name, "noise": amount / abs(recipe.contrast), "exact_mm3": made.volume_mm3, **row})
         print(json.dumps(rows[-1]), flush=True)
     return rows
 
@@ -112,7 +119,7 @@ def run(source: Path, ball: str, truth: Volume | None, threads: int) -> dict[str
         name = source.name.removesuffix(".nii.gz")
         report = json.loads((Path(folder) / f"{name}_report.json").read_text())
         labels = io.read_labels(Path(folder) / f"{name}_seg.nii.gz")
-    row |= {key: report[key] for key in ("stop", "chosen", "quality", "warnings")}
+    row |= {key: report[key] for key in ("stop", "chosen", "quality", "volume_mm3")}
     if truth is not None:
         row["metrics"] = metrics.evaluate(labels, truth).to_dict()
         finest = min(h for n, h in zip(labels.array.shape, labels.geometry.spacing, strict=True) if n > 1)
@@ -131,6 +138,9 @@ def text_of(rows: Any) -> str:
         found, stop, chosen = row.get("metrics"), row["stop"], row["chosen"]
         cells = [row["input"], noise]
         cells += [f"{found['dice']:.3f}", f"{row['hd95_voxels']:.1f}"] if found else ["no reference", ""]
+        # Of the surface against the object itself: Dice has the voxels that it passes through as inside or outside.
+        exact = row.get("exact_mm3")
+        cells.append(f"{row['volume_mm3'] / exact - 1:+.1%}" if exact else "")
         words = ", ".join(text.split(":")[0] for text in row["quality"]["warnings"])
         cells += [str(stop["steps"]), stop["reason"], str(chosen["levels"]), f"{chosen['presmooth_mm']:g}", words]
         lines.append(f"| {' | '.join(cells)} |")
