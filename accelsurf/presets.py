@@ -85,8 +85,8 @@ PRESETS: dict[str, Preset] = {
         {
             "energy": _LEARNED + ". With presmooth it lies one to two millimetres within the edge to fat and lung: "
             "small organs come out small (Dice 0.75 for a ball of 15 mm radius; with --presmooth 1 it is 0.88)",
-            "presmooth": "2 mm: the noise of a CT is 15 to 20 HU for a voxel, and alike over a millimetre or two; muscle "
-            "is some 30 HU from liver: means over more than that are needed to tell them apart",
+            "presmooth": "2 mm: the noise of a CT is 15 to 20 HU for a voxel, and alike over a millimetre or two; "
+            "muscle is some 30 HU from liver: means over more than that are needed to tell them apart",
             "smoothness": "2 mm: the force is at most 1, so the surface does not get through holes of a radius below "
             "twice this, about the thickness of a slice. Balls smaller than that vanish, sharper corners are cut",
         },

@@ -195,7 +195,8 @@ def _without_edge(
     if not inside.size:
         return 0.0
     step = max(HALOS * halo, SLAB // (inside.shape[1] * inside.shape[2]))
-    on_surface, within = [], []
+    on_surface: list[NDArray[np.float32]] = []
+    within: list[NDArray[np.float32]] = []
     every = max(1, inside.size // ENOUGH)
     for first in range(0, inside.shape[0], step):
         low, high = max(first - halo, 0), min(first + step + halo, inside.shape[0])
