@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from accelsurf import io, metrics
 from accelsurf.report import peak_rss_mb, versions
@@ -69,6 +70,8 @@ CASES: dict[str, Case] = {
     "bones": Case("ct_abdomen_hires", "--preset ct-bone", _BONES),
     "head phantom": Case("ct_phantom_oblique", "--preset ct-bone", reference=False),
 }
+#: Folder of the pictures that the page shows, and the colours of each.
+PICTURES, COLOURS = ROOT / "docs" / "images", 96
 COLUMNS = (
     "object", "wanted", "Dice", "HD95 mm", "mean mm", "best threshold", "best other program", "steps", "s", "stop",
 )
@@ -112,7 +115,7 @@ def keep(name: str, row: dict[str, Any]) -> None:
 
 def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Run a case as a user does, and measure what it wrote."""
-    source, target = folder / f"{case.image}.nii.gz", options.output / name.replace(", ", "_").replace(" ", "_")
+    source, target = folder / f"{case.image}.nii.gz", options.output / slug(name)
     typed = shlex.split(case.options)
     row: dict[str, Any] = {"command": f"accelsurf segment {source.name} -o {target.name} {case.options}"}
     call = [sys.executable, "-m", "accelsurf", "segment", str(source), "-o", str(target), *typed]
@@ -141,7 +144,7 @@ def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dic
             starts = tuple(word for i, word in enumerate(typed) if typed[i - 1] == "--start")
             row["peers"] = compare_peers(image, truth.array > 0, starts, window, options.peers)
             row["peers"]["threads"] = options.threads
-    picture(options.output / f"real-{target.name}.png", name, image, labels, truth)
+    picture(PICTURES / f"real-{target.name}.png", name, image, labels, truth)
     row["memory_of_study_mb"] = peak_rss_mb()
     return row
 
@@ -164,7 +167,14 @@ def text_of(cases: dict[str, dict[str, Any]]) -> str:
         cells += [f"{stop['steps']}{levels}", f"{row['seconds']:.0f}", stop["reason"]]
         lines.append(f"| {' | '.join(cells)} |")
     commands = [f"    {row['command']}" for row in cases.values()]
-    return "\n".join([*lines, "", *commands, ""])
+    shown = [name for name, row in cases.items() if "error" not in row]
+    pictures = [f"![{name}](images/real-{slug(name)}.png)" for name in shown]
+    return "\n".join([*lines, "", *commands, "", *pictures, ""])
+
+
+def slug(name: str) -> str:
+    """A case's name as part of a file's."""
+    return name.replace(", ", "_").replace(" ", "_")
 
 
 def _dice(item: tuple[str, dict[str, Any]]) -> float:
@@ -177,6 +187,7 @@ def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from PIL import Image
 
     inside = (truth if truth is not None else labels).array > 0
     k = int(inside.sum(axis=(1, 2)).argmax())
@@ -185,7 +196,9 @@ def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume
     part = image.array[k, y0:y1, x0:x1].astype(np.float32)
     figure, axes = pyplot.subplots(figsize=(4, 4), dpi=100)
     spacing = image.geometry.spacing
-    low, high = np.percentile(part, (1, 99))
+    # Grey values of what lies about the object: of all else there may be air and metal.
+    near = ndimage.binary_dilation((inside | (labels.array > 0))[k, y0:y1, x0:x1], iterations=8)
+    low, high = np.percentile(part[near], (1, 99))
     axes.imshow(part, cmap="gray", vmin=low, vmax=high, aspect=spacing[1] / spacing[2])
     axes.contour(labels.array[k, y0:y1, x0:x1], [0.5], colors="#ff9d2e", linewidths=1.2)
     if truth is not None:
@@ -193,7 +206,10 @@ def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume
     axes.set_title(f"{title}: ours solid" + (", reference dashed" if truth is not None else ""), fontsize=9)
     axes.axis("off")
     figure.tight_layout(pad=0.3)
-    figure.savefig(path)
+    figure.canvas.draw()
+    # As a palette: small enough to lie beside the table.
+    drawn = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3])
+    drawn.quantize(COLOURS).save(path, optimize=True)
     pyplot.close(figure)
 
 

@@ -113,10 +113,14 @@ def test_vessel_of_any_phase_beside_bone(lumen):
 @pytest.mark.parametrize("value", [60, 110])
 def test_organ_beside_muscle_and_fat(value):
     z, y, x = grid()
-    organ = (x + 3) ** 2 + y**2 + z**2 < 12**2
-    muscle = (x - 15) ** 2 + y**2 + z**2 < 5**2
+    organ = (x + 3) ** 2 + y**2 + z**2 < 15**2
+    muscle = ((x - 15) ** 2 + y**2 + z**2 < 5**2) & ~organ
     image = noisy(-100.0 + (100 + value) * organ + 130 * muscle, 15)
-    assert dice(found("ct-organ", image, "ball:20,22,15,6vox"), organ) > 0.8
+    labels = found("ct-organ", image, "ball:20,22,15,8vox")
+    # Within the edge by no more than three millimetres, less than two voxels across slices, and not beyond.
+    assert labels[(x + 3) ** 2 + y**2 + z**2 < 12**2].all() and not labels[~organ].any()
+    small = segment(image, spacing=SPACING, preset="ct-organ", start="ball:20,22,15,8vox", presmooth=1.0)
+    assert dice(small.labels, organ) > 0.85 and not small.labels[muscle].any()
 
 
 def test_brain_on_zeros_with_dim_remains_of_the_stripping():

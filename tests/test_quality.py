@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from accelsurf import cli, io
 from accelsurf.evolution import Stop
+from accelsurf.geometry import Geometry
 from accelsurf.quality import assess
 from accelsurf.segmentation import segment
+from accelsurf.volume import Volume
 from tests.test_report import row
 
 SHAPE, SPACING = (40, 44, 48), (1.5, 1.0, 0.8)
@@ -78,6 +81,38 @@ def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     assert look(mask, mask * 1.0, ledger).warnings == ()
 
 
+def made_for(case):
+    """Voxels, a start and where the object may be: one as it should be, and one for each doubt."""
+    z, y, x = coordinates()
+    r = np.sqrt(z**2 + y**2 + x**2)
+    balls = [np.sqrt((x - c) ** 2 + y**2 + z**2) < 8 for c in (-9.5, 9.5)]
+    cases = {
+        "good": r < 12,
+        "border": x < 0,
+        "necks": balls[0] | balls[1] | ((np.abs(y) < 1.7) & (np.abs(z) < 1.7) & (np.abs(x) < 9)),
+        "edge": r < 16,  # held back by a mask within it
+    }
+    noise = np.random.default_rng(1).normal(0, 0.01, SHAPE)
+    start = "ball:11.6,21.5,19.5,5vox" if case == "necks" else "center"
+    return (cases[case] + noise).astype(np.float32), start, ((r < 8) | (x > 6) if case == "edge" else r < np.inf)
+
+
+@pytest.mark.parametrize("case", ["good", "border", "necks", "edge"])
+def test_the_command_warns_of_each_doubt_and_of_nothing_else(case, tmp_path, capsys):
+    scan, start, allowed = made_for(case)
+    io.write(Volume(scan, Geometry(SHAPE, SPACING)), tmp_path / "scan.nii.gz")
+    io.write(Volume(allowed.astype(np.uint8), Geometry(SHAPE, SPACING)), tmp_path / "mask.nii.gz")
+    words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", start, "--mask", str(tmp_path / "mask.nii.gz")]
+    words += ["--levels", "1", "--quiet"]
+    assert cli.run([*words, "-o", str(tmp_path / "one")]) == 0
+    told = capsys.readouterr().err
+    assert told.count("warning: ") == (case != "good") and (case == "good" or f"warning: {case}: " in told)
+    assert cli.run([*words, "-o", str(tmp_path / "two"), "--strict"]) == (0 if case == "good" else 5)
+    told = capsys.readouterr().err
+    assert told == "" if case == "good" else f"error: scan: {case}: " in told
+    assert (tmp_path / "two" / "scan_seg.nii.gz").exists()
+
+
 def test_nothing_left_and_one_slice():
     nothing = look(np.zeros(SHAPE, bool), np.random.default_rng(1).normal(size=SHAPE))
     assert nothing.border_fraction == 0 and nothing.parts_beyond_necks == 0
@@ -85,6 +120,29 @@ def test_nothing_left_and_one_slice():
     disc = x**2 + y**2 < 15**2
     result = segment(disc * 1.0, start="ball:30,30,0,8vox")
     assert result.quality.warnings == () and result.quality.contrast > 0.9 and result.quality.border_fraction == 0
+
+
+@pytest.mark.parametrize("shape", [(12, 14, 9), (1, 20, 13)])
+def test_gradients_of_some_voxels_are_those_of_all(shape):
+    from accelsurf.energies.geodesic import gradient_magnitude, smoothed
+    from accelsurf.quality import _gradients
+
+    image = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    some = np.arange(0, image.size, 3)
+    got = _gradients(smoothed(image, SPACING, 1.2), SPACING, some)
+    np.testing.assert_allclose(got, gradient_magnitude(image, SPACING, 1.2).ravel()[some], rtol=1e-5, atol=1e-6)
+
+
+def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
+    from accelsurf import quality
+
+    z, y, x = coordinates()
+    r = np.sqrt(z**2 + y**2 + x**2)
+    scan = (r < 9) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
+    half = (r < 9) | ((r < 15) & (x > 0))
+    whole = look(half, scan)
+    monkeypatch.setattr(quality, "ENOUGH", 1 << 12)
+    assert look(half, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.03)
 
 
 def test_slabs_make_no_difference(monkeypatch):

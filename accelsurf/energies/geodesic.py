@@ -117,13 +117,18 @@ def gradient_magnitude(image: np.ndarray, spacing: Sequence[float], scale: float
     Centred differences of the smoothed image, and not a filter of the Gaussian's derivative: that is wrong where the
     Gaussian is narrower than a voxel, as it is across thick slices. An axis with one slice has no slope.
     """
-    axes = [axis for axis, n in enumerate(image.shape) if n > 1]
-    widths = [scale / spacing[axis] if axis in axes else 0.0 for axis in range(3)]
-    smooth = ndimage.gaussian_filter(np.asarray(image, np.float32), widths, mode="nearest")
+    smooth = smoothed(image, spacing, scale)
     total = np.zeros(image.shape, np.float32)
-    for axis in axes:
-        total += np.gradient(smooth, np.float32(spacing[axis]), axis=axis) ** 2
+    for axis, n in enumerate(image.shape):
+        if n > 1:
+            total += np.gradient(smooth, np.float32(spacing[axis]), axis=axis) ** 2
     return np.sqrt(total)
+
+
+def smoothed(image: np.ndarray, spacing: Sequence[float], scale: float) -> np.ndarray:
+    """The image, float32, smoothed by a Gaussian of ``scale`` mm along each axis of more than one slice."""
+    widths = [scale / h if n > 1 else 0.0 for n, h in zip(image.shape, spacing, strict=True)]
+    return np.asarray(ndimage.gaussian_filter(np.asarray(image, np.float32), widths, mode="nearest"))
 
 
 def edge_contrast(gradient: np.ndarray) -> float:

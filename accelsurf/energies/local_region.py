@@ -31,7 +31,8 @@ class LocalRegion:
 
     The window K is a product of tents, (1 - |d|/b) along each axis, b = 1.095 R: two moving sums, with the variance of
     the ball of radius R. Its sums live on nodes b/4 apart (or two voxels, if that is more), see `kernels.windows`: the
-    cost of a step is that of the band and of a small lattice, whatever R is.
+    cost of a step is that of the band and of a small lattice, whatever R is. The nodes lie alike on both sides of the
+    volume's middle, so that a scan stored with its axes flipped has the same windows.
 
     Parameters
     ----------
@@ -157,21 +158,27 @@ class LocalRegion:
         box = []
         for axis in range(3):
             n, b, before = self._nodes[axis], self._nodes[3 + axis], self._nodes[6 + axis]
-            low = int(np.min(index[axis]) / b) + before - reaches * self._reach[axis]
-            high = int(np.max(index[axis]) / b) + before + reaches * self._reach[axis] + 2
+            low = math.floor(np.min(index[axis]) / b + before) - reaches * self._reach[axis]
+            high = math.floor(np.max(index[axis]) / b + before) + reaches * self._reach[axis] + 2
             box.append(slice(max(low, 0), min(high, n)))
         return tuple(box)
 
 
-def _layout(n: int, radius: float) -> tuple[int, float, int, int]:
-    """Nodes along an axis of ``n`` voxels for a radius in voxels: (number, distance in voxels, before 0, reach).
+def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
+    """Nodes along an axis of ``n`` voxels for a radius in voxels: (number, distance in voxels, before voxel 0, reach).
 
-    Nodes lie beyond both ends, so that the windows on every voxel add up to 1.
+    They lie alike on both sides of the axis' middle, and beyond both ends, so that the windows on every voxel add up
+    to 1. ``before`` has a part of a distance for the voxels between voxel 0 and the node before it.
+
+    Examples
+    --------
+    >>> _layout(10, 5.0)
+    (11, 1.3693063937629153, 1.7136709226131398, 3)
     """
     if n == 1:
-        return 1, 1.0, 0, 1
+        return 1, 1.0, 0.0, 1
     half = TENT * radius
     reach = 1 if half < 2.0 else min(MOST_REACH, max(FEWEST_REACH, int(half / 2.0)))
     distance = max(half / reach, 1.0)
-    before = reach - 1
-    return math.ceil((n - 1) / distance) + 1 + 2 * before, distance, before, reach
+    number = math.ceil((n - 1) / distance) + 1 + 2 * (reach - 1)
+    return number, distance, 0.5 * (number - 1 - (n - 1) / distance), reach

@@ -15,7 +15,7 @@ from accelsurf.kernels.grid import unravel
 
 
 class Nodes(NamedTuple):
-    """Lattice of nodes: their number along each axis, their distance in voxels, and how many lie before voxel 0."""
+    """Lattice of nodes: their number along each axis, their distance in voxels, and the place of voxel 0 among them."""
 
     nz: int
     ny: int
@@ -23,9 +23,9 @@ class Nodes(NamedTuple):
     bz: float
     by: float
     bx: float
-    pz: int
-    py: int
-    px: int
+    pz: float
+    py: float
+    px: float
 
 
 @kernel
