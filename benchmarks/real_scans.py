@@ -55,7 +55,7 @@ CASES: dict[str, Case] = {
     "oblique brain, defaults": Case("mri_brain_oblique", "--start center"),
     "white matter": Case(
         "mri_brain_oblique",
-        "--start ball:55,90,85,6vox --start ball:88,90,85,6vox --energy likelihood:update=no", (2,), 0.90,
+        "--start ball:55,90,85,6vox --start ball:88,90,85,6vox --energy likelihood:update=no --levels 1", (2,), 0.90,
     ),
     "ventricles": Case(
         "mri_brain256", "--start ball:144,100,115,4vox --start ball:109,97,117,4vox --preset mr-ventricle", (4, 43)

@@ -16,12 +16,14 @@ SPACING = (1.0, 0.8, 1.6)
 WAYS = [(order, flips) for order in permutations(range(3)) for flips in product((False, True), repeat=3)]
 #: Each order once, and all numbers of flips.
 FEW = [WAYS[i] for i in (1, 10, 19, 28, 37, 47, 7, 6)]
-#: presmooth of a voxel: where single voxels of noise are edges, momentum does not come to rest. It goes on by 0.02
-#: voxels a step, and rounding decides how (up to 0.8 voxels, 0.01 on average): see the tests at the end.
+#: presmooth of a voxel or two: where single voxels of noise are edges, rounding decides which way momentum takes past
+#: some of them, and so on which side of one the surface stops (up to 0.6 voxels, 0.01 on average). That is none of the
+#: order's doing: see the test at the end.
 ENERGIES = {
     "chan-vese": {"presmooth": 0.8},
     "threshold": {"energy": "threshold:125,", "presmooth": 0.8},
-    "local-region": {"energy": "local-region", "presmooth": 1.2},
+    "local-region": {"energy": "local-region", "presmooth": 1.6},
+    "local-region, sharp": {"energy": "local-region", "presmooth": 0.8, "epsilon": 0.0},
     "local-region, descent": {"energy": "local-region", "presmooth": 0.8, "flow": "gradient"},
 }
 #: The same without presmoothing, for what holds in noise.
@@ -108,17 +110,3 @@ def test_a_step_depends_on_the_order_of_axes_by_rounding_only(energy, way):
     # The mean: redistancing takes other stencils for single cells of a rough surface, a thousandth of a voxel apart.
     # With nodes that began at the first voxel it was 2e-3.
     assert np.abs(one - other)[near].mean() <= 1e-5 * min(SPACING)
-
-
-def test_in_noise_rounding_of_the_image_does_as_much_as_another_order():
-    """What is left between orders in noise is none of theirs: the last digit of the image makes the same difference."""
-    image = scan()
-    rounding = 1 + 1e-6 * np.random.default_rng(1).normal(size=image.array.shape)
-    touched = Volume((image.array * rounding).astype(np.float32), image.geometry)
-    one, turned, changed = (
-        segment(volume, start=START, presmooth=0.0).surface.vertices
-        for volume in (image, stored(image, *FEW[3]), touched)
-    )
-    by_order, by_rounding = (cKDTree(one).query(two)[0].mean() for two in (turned, changed))
-    assert by_order < 3 * by_rounding
-    assert by_order < 0.05 * min(SPACING)
