@@ -61,6 +61,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         help="folder of the scans (default: ACCELSURF_VOLUMES; sources: docs/real-scans.md)",
     )
     parser.add_argument("--results", type=Path, help="folder for JSON and pictures (benchmarks/results)")
+    parser.add_argument("--again", action="store_true", help="segment-real: time the best of the last search again")
     parser.add_argument("--render", action="store_true", help="only write RESULTS.md again")
     options = parser.parse_args(arguments)
     if options.repeats < 1 or options.threads < 1:
@@ -75,7 +76,10 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 def run(name: str, given: argparse.Namespace, results: Path) -> bool:
     """Run one benchmark and write what it found; False when something that it needs is missing."""
-    options = Options(given.quick, 1 if given.quick else given.repeats, given.threads, given.volumes)
+    search = results / f"{name}-search.json"
+    options = Options(
+        given.quick, 1 if given.quick else given.repeats, given.threads, given.volumes, search, given.again
+    )
     print(f"== {name}", flush=True)
     about, began = machine(), time.perf_counter()
     module, function = BENCHMARKS[name]

@@ -39,13 +39,16 @@ class Options:
     """How a benchmark is run.
 
     ``quick``: tiny sizes, to see that everything works; ``repeats``: timed runs of which the median counts;
-    ``threads``: for the benchmarks of whole segmentations; ``volumes``: folder of the scans, if there is one.
+    ``threads``: for the benchmarks of whole segmentations; ``volumes``: folder of the scans, if there is one;
+    ``search``: where the search of segment-real is kept, and ``again``: it is taken from there.
     """
 
     quick: bool = False
     repeats: int = 5
     threads: int = 2
     volumes: Path | None = None
+    search: Path | None = None
+    again: bool = False
     messages: list[str] = field(default_factory=list)
 
     def say(self, text: str) -> None:
@@ -208,9 +211,9 @@ def search(
 
 
 def repeats_for(trial: Trial, options: Options, hopeless: bool = False) -> int:
-    """How often a setting is timed: once more when a run is long, twice when it loses in Dice anyway."""
+    """How often a setting is timed: once more (again: twice) when a run is long, twice when it loses in Dice anyway."""
     if trial.seconds > LONG:
-        return 1
+        return 2 if options.again else 1
     return min(2, options.repeats) if hopeless else options.repeats
 
 

@@ -16,6 +16,7 @@ from accelsurf.metrics import dice
 from accelsurf.segmentation import segment
 from benchmarks.peers.measure import (
     LONG,
+    MissingError,
     Options,
     Timing,
     Trial,
@@ -40,6 +41,8 @@ LEVEL = "accelsurf, level with the best peer"
 #: A peer this far below the best Dice, or this many times slower than the fastest that is not, cannot be the best one:
 #: it is timed twice only.
 BEHIND, SLOWER = 0.02, 3.0
+#: A peer so far below accelsurf at half the resolution is not run at the whole: it would take minutes to lose.
+HOPELESS = 0.1
 #: Seconds after which a search begins no new setting: on the small problem, on the large one.
 SEARCH_S = (60.0, 40.0)
 #: How many of the best settings of the small problem are tried on the large one.
@@ -173,7 +176,7 @@ def time_best(
     programs = {}
     for name, top in tops.items():
         timing = times[name]
-        if top.seconds > LONG:
+        if top.seconds > LONG and not options.again:
             options.say(f"{name}: a run takes {top.seconds:.0f} s, timed once more only")
             timing = Timing([top.seconds, *timing.seconds])
         programs[name] = {
@@ -269,17 +272,23 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
 
     calls: dict[str, Callable[[Mapping[str, Any]], Any]] = {OWN: own}
     own({"max_steps": 3})  # compile
-    grid = [{**own_real_grid()[0], "max_steps": 3}] if options.quick else own_real_grid()
-    read = {OWN: _dice_of(truth)}
-    # The search calls the whole command, and reads back what it wrote: its seconds are the command's alone.
-    trials = {OWN: searched(own, read[OWN], grid, 150.0, options)}
-    half = halved(image, truth, centre, radius, means)
-    quarter = halved(half["image"], half["truth"], [0.5 * c - 0.25 for c in centre], 0.5 * radius, means)
-    for peer in available(options):
-        calls[peer.name] = whole(peer)
-        settings = small_search(peer, quarter, half, options)
-        trials[peer.name] = searched(calls[peer.name], _dice_of(truth), settings, LONG, options)
-        report(peer.name, best(trials[peer.name]))
+    calls |= {peer.name: whole(peer) for peer in available(options)}
+    if options.again:
+        trials = kept_search(options)
+    else:
+        grid = [{**own_real_grid()[0], "max_steps": 3}] if options.quick else own_real_grid()
+        # The search calls the whole command, and reads back what it wrote: its seconds are the command's alone.
+        trials = {OWN: searched(own, _dice_of(truth), grid, 150.0, options)}
+        half = halved(image, truth, centre, radius, means)
+        quarter = halved(half["image"], half["truth"], [0.5 * c - 0.25 for c in centre], 0.5 * radius, means)
+        for name in calls:
+            if name == OWN:
+                continue
+            settings = small_search(PEERS[name], quarter, half, best(trials[OWN]).dice, options)
+            if settings:
+                trials[name] = searched(calls[name], _dice_of(truth), settings, LONG, options)
+                report(name, best(trials[name]))
+        keep_search(trials, options)
     report(OWN, best(trials[OWN]))
     programs = time_best(trials, calls, options)
     goals, pairs = judge(programs, "brain")
@@ -290,6 +299,28 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
         "tables": [program_table("Brain scan, one ball", programs)],
         "bars": [[name, f["median_s"]] for name, f in programs.items()],
     }
+
+
+def keep_search(trials: Mapping[str, list[Trial]], options: Options) -> None:
+    """Write what a search found, for ``--again``."""
+    assert options.search is not None
+    found = {"messages": options.messages, "trials": {n: [t.to_dict() for t in ts] for n, ts in trials.items()}}
+    options.search.write_text(json.dumps(found, indent=1) + "\n")
+
+
+def kept_search(options: Options) -> dict[str, list[Trial]]:
+    """What the last search found.
+
+    Raises
+    ------
+    MissingError
+        When there was none.
+    """
+    if options.search is None or not options.search.is_file():
+        raise MissingError(f"{options.search} is not there: run it without --again first")
+    found = json.loads(options.search.read_text())
+    options.messages += found["messages"]
+    return {name: [Trial(**trial) for trial in trials] for name, trials in found["trials"].items()}
 
 
 def _dice_of(truth: np.ndarray) -> Callable[[Path], float]:
@@ -328,11 +359,12 @@ def halved(
 
 
 def small_search(
-    peer: Peer, quarter: dict[str, Any], half: dict[str, Any], options: Options
+    peer: Peer, quarter: dict[str, Any], half: dict[str, Any], reached: float, options: Options
 ) -> list[dict[str, Any]]:
     """The settings to try at full size: all at a quarter of the resolution, the best at half.
 
-    Sigmas stay in voxels, as coarsening smooths already; iterations grow with the side.
+    Sigmas stay in voxels, as coarsening smooths already; iterations grow with the side. None where the best is
+    `HOPELESS` below the Dice that accelsurf ``reached``.
     """
 
     def run_on(scale: dict[str, Any]) -> Callable[[Mapping[str, Any]], float]:
@@ -347,6 +379,9 @@ def small_search(
     fine = {} if options.quick else {"iterations": (0.5, 1.6)}
     trials = search(run_on(half), kept, fine, SEARCH_S[0], say)
     report(f"{peer.name} at half resolution", best(trials))
+    if best(trials).dice < reached - HOPELESS and not options.quick:
+        options.say(f"{peer.name}: Dice {best(trials).dice:.3f} at half the resolution, not run at the whole")
+        return []
     return [grown(t.settings) for t in ranked(trials)[: 1 if options.quick else CARRIED]]
 
 
