@@ -406,3 +406,33 @@ def test_command_line_tells_bad_objects(scan, tmp_path, capsys):
     assert run("segment", scan / "cells.nii.gz", "--objects", "a.csv", "--start", "otsu", "-o", tmp_path) == 2
     err = capsys.readouterr().err
     assert "absent.nii.gz" in err and "expected one of the two" in err
+
+
+@pytest.mark.parametrize("energy", ["threshold:learned,learned", "threshold:half:0,", "likelihood:update=no"])
+def test_each_object_learns_from_its_own_start(energy, tmp_path):
+    """Two balls of other brightness, each beside something as bright as the other."""
+    centres, shape = [(14.0, 14.0, 14.0), (14.0, 14.0, 42.0)], (28, 28, 56)
+    away = distances(shape, ISOTROPIC, centres, 9.0)
+    image = np.select([a < 0 for a in away], [300.0, 900.0], 0.0)
+    image += np.random.default_rng(3).normal(0, 30, shape)
+    result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 5.0, (1, 2)), spacing=1.0, energy=energy)
+    for own, truth in zip((1, 2), away, strict=True):
+        assert dice(result.labels == own, truth < 0) > 0.95, own
+    one, two = (result.objects[own].terms[0] for own in (1, 2))
+    told = [key for key in one if one[key] != two[key]]
+    assert told and all(result.terms[0][key] == "by object" for key in told)
+    assert result.objects[1].quality.unlike_learned < 0.1
+
+
+def test_what_is_given_as_foreground_is_learned_by_all(tmp_path):
+    centres, shape = [(14.0, 14.0, 14.0), (14.0, 14.0, 42.0)], (28, 28, 56)
+    away = distances(shape, ISOTROPIC, centres, 9.0)
+    image = np.select([a < 0 for a in away], [300.0, 900.0], 0.0)
+    image += np.random.default_rng(3).normal(0, 30, shape)
+    starts = seeds(shape, ISOTROPIC, centres, 5.0, (1, 2))
+    io.write_labels(Volume.from_array((starts == 2).astype(np.uint8), 1.0), tmp_path / "bright.nii.gz")
+    result = segment_objects(
+        image, starts, spacing=1.0, energy="threshold:learned,", foreground=f"label:{tmp_path / 'bright.nii.gz'}"
+    )
+    assert result.objects[1].stop.reason == "vanished" and dice(result.labels == 2, away[1] < 0) > 0.95
+    assert result.terms == result.objects[2].terms
