@@ -50,6 +50,8 @@ class Moving:
         First voxel of its grid in the grid that all share.
     leaked : bool
         Whether it grew beyond the largest volume that it may have.
+    facts : Facts
+        What its energy was told of the image, and what it chose.
     """
 
     def __init__(self, one: ObjectStart, place: int, prepared: Prepared, config: RunConfig) -> None:
@@ -58,6 +60,7 @@ class Moving:
         seed = None if config.seed is None else config.seed + place
         self.flow = make_flow(config.replace(seed=seed))
         self.workers = Workers(1)
+        self.facts = prepared.facts.of_object(one.corner, one.psi < 0)
         self._least = _least_room(config, prepared)
         inside = np.argwhere(one.psi < 0)
         low, high = inside.min(axis=0) + one.corner, inside.max(axis=0) + 1 + one.corner
@@ -84,7 +87,7 @@ class Moving:
         surface = LevelSet(psi, spacing, half_width(config), self.workers, overwrite=True)
         fields = None if before is None else moved(self.flow.fields, before.surface, at, surface, self.corner)
         image = np.ascontiguousarray(prepared.image[box])
-        energy = make_energy(config, image, spacing, prepared.facts.on(box))
+        energy = make_energy(config, image, spacing, self.facts.on(box))
         if fence is not None:
             energy = Fenced(energy, fence)
         self.energy = Contested(energy, self.corner)

@@ -15,7 +15,7 @@ from accelsurf.energies import Energy
 from accelsurf.energies.fenced import Fenced, fence_of
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.geometry import Geometry
-from accelsurf.terms import Facts, Scale
+from accelsurf.terms import Facts, Mask, Scale
 from accelsurf.volume import Volume, check_image
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
@@ -103,24 +103,31 @@ class Prepared:
         # Fixed models learn from the start where nothing else is given.
         self._terms = terms = expression.parse(config.energy)
         self._learns = any(expression.learns(term) for term in terms)
-        if foreground is None and self._learns:
+        learns_from_start = foreground is None and self._learns
+        if learns_from_start:
             foreground = self.psi < 0
-        self.facts = Facts(images, scales, self.geometry.spacing, foreground, background, self._others_on, self._raw)
+        self.facts = Facts(
+            images, scales, self.geometry.spacing, foreground, background, self._others_on, self._raw,
+            is_start=learns_from_start,
+        )
 
-    def _raw(self, channel: int) -> NDArray[Any]:
-        """Values of the foreground in a channel before presmoothing, on the scale that energies see."""
+    def _raw(self, channel: int, box: Box, mask: Mask) -> NDArray[Any]:
+        """Values of a channel before presmoothing, on the scale that energies see, where a box's mask is set."""
         low, width = self.facts.scales[channel]
-        assert self.facts.foreground is not None
-        values = self._files[channel].array[self.box][self.facts.foreground].astype(np.float32)
+        values = self._files[channel].array[self.box][box][mask].astype(np.float32)
         return np.asarray((values - np.float32(low)) / np.float32(width))
 
     @property
     def learned(self) -> tuple[float, float] | None:
         """Values of the first channel between which the object's should lie; None where no model is learned once."""
+        return self.learned_by(self.facts)
+
+    def learned_by(self, facts: Facts) -> tuple[float, float] | None:
+        """The same for one of several objects."""
         # What is given with --foreground is learned from by likelihood unless it updates, and then it is refused.
         names = {term.name for term in self._terms}
         learns = self._learns or "likelihood" in names
-        return self.facts.learned(0) if learns and self.facts.foreground is not None else None
+        return facts.learned(0) if learns and facts.foreground is not None else None
 
     def _started(self, psi: NDArray[np.float32], config: RunConfig) -> NDArray[np.float32]:
         """The start within region and fence, which must leave something of it."""

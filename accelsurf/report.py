@@ -227,6 +227,7 @@ def describe_objects(result: ObjectsResult) -> list[dict[str, Any]]:
             "touches_border": one.touches_border,
             "centroid": _centroid(one),
             "cells_visited": sum(row.cells_visited for row in one.ledger),
+            "terms": one.terms,
             "quality": describe_quality(one.quality if one.labels.any() else None),
         }
         for own, one in result.objects.items()

@@ -308,7 +308,7 @@ def result_of(run: Run) -> Result:
         ledger.append(row)
         stop = Stop("interrupted", row.step, row.t, f"looked at after {row.step} steps")
     missed = run.config.edit[run.edits_done :]
-    prepared, chosen = run.prepared, run.prepared.facts.chosen
+    prepared = run.prepared
     psi = prepared.finished(run.evolution.surface.psi)
     return Result(
         labels=(psi < 0).view(np.uint8),
@@ -325,7 +325,7 @@ def result_of(run: Run) -> Result:
         start=prepared.start,
         chosen=chosen_of(prepared, run.config, len(run.evolution.passed)),
         learned=prepared.learned,
-        terms=[chosen[place] for place in sorted(chosen)],
+        terms=prepared.facts.terms,
         kernels=dict(run.workers.seconds),
         edits_done=run.edits_done,
         warnings=run.evolution.warnings

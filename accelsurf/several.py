@@ -62,7 +62,7 @@ class ObjectsResult:
         Wall time of the parts ``start`` and ``evolve``; seconds in each kernel, over all threads.
     warnings : list of str
     terms : list of dict
-        The terms of the energy with their settings.
+        The terms of the energy with their settings; "by object" where objects have learned others.
     chosen : dict
         What was taken for settings that image and grid decide.
     """
@@ -255,7 +255,6 @@ def _result(
 ) -> ObjectsResult:
     """Put together what the objects left."""
     image, geometry = prepared.shown(), volume.geometry
-    terms = [prepared.facts.chosen[place] for place in sorted(prepared.facts.chosen)]
     labels = np.zeros(geometry.shape, io.label_type(max(one.id for one in run.objects)))
     objects, boxes = {}, {}
     for one, psi in zip(run.objects, run.apart(), strict=True):
@@ -282,8 +281,10 @@ def _result(
             stop=one.stop,
             seconds={},
             volume=Volume(volume.array[box], part),
-            terms=terms,
+            terms=one.facts.terms,
+            learned=prepared.learned_by(one.facts),
         )
+    terms = common([one.terms for one in objects.values()])
     unused = [
         f"{key} was given, but means nothing to flow {config.flow} with energy {config.energy}"
         for key in config.unused()
@@ -292,3 +293,17 @@ def _result(
         labels, objects, boxes, image, geometry, config, config.energy, volume, seconds, run.kernels, unused, terms,
         prepared.start, chosen_of(prepared, config, 1),
     )
+
+
+def common(terms: Sequence[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The terms of all objects; "by object" for what is not the same.
+
+    Examples
+    --------
+    >>> common([[{"name": "threshold", "LO": 3}], [{"name": "threshold", "LO": 4}]])
+    [{'name': 'threshold', 'LO': 'by object'}]
+    """
+    return [
+        {key: value if all(one[key] == value for one in same) else "by object" for key, value in same[0].items()}
+        for same in zip(*terms, strict=True)
+    ]

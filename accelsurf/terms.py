@@ -43,6 +43,8 @@ MEAN_OVER_CHANNELS, SUM_OVER_CHANNELS = ("chan-vese", "local-region"), ("likelih
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Box = tuple[slice, slice, slice]
+_EVERYWHERE: Box = (slice(None), slice(None), slice(None))
 Kept = TypeVar("Kept")
 
 
@@ -69,7 +71,9 @@ class Facts:
     others : callable, optional
         The other channels, after the first, on the grid of a given shape and spacing.
     raw : callable, optional
-        Values of a channel in the foreground before any presmoothing, on the scale of ``images``.
+        Values of a channel before any presmoothing, on the scale of ``images``, where a mask of a box is set.
+    is_start : bool, optional
+        Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
 
     Attributes
     ----------
@@ -86,17 +90,38 @@ class Facts:
         foreground: Mask | None = None,
         background: Mask | None = None,
         others: Callable[[tuple[int, ...], tuple[float, float, float]], list[Image]] | None = None,
-        raw: Callable[[int], NDArray[Any]] | None = None,
+        raw: Callable[[int, Box, Mask], NDArray[Any]] | None = None,
+        is_start: bool = False,
     ) -> None:
         self.images, self.scales, self.spacing = list(images), list(scales), spacing
         self.foreground, self.background = foreground, background
-        self._raw = raw or (lambda channel: self.images[channel][self.foreground])
+        self._is_start = is_start
+        #: A box of the grid and where in it to learn; None where there is nothing.
+        self._inside = None if foreground is None else (_EVERYWHERE, foreground)
+        self._raw = raw or (lambda channel, box, mask: self.images[channel][box][mask])
         self.others = others or (lambda shape, spacing: self.images[1:])
         self.chosen: dict[int, dict[str, Any]] = {}
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
         self._kept: dict[tuple[Any, ...], Any] = {}
 
-    def on(self, box: tuple[slice, slice, slice]) -> Facts:
+    @property
+    def terms(self) -> list[dict[str, Any]]:
+        """What was chosen, term by term."""
+        return [self.chosen[place] for place in sorted(self.chosen)]
+
+    def of_object(self, corner: tuple[int, int, int], start: Mask) -> Facts:
+        """The facts for one of several objects, which ``start``, from voxel ``corner`` on, has inside.
+
+        Where the start is what models learn from, it learns from its own. What is found of whole images stays common.
+        """
+        part = copy.copy(self)
+        part.chosen = {}
+        if self._is_start:
+            z, y, x = (slice(c, c + n) for c, n in zip(corner, start.shape, strict=True))
+            part._inside, part._learned = ((z, y, x), start), {}
+        return part
+
+    def on(self, box: Box) -> Facts:
         """The same facts for energies on a box of the image's own grid; what they choose is kept in common."""
         part = copy.copy(self)
         part.others = lambda shape, spacing: [np.ascontiguousarray(image[box]) for image in self.images[1:]]
@@ -104,7 +129,7 @@ class Facts:
 
     def once(self, make: Callable[..., Kept], channel: int, *args: Any) -> Kept:
         """``make(image, *args)`` of a whole channel, found once: many objects ask for it."""
-        key = (make, channel, args)
+        key = (getattr(make, "__func__", make), channel, args)
         if key not in self._kept:
             self._kept[key] = make(self.images[channel], *args)
         return cast("Kept", self._kept[key])
@@ -112,22 +137,28 @@ class Facts:
     def samples(self, channel: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Values of a channel inside and outside, where likelihood is to learn."""
         if channel not in self._learned:
-            image = self.images[channel]
-            if self.foreground is None:
+            if self._inside is None:
                 raise UsageError(
                     "energy: likelihood with update=no was given nothing to learn from",
                     "give --foreground, or use update=yes",
                 )
-            other = ~self.foreground if self.background is None else self.background
-            self._learned[channel] = image[self.foreground], image[other]
+            box, mask = self._inside
+            self._learned[channel] = self.images[channel][box][mask], self.once(self._outside, channel)
         return self._learned[channel]
+
+    def _outside(self, image: Image) -> NDArray[Any]:
+        """Values of the background: without one, of all that is foreground of no object."""
+        if self.background is not None:
+            return image[self.background]
+        assert self.foreground is not None
+        return image[~self.foreground]
 
     def learned(self, channel: int) -> tuple[float, float]:
         """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""
-        if self.foreground is None:
+        if self._inside is None:
             raise UsageError("energy: a learned bound was given nothing to learn from", "give --foreground")
         # Before presmoothing: what is left of noise after it says how wide the object's values are, not its edges'.
-        mean, variance = gaussian_of(self._raw(channel), least_variance(self.images[channel]))
+        mean, variance = gaussian_of(self._raw(channel, *self._inside), self.once(least_variance, channel))
         reach = LEARNED_DEVIATIONS * variance**0.5
         return mean - reach, mean + reach
 
@@ -287,7 +318,7 @@ def _threshold(
 ) -> Made:
     low, high = (facts.bound(channel, settings.get(key, ""), key == "HI") for key in ("LO", "HI"))
     start, width = facts.scales[channel]
-    soft = float(settings["soft"]) / width if "soft" in settings else facts.once(soft_edge, channel, low, high)
+    soft = float(settings["soft"]) / width if "soft" in settings else soft_edge(facts.once(np.ptp, channel), low, high)
     used = {key: None if v is None else start + width * v for key, v in (("LO", low), ("HI", high))}
     return Threshold(image, low, high, soft, alpha), {**used, "soft": soft * width}
 

@@ -3,6 +3,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import accelsurf
 from accelsurf import cli, io, object_starts, phantoms
@@ -406,3 +407,56 @@ def test_command_line_tells_bad_objects(scan, tmp_path, capsys):
     assert run("segment", scan / "cells.nii.gz", "--objects", "a.csv", "--start", "otsu", "-o", tmp_path) == 2
     err = capsys.readouterr().err
     assert "absent.nii.gz" in err and "expected one of the two" in err
+
+
+@pytest.mark.parametrize("energy", ["threshold:learned,learned", "threshold:half:0,", "likelihood:update=no"])
+def test_each_object_learns_from_its_own_start(energy, tmp_path):
+    """Two balls of other brightness, each beside something as bright as the other."""
+    centres, shape = [(14.0, 14.0, 14.0), (14.0, 14.0, 42.0)], (28, 28, 56)
+    away = distances(shape, ISOTROPIC, centres, 9.0)
+    image = np.select([a < 0 for a in away], [300.0, 900.0], 0.0)
+    image += np.random.default_rng(3).normal(0, 30, shape)
+    result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 5.0, (1, 2)), spacing=1.0, energy=energy)
+    for own, truth in zip((1, 2), away, strict=True):
+        assert dice(result.labels == own, truth < 0) > 0.95, own
+    one, two = (result.objects[own].terms[0] for own in (1, 2))
+    told = [key for key in one if one[key] != two[key]]
+    assert told and all(result.terms[0][key] == "by object" for key in told)
+    assert result.objects[1].quality.unlike_learned < 0.1
+
+
+def test_what_is_given_as_foreground_is_learned_by_all(tmp_path):
+    centres, shape = [(14.0, 14.0, 14.0), (14.0, 14.0, 42.0)], (28, 28, 56)
+    away = distances(shape, ISOTROPIC, centres, 9.0)
+    image = np.select([a < 0 for a in away], [300.0, 900.0], 0.0)
+    image += np.random.default_rng(3).normal(0, 30, shape)
+    starts = seeds(shape, ISOTROPIC, centres, 5.0, (1, 2))
+    io.write_labels(Volume.from_array((starts == 2).astype(np.uint8), 1.0), tmp_path / "bright.nii.gz")
+    result = segment_objects(
+        image, starts, spacing=1.0, energy="threshold:learned,", foreground=f"label:{tmp_path / 'bright.nii.gz'}"
+    )
+    assert result.objects[1].stop.reason == "vanished" and dice(result.labels == 2, away[1] < 0) > 0.95
+    assert result.terms == result.objects[2].terms
+
+
+def test_touching_nuclei_of_other_brightness():
+    """Seven ellipsoids, each touching some others, blurred and in noise, on voxels twice as high as wide."""
+    spacing, shape = (2.0, 1.0, 1.0), (16, 56, 56)
+    rng = np.random.default_rng(8)
+    around = [(16.0, 28.0 + 14 * np.sin(a), 28.0 + 14 * np.cos(a)) for a in np.arange(6) * np.pi / 3]
+    z, y, x = (i * h for i, h in zip(np.indices(shape).astype(float), spacing, strict=True))
+    centres = [(16.0, 28.0, 28.0), *around]
+    away = [
+        np.sqrt(((z - c[0]) / rng.uniform(0.9, 1.1)) ** 2 + (y - c[1]) ** 2 + (x - c[2]) ** 2) - 7.0 for c in centres
+    ]
+    nearest = np.argmin(away, axis=0)
+    truth = np.where(np.min(away, axis=0) < 0, nearest + 1, 0)
+    brightness = np.array([0.0, *rng.uniform(0.6, 1.4, 7)])
+    image = ndimage.gaussian_filter(brightness[truth], (0.5, 1.0, 1.0)) + rng.normal(0, 0.15, shape)
+    result = segment_objects(
+        image, seeds(shape, spacing, centres, 3.0, range(1, 8)), spacing=spacing, energy="threshold:half:0,",
+        presmooth=1.0,
+    )
+    found = [dice(result.labels == own, truth == own) for own in range(1, 8)]
+    print(f"touching nuclei: Dice {np.round(found, 3)}")
+    assert min(found) > 0.85 and all(one.stop.reason == "converged" for one in result.objects.values())

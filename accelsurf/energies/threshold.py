@@ -53,13 +53,13 @@ class Threshold(RegionField):
                 f"threshold: {a:g} to {b:g} was given, expected a low value below a high one",
                 "one of the two may be left out",
             )
-        soft = soft_edge(image, low, high) if soft is None else float(soft)
+        soft = soft_edge(np.ptp(image), low, high) if soft is None else float(soft)
         super().__init__(threshold_field(image, a, b, soft), alpha)
 
 
-def soft_edge(image: np.ndarray, low: float | None, high: float | None) -> float:
-    """Width of the edges of a window, in the image's unit, where none is given."""
-    part = SOFT_RANGE * (float(np.max(image)) - float(np.min(image)))
+def soft_edge(values: float, low: float | None, high: float | None) -> float:
+    """Width of the edges of a window, in the image's unit, where none is given; ``values``: range of the image's."""
+    part = SOFT_RANGE * float(values)
     return part if low is None or high is None else min(part, SOFT_WINDOW * (high - low))
 
 
