@@ -14,7 +14,7 @@ import shlex
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +33,17 @@ BEGIN, END = "<!-- scripts/study real-scans writes this table -->", "<!-- end of
 
 @dataclass(frozen=True)
 class Case:
-    """An object in a scan: ``options`` of `accelsurf segment`; the reference's ``labels``, all above 0 unless given."""
+    """An object in a scan: ``options`` of `accelsurf segment`; the reference's ``labels``, all above 0 unless given.
+
+    With ``balls`` each label of the reference is an object, started from a ball of so many mm on its centroid.
+    """
 
     image: str
     options: str
     labels: tuple[int, ...] = ()
     wanted: float | None = None
     reference: bool = True
+    balls: float | None = None
 
 
 _LIVER = "--start ball:163,318,19,12vox --start ball:151,313,0,12vox --start ball:155,277,19,12vox"
@@ -68,6 +72,9 @@ CASES: dict[str, Case] = {
     "spleen": Case("ct_abdomen_hires", "--start ball:372,311,9,12vox --preset ct-organ", (1,)),
     "aorta": Case("ct_abdomen_hires", "--start ball:263,299,11,7vox --preset ct-vessel", (52,)),
     "bones": Case("ct_abdomen_hires", "--preset ct-bone", _BONES),
+    "nuclei, each": Case(
+        "fluo_nuclei1136", "--presmooth 0.2 --balance 2 --max-steps 40", wanted=0.65, balls=0.6
+    ),
     "head phantom": Case("ct_phantom_oblique", "--preset ct-bone", reference=False),
 }
 #: Folder of the pictures that the page shows, and the colours of each.
@@ -91,9 +98,10 @@ def main() -> None:
     names = [name.strip() for name in options.only.split(";") if name.strip()] or list(CASES)
     for name in set(names) - set(CASES):
         sys.exit(f"{name}: there is no such case, expected {'; '.join(CASES)}")
+    options.output = options.output.resolve()
     options.output.mkdir(parents=True, exist_ok=True)
     for name in names:
-        row = run(name, CASES[name], Path(folder), options)
+        row = run(name, CASES[name], Path(folder).resolve(), options)
         if options.note:
             row["note"] = options.note
         keep(name, row)
@@ -116,12 +124,17 @@ def keep(name: str, row: dict[str, Any]) -> None:
 def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Run a case as a user does, and measure what it wrote."""
     source, target = folder / f"{case.image}.nii.gz", options.output / slug(name)
+    if case.balls is not None:
+        table = options.output / f"{slug(name)}.csv"
+        case = replace(case, options=f"--objects {table.name} {case.options}")
+        seeds(io.read_labels(folder / f"{case.image}_ref.nii.gz"), case.balls, table)
     typed = shlex.split(case.options)
     row: dict[str, Any] = {"command": f"accelsurf segment {source.name} -o {target.name} {case.options}"}
     call = [sys.executable, "-m", "accelsurf", "segment", str(source), "-o", str(target), *typed]
     began = time.perf_counter()
     done = subprocess.run(
-        [*call, "--threads", str(options.threads), "--overwrite", "--quiet"], capture_output=True, text=True
+        [*call, "--threads", str(options.threads), "--overwrite", "--quiet"], capture_output=True, text=True,
+        cwd=options.output,
     )
     row |= {"exit_code": done.returncode, "seconds": time.perf_counter() - began, "threads": options.threads}
     if done.returncode:
@@ -131,9 +144,14 @@ def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dic
     row |= {key: report[key] for key in ("stop", "levels", "volume_mm3", "peak_rss_mb", "quality", "warnings")}
     row["levels"] = len(report["levels"])
     image, labels = io.read(source), io.read_labels(target / f"{case.image}_seg.nii.gz")
-    row["mesh_beyond_labels_voxels"] = mesh_beyond_labels(target / f"{case.image}_surface.ply", labels)
     truth = None
-    if case.reference:
+    if case.balls is not None:
+        truth = io.read_labels(folder / f"{case.image}_ref.nii.gz")
+        row["metrics"] = each(labels, truth)
+        row["best_threshold"] = best_window(image.as_float32(), truth.array > 0)._asdict()
+    else:
+        row["mesh_beyond_labels_voxels"] = mesh_beyond_labels(target / f"{case.image}_surface.ply", labels)
+    if case.reference and case.balls is None:
         truth = io.read_labels(folder / f"{case.image}_ref.nii.gz")
         chosen = np.isin(truth.array, case.labels) if case.labels else truth.array > 0
         truth = truth.with_array(chosen.astype(np.uint8))
@@ -147,6 +165,25 @@ def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dic
     picture(PICTURES / f"real-{target.name}.png", name, image, labels, truth)
     row["memory_of_study_mb"] = peak_rss_mb()
     return row
+
+
+def seeds(truth: Volume, radius: float, path: Path) -> None:
+    """A table for --objects: a ball of ``radius`` mm on the centroid of each label."""
+    ids = [int(own) for own in np.unique(truth.array) if own > 0]
+    places = truth.geometry.index_to_world(np.array(ndimage.center_of_mass(truth.array > 0, truth.array, ids)))
+    rows = [f"{own},{x:.4f},{y:.4f},{z:.4f},{radius:g}" for own, (x, y, z) in zip(ids, places, strict=True)]
+    path.write_text("\n".join(["id,x,y,z,r", *rows, ""]))
+
+
+def each(labels: Volume, truth: Volume) -> dict[str, Any]:
+    """Means over the labels of the reference of what each has in common with the object of its id."""
+    ids = [int(own) for own in np.unique(truth.array) if own > 0]
+    pairs = [[one.with_array((one.array == own).astype(np.uint8)) for one in (labels, truth)] for own in ids]
+    found = [metrics.evaluate(*pair).to_dict() for pair in pairs if pair[0].array.any()]
+    dice = [metrics.dice(*(one.array > 0 for one in pair)) for pair in pairs]
+    means = {key: float(np.mean([one[key] for one in found])) for key in ("hd95_mm", "mean_surface_distance_mm")}
+    whole = metrics.dice(labels.array > 0, truth.array > 0)
+    return {"dice": float(np.mean(dice)), **means, "found": len(found), "of": len(ids), "all_as_one": whole}
 
 
 def text_of(cases: dict[str, dict[str, Any]]) -> str:
@@ -200,9 +237,13 @@ def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume
     near = ndimage.binary_dilation((inside | (labels.array > 0))[k, y0:y1, x0:x1], iterations=8)
     low, high = np.percentile(part[near], (1, 99))
     axes.imshow(part, cmap="gray", vmin=low, vmax=high, aspect=spacing[1] / spacing[2])
-    axes.contour(labels.array[k, y0:y1, x0:x1], [0.5], colors="#ff9d2e", linewidths=1.2)
+    looks = [(labels, {"colors": "#ff9d2e", "linewidths": 1.2})]
     if truth is not None:
-        axes.contour(truth.array[k, y0:y1, x0:x1], [0.5], colors="#2ec4ff", linewidths=0.9, linestyles="dashed")
+        looks.append((truth, {"colors": "#2ec4ff", "linewidths": 0.9, "linestyles": "dashed"}))
+    for volume, look in looks:
+        shown = volume.array[k, y0:y1, x0:x1]
+        for own in np.unique(shown[shown > 0]):
+            axes.contour(shown == own, [0.5], **look)
     axes.set_title(f"{title}: ours solid" + (", reference dashed" if truth is not None else ""), fontsize=9)
     axes.axis("off")
     figure.tight_layout(pad=0.3)

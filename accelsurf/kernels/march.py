@@ -286,9 +286,11 @@ def closer_foot(s, dense, grid, cells, foot, state, near, out):
     Returns whether there is one.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
-    # Squares of distances: -1 where nothing can be closer.
-    own = length(foot, s) - CLOSER * h
-    least = 1e30 if state[s] == OPEN else (own * own if own > 0.0 else -1.0)
+    # Squares of distances: -1 where nothing can be closer. An open slot's foot is nothing yet.
+    least = 1e30
+    if state[s] != OPEN:
+        own = length(foot, s) - CLOSER * h
+        least = own * own if own > 0.0 else -1.0
     found = False
     cell = cells[s]
     iz, iy, ix = unravel(cell, grid)
