@@ -173,7 +173,7 @@ def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
     Examples
     --------
     >>> _layout(10, 5.0)
-    (11, 1.3693063937629153, 1.7136709226131398, 3)
+    (7, 2.73861278752583, 1.3568323274845013, 2)
     """
     if n == 1:
         return 1, 1.0, 0.0, 1
