@@ -6,6 +6,7 @@ traceback shows it below the message.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 
@@ -82,3 +83,16 @@ class OutputError(AccelsurfError):
 
     exit_code = 7
     kind = "output"
+
+
+def check_known(what: str, given: str, known: Iterable[str]) -> None:
+    """Refuse a word that is none of those ``known``.
+
+    Raises
+    ------
+    UsageError
+        With what there is.
+    """
+    names = tuple(known)
+    if given not in names:
+        raise UsageError(f"{what}: {given} was given, expected {', '.join(names)}")

@@ -22,6 +22,8 @@ ORTHONORMAL_TOLERANCE = 1e-4
 """Largest accepted entry of |D^T D - 1|: float32 headers stay below 1e-6, a shear of 0.01 degree does not."""
 
 Floats = NDArray[np.float64]
+#: Voxels of a part of a grid, (z, y, x).
+Box = tuple[slice, slice, slice]
 
 
 @dataclass(frozen=True, eq=False)

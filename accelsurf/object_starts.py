@@ -18,7 +18,7 @@ from accelsurf import io, starts
 from accelsurf.energies.contested import Corner
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.files import naming
-from accelsurf.geometry import Geometry
+from accelsurf.geometry import Box, Geometry
 from accelsurf.volume import Volume
 
 #: Largest id that a label map can hold.
@@ -26,7 +26,6 @@ LARGEST_ID = 2**32 - 1
 #: Columns of a table: world mm (LPS), or voxel indices with the radius in voxels of the smallest spacing.
 WORLD, VOXELS = ("id", "x", "y", "z", "r"), ("id", "x_vox", "y_vox", "z_vox", "r_vox")
 _FORM = f"columns {','.join(WORLD)} in world mm (LPS), or {','.join(VOXELS)}"
-Box = tuple[slice, slice, slice]
 
 
 class ObjectStart(NamedTuple):

@@ -25,8 +25,9 @@ from accelsurf.energies.local_region import TENT
 from accelsurf.errors import InputError
 from accelsurf.evolution import Evolution, Restart, Row, Stop
 from accelsurf.flows import Limits
+from accelsurf.geometry import Box
 from accelsurf.levelset import LevelSet, Workers
-from accelsurf.object_starts import Box, ObjectStart, corner_of, meeting, shared, widened
+from accelsurf.object_starts import ObjectStart, corner_of, meeting, shared, widened
 from accelsurf.preparation import Prepared
 from accelsurf.systems import half_width, make_energy, make_flow, stop_rule
 from accelsurf.terms import WINDOW_VOXELS

@@ -14,13 +14,12 @@ from accelsurf.config import RunConfig
 from accelsurf.energies import Energy
 from accelsurf.energies.fenced import Fenced, fence_of
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.geometry import Geometry
+from accelsurf.geometry import Box, Geometry
 from accelsurf.terms import Facts, Mask, Scale
 from accelsurf.volume import Volume, check_image
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
-Box = tuple[slice, slice, slice]
 
 
 class Prepared:

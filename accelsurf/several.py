@@ -18,8 +18,7 @@ from accelsurf.coarse_to_fine import Passed
 from accelsurf.config import RunConfig
 from accelsurf.errors import UsageError
 from accelsurf.evolution import Row, Stop
-from accelsurf.geometry import Geometry
-from accelsurf.object_starts import Box
+from accelsurf.geometry import Box, Geometry
 from accelsurf.objects import Objects
 from accelsurf.preparation import Prepared, cropped
 from accelsurf.run import available_cores, seeded

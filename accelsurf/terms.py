@@ -31,6 +31,7 @@ from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
 from accelsurf.expression import Term
+from accelsurf.geometry import Box
 from accelsurf.regions import otsu_level
 
 #: R of local-region unless given, voxels of the largest spacing.
@@ -43,7 +44,6 @@ MEAN_OVER_CHANNELS, SUM_OVER_CHANNELS = ("chan-vese", "local-region"), ("likelih
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-Box = tuple[slice, slice, slice]
 _EVERYWHERE: Box = (slice(None), slice(None), slice(None))
 Kept = TypeVar("Kept")
 
@@ -102,6 +102,7 @@ class Facts:
         self.others = others or (lambda shape, spacing: self.images[1:])
         self.chosen: dict[int, dict[str, Any]] = {}
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
+        self._outside: dict[int, NDArray[Any]] = {}
         self._kept: dict[tuple[Any, ...], Any] = {}
 
     @property
@@ -129,7 +130,7 @@ class Facts:
 
     def once(self, make: Callable[..., Kept], channel: int, *args: Any) -> Kept:
         """``make(image, *args)`` of a whole channel, found once: many objects ask for it."""
-        key = (getattr(make, "__func__", make), channel, args)
+        key = (make, channel, args)
         if key not in self._kept:
             self._kept[key] = make(self.images[channel], *args)
         return cast("Kept", self._kept[key])
@@ -142,16 +143,13 @@ class Facts:
                     "energy: likelihood with update=no was given nothing to learn from",
                     "give --foreground, or use update=yes",
                 )
-            box, mask = self._inside
-            self._learned[channel] = self.images[channel][box][mask], self.once(self._outside, channel)
+            image, (box, mask) = self.images[channel], self._inside
+            if channel not in self._outside:
+                assert self.foreground is not None
+                # Without a background all that is foreground of no object.
+                self._outside[channel] = image[~self.foreground if self.background is None else self.background]
+            self._learned[channel] = image[box][mask], self._outside[channel]
         return self._learned[channel]
-
-    def _outside(self, image: Image) -> NDArray[Any]:
-        """Values of the background: without one, of all that is foreground of no object."""
-        if self.background is not None:
-            return image[self.background]
-        assert self.foreground is not None
-        return image[~self.foreground]
 
     def learned(self, channel: int) -> tuple[float, float]:
         """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""

@@ -69,6 +69,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     unknown = [name for name in options.name if name not in (*BENCHMARKS, "all")]
     if unknown:
         parser.error(f"{unknown[0]}: no such benchmark; there are {', '.join(BENCHMARKS)}, all")
+    if options.again and options.name != ["segment-real"]:
+        parser.error("--again is for segment-real alone: no other benchmark keeps its search")
     if not options.name and not options.render:
         parser.error("name a benchmark, or all, or --render")
     return options

@@ -23,10 +23,10 @@ from scipy import ndimage
 from accelsurf import io, metrics, phantoms
 from accelsurf.report import versions
 from accelsurf.volume import Volume
+from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, FACTS = ROOT / "docs" / "defaults.md", ROOT / "docs" / "defaults.json"
-BEGIN, END = "<!-- scripts/study defaults writes this table -->", "<!-- end of the table -->"
 #: Noise in parts of the contrast; None is the recipe's own.
 NOISE = (0.0, 0.3, 1.0, None)
 #: Scans: file, ball in voxels, and whether there is a reference (all of its labels above 0).
@@ -59,8 +59,7 @@ def write(facts: dict[str, Any]) -> None:
     order = [*phantoms.recipe_names(), *SCANS]
     facts["rows"] = dict(sorted(facts["rows"].items(), key=lambda item: order.index(item[1]["input"])))
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
-    before, rest = PAGE.read_text().split(BEGIN)
-    PAGE.write_text(before + BEGIN + "\n\n" + text_of(facts["rows"].values()) + "\n" + END + rest.split(END)[1])
+    put_table(PAGE, "defaults", text_of(facts["rows"].values()))
 
 
 def phantom(name: str, threads: int) -> list[dict[str, Any]]:
@@ -98,13 +97,12 @@ def scan(name: str, threads: int) -> list[dict[str, Any]]:
 
 def ball_in(truth: Volume) -> str:
     """A ball half as deep as the object is, around the voxel where it is deepest, as `--start` takes it."""
-    spacing = truth.geometry.spacing
     padded = np.pad(truth.array > 0, [(1, 1) if n > 1 else (0, 0) for n in truth.array.shape])
-    depth = ndimage.distance_transform_edt(padded, sampling=spacing)
+    depth = ndimage.distance_transform_edt(padded, sampling=truth.geometry.spacing)
     index = np.array(np.unravel_index(depth.argmax(), depth.shape)) - [n > 1 for n in truth.array.shape]
     x, y, z = truth.geometry.index_to_world(index.astype(float))
-    finest = min(h for n, h in zip(truth.array.shape, spacing, strict=True) if n > 1)
-    return f"ball:{x:.2f},{y:.2f},{z:.2f},{max(0.5 * float(depth.max()), 2.0 * finest):.2f}"
+    radius = max(0.5 * float(depth.max()), 2.0 * min(truth.geometry.steps))
+    return f"ball:{x:.2f},{y:.2f},{z:.2f},{radius:.2f}"
 
 
 def run(source: Path, ball: str, truth: Volume | None, threads: int) -> dict[str, Any]:
@@ -122,14 +120,13 @@ def run(source: Path, ball: str, truth: Volume | None, threads: int) -> dict[str
     row |= {key: report[key] for key in ("stop", "chosen", "quality", "volume_mm3")}
     if truth is not None:
         row["metrics"] = metrics.evaluate(labels, truth).to_dict()
-        finest = min(h for n, h in zip(labels.array.shape, labels.geometry.spacing, strict=True) if n > 1)
-        row["hd95_voxels"] = row["metrics"]["hd95_mm"] / finest
+        row["hd95_voxels"] = row["metrics"]["hd95_mm"] / min(labels.geometry.steps)
     return row
 
 
 def text_of(rows: Any) -> str:
     """The table, as Markdown."""
-    lines = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)]
+    lines = head_of(COLUMNS)
     for row in rows:
         noise = "" if row["noise"] is None else f"{row['noise']:g}"
         if "error" in row:
@@ -143,7 +140,7 @@ def text_of(rows: Any) -> str:
         cells.append(f"{row['volume_mm3'] / exact - 1:+.1%}" if exact else "")
         words = ", ".join(text.split(":")[0] for text in row["quality"]["warnings"])
         cells += [str(stop["steps"]), stop["reason"], str(chosen["levels"]), f"{chosen['presmooth_mm']:g}", words]
-        lines.append(f"| {' | '.join(cells)} |")
+        lines.append(row_of(cells))
     return "\n".join([*lines, ""])
 
 

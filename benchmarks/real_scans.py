@@ -24,11 +24,11 @@ from scipy import ndimage
 from accelsurf import io, metrics
 from accelsurf.report import peak_rss_mb, versions
 from accelsurf.volume import Volume
+from benchmarks.pages import head_of, put_table, row_of
 from benchmarks.peers.scans import best_window, compare_peers
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, FACTS = ROOT / "docs" / "real-scans.md", ROOT / "docs" / "real-scans.json"
-BEGIN, END = "<!-- scripts/study real-scans writes this table -->", "<!-- end of the table -->"
 
 
 @dataclass(frozen=True)
@@ -116,9 +116,7 @@ def keep(name: str, row: dict[str, Any]) -> None:
     facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
     facts["cases"] = {key: {**facts["cases"], name: row}[key] for key in CASES if key in {**facts["cases"], name: row}}
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
-    page = PAGE.read_text()
-    before, rest = page.split(BEGIN)
-    PAGE.write_text(before + BEGIN + "\n\n" + text_of(facts["cases"]) + "\n" + END + rest.split(END)[1])
+    put_table(PAGE, "real-scans", text_of(facts["cases"]))
 
 
 def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -188,7 +186,7 @@ def each(labels: Volume, truth: Volume) -> dict[str, Any]:
 
 def text_of(cases: dict[str, dict[str, Any]]) -> str:
     """The table and the commands, as Markdown."""
-    lines = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)]
+    lines = head_of(COLUMNS)
     for name, row in cases.items():
         if "error" in row:
             lines.append(f"| {name} | | {row['error'].splitlines()[0]} |" + " |" * (len(COLUMNS) - 3))
@@ -202,7 +200,7 @@ def text_of(cases: dict[str, dict[str, Any]]) -> str:
         cells.append(f"{best[1]['dice']:.3f} ({best[0]})" if best else "")
         levels = f" on {row['levels']} grids" if row["levels"] > 1 else ""
         cells += [f"{stop['steps']}{levels}", f"{row['seconds']:.0f}", stop["reason"]]
-        lines.append(f"| {' | '.join(cells)} |")
+        lines.append(row_of(cells))
     commands = [f"    {row['command']}" for row in cases.values()]
     shown = [name for name, row in cases.items() if "error" not in row]
     pictures = [f"![{name}](images/real-{slug(name)}.png)" for name in shown]

@@ -410,7 +410,7 @@ def test_command_line_tells_bad_objects(scan, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("energy", ["threshold:learned,learned", "threshold:half:0,", "likelihood:update=no"])
-def test_each_object_learns_from_its_own_start(energy, tmp_path):
+def test_each_object_learns_from_its_own_start(energy):
     """Two balls of other brightness, each beside something as bright as the other."""
     centres, shape = [(14.0, 14.0, 14.0), (14.0, 14.0, 42.0)], (28, 28, 56)
     away = distances(shape, ISOTROPIC, centres, 9.0)

@@ -207,9 +207,9 @@ class Accelerated(Remembers):
         if forces_changed:
             self._forget()
 
-    #: What is remembered of the wells: the strongest force yet, how many times steeper than it they have shown to be,
-    #: and whether the surface turned around in the last step.
-    wells = ("_strongest", "_voxel", "_steeper", "_turned")
+    #: Also how many times steeper than the strongest force says they have shown to be, and whether the surface turned
+    #: around in the last step.
+    wells = (*Remembers.wells, "_steeper", "_turned")
 
     def _forget(self) -> None:
         super()._forget()

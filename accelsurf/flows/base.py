@@ -162,7 +162,8 @@ class Remembers:
     """What a flow remembers: the attributes named in ``remembered``; arrays are copied."""
 
     remembered: ClassVar[tuple[str, ...]] = ()
-    #: The strongest force yet, in voxels of ``_voxel`` mm.
+    #: What is remembered of the wells: the strongest force yet, in voxels of ``_voxel`` mm.
+    wells: ClassVar[tuple[str, ...]] = ("_strongest", "_voxel")
     _strongest, _voxel = 0.0, 1.0
 
     @property
@@ -206,7 +207,7 @@ class Descent(Remembers):
     """What flows without inertia share: no kinetic energy, and a step that follows the strongest speed so far."""
 
     weight = 1.0
-    remembered: ClassVar[tuple[str, ...]] = ("_strongest", "_voxel")
+    remembered = Remembers.wells
 
     def __init__(self) -> None:
         self._forget()

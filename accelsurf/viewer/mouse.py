@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import UsageError
+from accelsurf.errors import check_known
 from accelsurf.viewer.scene import Scene
 
 #: What a drag of the left button does: look around, or place a ball that becomes the start, is added or taken away.
@@ -47,8 +47,7 @@ class Mouse:
         UsageError
             For another one.
         """
-        if mode not in MODES:
-            raise UsageError(f"mouse: {mode} was given, expected {', '.join(MODES)}")
+        check_known("mouse", mode, MODES)
         self.mode = mode
         self._drop_ball()
 

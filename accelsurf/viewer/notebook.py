@@ -11,7 +11,7 @@ from typing import Any
 
 import pyvista as pv
 
-from accelsurf.errors import UsageError
+from accelsurf.errors import UsageError, check_known
 from accelsurf.segmentation import Result
 from accelsurf.viewer.export import html_page, write_html
 from accelsurf.viewer.frame import Frame
@@ -71,8 +71,8 @@ def show(
     """
     if not isinstance(what, (Result, Volume)):
         raise UsageError(f"show: a {type(what).__name__} was given, expected a Result or a Volume")
-    if backend is not None and backend not in BACKENDS:
-        raise UsageError(f"backend: {backend} was given, expected {', '.join(BACKENDS)}")
+    if backend is not None:
+        check_known("backend", backend, BACKENDS)
     image = what.volume if isinstance(what, Result) else what
     suffix = "" if to is None else Path(to).suffix.lower()
     if to is not None and suffix not in (".png", ".html", ".htm"):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from accelsurf import __version__, io, outputs, report
 from accelsurf.config import RunConfig
-from accelsurf.errors import UsageError
+from accelsurf.errors import UsageError, check_known
 from accelsurf.run import Run
 from accelsurf.segmentation import Result, result_of
 
@@ -50,8 +50,7 @@ def save(
         When a file is there already or cannot be written.
     """
     for kind in what:
-        if kind not in KINDS:
-            raise UsageError(f"save: {kind} was given, expected {', '.join(KINDS)}")
+        check_known("save", kind, KINDS)
     config = repeating(run)
     result = dataclasses.replace(result_of(run), config=config)
     empty = not result.labels.any() or bool(result.labels.all())

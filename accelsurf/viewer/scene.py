@@ -21,7 +21,7 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.errors import InputError, UsageError
+from accelsurf.errors import InputError, UsageError, check_known
 from accelsurf.evolution import Row
 from accelsurf.geometry import Geometry
 from accelsurf.headers import of_patient
@@ -229,8 +229,7 @@ class Scene:
         UsageError
             For another name.
         """
-        if name not in COLORS:
-            raise UsageError(f"color: {name} was given, expected {', '.join(COLORS)}")
+        check_known("color", name, COLORS)
         self._color = name
         self._show_frame()
 
@@ -320,8 +319,7 @@ class Scene:
         UsageError
             For another view.
         """
-        if view not in VIEWS:
-            raise UsageError(f"view: {view} was given, expected {', '.join(VIEWS)}")
+        check_known("view", view, VIEWS)
         if self.space is not None:
             self.space.look_from(view)
 
