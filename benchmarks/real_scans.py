@@ -21,10 +21,12 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from accelsurf import io, metrics
+from accelsurf import io, metrics, object_starts
+from accelsurf.objects import ROOM
 from accelsurf.report import peak_rss_mb, versions
 from accelsurf.volume import Volume
 from benchmarks.pages import head_of, put_table, row_of
+from benchmarks.peers.objects import compare_on_objects
 from benchmarks.peers.scans import best_window, compare_peers
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -51,6 +53,7 @@ _CORD = " ".join(
     f"--start ball:{place},2.5vox"
     for place in ("31.8,5,24.8", "30.8,16,24.7", "30.3,27,25.0", "30.3,38,25.3", "30.3,49,25.6")
 )
+_NUCLEI = "local-region:R=2.5 + 0.02*threshold:half:25,"
 _BONES = (32, 33, 69, 70, *range(97, 104), *range(109, 116))
 CASES: dict[str, Case] = {
     "brain": Case("mri_brain256", "--start ball:126,110,130,30vox --preset mr-brain", wanted=0.96),
@@ -73,7 +76,7 @@ CASES: dict[str, Case] = {
     "aorta": Case("ct_abdomen_hires", "--start ball:263,299,11,7vox --preset ct-vessel", (52,)),
     "bones": Case("ct_abdomen_hires", "--preset ct-bone", _BONES),
     "nuclei, each": Case(
-        "fluo_nuclei1136", "--presmooth 0.2 --balance 2 --max-steps 40", wanted=0.65, balls=0.6
+        "fluo_nuclei1136", f"--energy '{_NUCLEI}' --presmooth 0.2 --smoothness 0.006", wanted=0.65, balls=0.8
     ),
     "head phantom": Case("ct_phantom_oblique", "--preset ct-bone", reference=False),
 }
@@ -146,7 +149,12 @@ def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dic
     if case.balls is not None:
         truth = io.read_labels(folder / f"{case.image}_ref.nii.gz")
         row["metrics"] = each(labels, truth)
-        row["best_threshold"] = best_window(image.as_float32(), truth.array > 0)._asdict()
+        window = best_window(image.as_float32(), truth.array > 0)
+        row["best_threshold"] = window._asdict()
+        if options.peers > 0:
+            begun = object_starts.read(str(table), image.geometry, ROOM)
+            row["peers"] = compare_on_objects(image, truth.array, begun, window, options.peers)
+            row["peers"]["threads"] = options.threads
     else:
         row["mesh_beyond_labels_voxels"] = mesh_beyond_labels(target / f"{case.image}_surface.ply", labels)
     if case.reference and case.balls is None:
@@ -197,7 +205,7 @@ def text_of(cases: dict[str, dict[str, Any]]) -> str:
         keys = (("dice", ".3f"), ("hd95_mm", ".1f"), ("mean_surface_distance_mm", ".2f"))
         cells += [format(found[key], form) for key, form in keys] if found else ["no reference", "", ""]
         cells.append(f"{row['best_threshold']['dice']:.3f}" if found else "")
-        cells.append(f"{best[1]['dice']:.3f} ({best[0]})" if best else "")
+        cells.append(f"{best[1]['dice']:.3f} in {best[1]['seconds']:.1f} s ({best[0]})" if best else "")
         levels = f" on {row['levels']} grids" if row["levels"] > 1 else ""
         cells += [f"{stop['steps']}{levels}", f"{row['seconds']:.0f}", stop["reason"]]
         lines.append(row_of(cells))

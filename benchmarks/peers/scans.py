@@ -8,7 +8,7 @@ two-sided threshold of ITK-SNAP makes it, so that a speed of one sign is right f
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,7 +53,7 @@ def best_window(image: np.ndarray, truth: np.ndarray) -> Window:
     hit = np.diff(np.searchsorted(np.sort(image[truth], axis=None), edges, side="left"))
     all_below, hit_below = np.r_[0, count.cumsum()], np.r_[0, hit.cumsum()]
     between, both = all_below[None] - all_below[:, None], hit_below[None] - hit_below[:, None]
-    scores = np.where(between > 0, 2 * both / (between + hit_below[-1]), 0.0)
+    scores = np.where(between > 0, 2 * both, 0) / np.maximum(between + hit_below[-1], 1)
     i, j = np.unravel_index(scores.argmax(), scores.shape)
     return Window(float(edges[i]), float(edges[j]), float(scores[i, j]))
 
@@ -75,10 +75,20 @@ def compare_peers(
             continue
         began = time.perf_counter()
         trials = search_peer(peer, whole, seconds)
-        top = best(trials)
-        found["best"][peer.name] = {**top.to_dict(), "tried": len(trials), "search_s": time.perf_counter() - began}
-        print(f"   {peer.name}: Dice {top.dice:.4f} in {top.seconds:.1f} s with {top.settings}", flush=True)
+        found["best"][peer.name] = found_by(peer.name, trials, time.perf_counter() - began)
     return found
+
+
+def found_by(name: str, trials: list[Trial], seconds: float) -> dict[str, Any]:
+    """What a search of ``seconds`` found, for JSON."""
+    top = best(trials)
+    print(f"   {name}: Dice {top.dice:.4f} in {top.seconds:.1f} s with {top.settings}", flush=True)
+    return {**top.to_dict(), "tried": len(trials), "search_s": seconds}
+
+
+def overlap(found: np.ndarray, case: Mapping[str, np.ndarray]) -> float:
+    """Dice of what a program found with the reference."""
+    return dice(found, case["truth"])
 
 
 def in_window(image: np.ndarray, window: Window) -> np.ndarray:
@@ -89,14 +99,20 @@ def in_window(image: np.ndarray, window: Window) -> np.ndarray:
     return np.asarray(np.clip(0.5 + 0.5 * above / spread, 0.0, 1.0), np.float32)
 
 
-def search_peer(peer: Peer, whole: Mapping[str, np.ndarray], seconds: float) -> list[Trial]:
-    """Settings of one program, on half the resolution first where the image is large."""
-    small = halved(whole) if whole["image"].size > LARGE else None
+def search_peer(
+    peer: Peer,
+    whole: Mapping[str, np.ndarray],
+    seconds: float,
+    score: Callable[[np.ndarray, Mapping[str, np.ndarray]], float] = overlap,
+    halve: bool = True,
+) -> list[Trial]:
+    """Settings of one program, on half the resolution first where the image is large (with ``halve``)."""
+    small = halved(whole) if halve and whole["image"].size > LARGE else None
     first = small or whole
 
     def run_on(case: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> float:
         means = tuple(float(case["image"][side].mean()) for side in (case["truth"], ~case["truth"]))
-        return dice(peer.run(case["image"], case["start"], (means[0], means[1]), settings), case["truth"])
+        return score(peer.run(case["image"], case["start"], (means[0], means[1]), settings), case)
 
     side = max(first["image"].shape)
     coarse = [{**peer.scaled(s, side), "sigma": sigma} for s in peer.coarse for sigma in sigmas(s)]
