@@ -213,5 +213,21 @@ def test_the_run_is_made_of_what_the_configuration_says():
     assert run.evolution.restart is None and run.evolution.flow.name == "gradient"
 
 
+def test_the_report_has_what_the_run_took_from_image_and_grid():
+    image = make(recipe_from({"kind": "ball", "radius": 12, "shape": [48, 48, 24], "spacing": [1, 1, 2]})).image
+    image = image.with_array(image.array * 3.0 + 7.0)
+    chosen = segment(image, start="ball:0,0,0,6", presmooth="1.5vox").report["chosen"]
+    assert chosen["presmooth_mm"] == 1.5  # of the smallest spacing
+    (scale_,) = chosen["scale"]
+    smooth = presmoothed(image, 1.5)
+    assert (scale_["at_0"], scale_["at_1"]) == pytest.approx(tuple(np.percentile(smooth, [0.5, 99.5])), rel=1e-5)
+    assert chosen["levels"] == 2 and chosen["diffusion"] == "free" and chosen["half_width_voxels"] == 3
+    assert chosen["stop"] == {"voxels": 0.1, "steps": 6} and chosen["step_voxels"] == 0.5
+    other = {"start": "ball:0,0,0,6", "flow": "gradient", "levels": 1, "cfl": 0.3, "tolerance": 0.2, "half_width": 4}
+    chosen = segment(image, **other).report["chosen"]
+    assert chosen["levels"] == 1 and chosen["diffusion"] == 0.0 and chosen["half_width_voxels"] == 4
+    assert chosen["stop"] == {"voxels": 0.2, "steps": 20} and chosen["step_voxels"] == 0.3
+
+
 def test_public_names():
     assert accelsurf.segment is segment and accelsurf.evolve is evolve
