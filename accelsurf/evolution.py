@@ -27,8 +27,9 @@ class Row(NamedTuple):
     step : int
     level : int
         Grid that the step was made on: 0 is the image's own, 1 the next coarser one; see `accelsurf.pyramid`.
-    t, dt : float
-        Flow time and the step's length; dt is 0 in the last row, which only records the final state.
+    t, dt, travel_dt : float
+        Flow time, the step's length, and the length that the surface's way alone would allow: where dt is less, waves,
+        diffusion, noise or density bound it. Both are 0 in the last row, which only records the final state.
     potential, kinetic, mass_potential, weight : float
         U, the paper's T, U_mass, and the factor w of the potentials, at time t: E = U + U_mass + T/w never rises.
     friction_work, smoothing_work, noise_work : float
@@ -63,6 +64,7 @@ class Row(NamedTuple):
     level: int
     t: float
     dt: float
+    travel_dt: float
     potential: float
     kinetic: float
     mass_potential: float
@@ -118,6 +120,9 @@ class Step(NamedTuple):
 
 #: Mean motion in a step, voxels, of a surface that stands still: details finer than the grid pull it to and fro.
 STILL = 0.05
+#: A run has stalled when `LAST` steps running are shorter than this part of what the surface's way alone would allow,
+#: or than that part of the longest step; steps down to the share `SHORT` are long enough to judge by.
+STALLED, COLLAPSED, LAST, SHORT = 1e-3, 1e-6, 10, 0.1
 
 
 class StopRule(NamedTuple):
@@ -126,7 +131,8 @@ class StopRule(NamedTuple):
     Looked at every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a
     window before (what it moved there and back does not count), and the kinetic energy is below ``kinetic``
     of w times the potential won so far, or the last step moved the surface by less than `STILL` voxels: a start
-    that is the end wins nothing.
+    that is the end wins nothing. Short steps are no rest: where they are shorter than the share `SHORT` of
+    `Row.travel_dt`, the window is so many times longer.
     """
 
     window: int = 20
@@ -283,7 +289,7 @@ class Evolution:
             self._edits = before._edits
             if fields is not None:
                 self._books, self._potential_before = before._books, before._potential
-        self._first = len(self.ledger)
+        self._first = self._seen = len(self.ledger)
 
     def _goes_on(self) -> bool:
         """Whether this level has ended, and the next one begins where it did."""
@@ -403,7 +409,8 @@ class Evolution:
         return following
 
     _SCALARS = (
-        "_time", "_potential", "_snapshot", "_won_before", "_potential_before", "_first", "_felt", "level",
+        "_time", "_potential", "_snapshot", "_won_before", "_potential_before", "_first", "_seen", "_felt",
+        "level",
     )
 
     def keep(self) -> Kept:
@@ -467,6 +474,7 @@ class Evolution:
             **state,
             **entries,
             dt=move.dt,
+            travel_dt=move.travel if math.isfinite(move.travel) else move.dt,
             speed=move.rate,
             motion_voxels=motion,
             limited_fraction=move.limited,
@@ -512,8 +520,8 @@ class Evolution:
         entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in Books.COLUMNS}
         entries["weight"] = self.flow.weight
         return Row(
-            **state, **entries, dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0, diffusion=0.0,
-            cells_visited=0, restarted=False, removed_components=0, seconds=time.perf_counter() - began,
+            **state, **entries, dt=0.0, travel_dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0,
+            diffusion=0.0, cells_visited=0, restarted=False, removed_components=0, seconds=time.perf_counter() - began,
         )
 
     # -- decisions -----------------------------------------------------------------------------------------
@@ -556,28 +564,40 @@ class Evolution:
         if self._asked:
             return "interrupted", f"stopped on request after {n} steps"
         if self._has_stalled():
-            return "stalled", "the time step has collapsed: the surface can no longer move"
+            return "stalled", self._why_stalled()
         if n >= self.max_steps:
             return "max-steps", f"not converged within {self.max_steps} steps"
         return self._converged()
 
     def _has_stalled(self) -> bool:
-        """Whether the last ten time steps were below a millionth of the longest."""
         rows = self._rows
-        if len(rows) < 20:
+        if len(rows) < LAST:
             return False
         longest = max(row.dt for row in rows)
-        return all(row.dt < 1e-6 * longest for row in rows[-10:])
+        return all(row.dt < max(STALLED * row.travel_dt, COLLAPSED * longest) for row in rows[-LAST:])
+
+    def _why_stalled(self) -> str:
+        last = self.ledger[-1]
+        if last.dt < STALLED * last.travel_dt:
+            return (
+                f"the steps are {last.travel_dt / last.dt:.0e} times shorter than the forces ask for: diffusion, "
+                "noise, smoothness or gravity bind them; less of it, or --diffusion free"
+            )
+        return "the time step has collapsed: the surface can no longer move"
 
     def _converged(self) -> tuple[StopReason, str] | None:
         rule = self.rule
         if rule is None or (len(self.ledger) - self._first) % rule.window:
             return None
-        before, self._snapshot = self._snapshot, self.surface.snapshot()
+        rows = self.ledger[self._seen :]
+        own = sum(row.travel_dt for row in rows) / max(len(rows), 1)
+        if sum(row.dt for row in rows) < SHORT * rule.window * own:
+            return None
+        before, self._snapshot, self._seen = self._snapshot, self.surface.snapshot(), len(self.ledger)
         if before is None:
             return None
         moved, last = self.surface.distance_from(before), self.ledger[-1]
         swings = last.kinetic > rule.kinetic * self.flow.weight * self._won and last.motion_voxels > STILL
         if moved > rule.motion or swings:
             return None
-        return "converged", f"the surface moved {moved:.3f} voxels in {rule.window} steps"
+        return "converged", f"the surface moved {moved:.3f} voxels in {len(rows)} steps"

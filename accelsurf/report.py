@@ -37,6 +37,7 @@ TRACE_COLUMNS = (
     "level",
     "t",
     "dt",
+    "travel_dt",
     "potential",
     "kinetic",
     "mass_potential",

@@ -125,6 +125,18 @@ def test_stalled():
     assert stop.reason == "stalled" and stop.steps < 40
 
 
+@pytest.mark.parametrize("flow", [Gradient, ConstantDensity, FlowableMass])
+def test_short_steps_are_no_rest(flow):
+    """A diffusion that makes the steps a thousand and more times too short: the surface has not moved, nor arrived."""
+    stop = run(Evolution(ball(6), ChanVese(smooth_image()), flow(diffusion=1e5), rule=StopRule(), max_steps=100))
+    assert stop.reason == "stalled" and stop.steps < 40 and "times shorter than the forces ask for" in stop.message
+    # Some hundred times too short: 20 of them move it by less than the tolerance, and prove nothing.
+    evolution = Evolution(ball(4), ChanVese(smooth_image()), flow(diffusion=1000.0), rule=StopRule(), max_steps=60)
+    assert run(evolution).reason == "max-steps"
+    assert sum(row.motion_voxels for row in evolution.ledger) < 0.5
+    assert all(20 < row.travel_dt / row.dt < 200 for row in evolution.ledger[:-1])
+
+
 def test_restart_when_the_potential_rises_after_travel():
     def restarts(restart):
         evolution = Evolution(

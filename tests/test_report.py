@@ -32,7 +32,7 @@ KEYS = {
 
 def row(step, **changes):
     values = {
-        **dict(step=step, level=0, t=0.1 * step, dt=0.1),
+        **dict(step=step, level=0, t=0.1 * step, dt=0.1, travel_dt=0.1),
         **dict(potential=100.0 / (step + 1), kinetic=1.0 + step, volume_mm3=10.0),
         **dict(area_mm2=5.0, speed=1.0, motion_voxels=0.5, limited_fraction=0.05, diffusion=2.0, band_cells=99),
         **dict(restarted=False, removed_components=0, seconds=0.01, cells_visited=500, clamped_fraction=0.0),

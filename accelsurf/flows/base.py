@@ -70,7 +70,7 @@ class Move(NamedTuple):
 
     ``dt``; ``speed`` (n,) beta on the whole band; ``velocity`` (n, 3) V, where the surface is carried along by it;
     ``rate`` the percentile of the front's speeds (mm per unit time); ``limited`` share of front cells held back;
-    ``diffusion`` used (mm2 per unit time).
+    ``diffusion`` used (mm2 per unit time); ``travel``, the step that the surface's way alone would allow.
     """
 
     dt: float
@@ -80,6 +80,7 @@ class Move(NamedTuple):
     limited: float = 0.0
     diffusion: float = 0.0
     account: Account = Account()
+    travel: float = 0.0
 
     @classmethod
     def none(cls, surface: LevelSet) -> Move:
@@ -268,13 +269,15 @@ class Remembering(Descent):
         self._last = np.zeros(surface.size, np.float32)
 
 
-def finish(now: Now, speed: np.ndarray, dt: float, limits: Limits, diffusion: float = 0.0) -> Move:
+def finish(
+    now: Now, speed: np.ndarray, dt: float, limits: Limits, travel: float, diffusion: float = 0.0
+) -> Move:
     """The move of a descent: ``speed`` (n,) at the front, held to the limit and extended (in place)."""
     rates = voxel_rates(now.surface, now.front, speed)
     held = hold_back(speed, rates, dt, limits.cfl)
     rate = percentile(speed, limits.percentile, now.front)
     now.surface.extend_outwards(speed, now.front)
-    return Move(dt, speed, None, rate, held / max(1, int(now.front.sum())), diffusion)
+    return Move(dt, speed, None, rate, held / max(1, int(now.front.sum())), diffusion, travel=travel)
 
 
 def voxel_rates(surface: LevelSet, front: np.ndarray, speed: np.ndarray) -> np.ndarray:

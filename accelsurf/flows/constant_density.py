@@ -75,7 +75,7 @@ class ConstantDensity(Accelerated):
         surface, front, clock = now.surface, now.front, self.clock
         force = front_percentiles(now, now.force, limits.percentile)
         speed = (0.0, 0.0) if clock.at_rest else front_percentiles(now, self.beta, limits.percentile)
-        dt = self.stable_dt(now, limits, force, speed)
+        dt, travel = self.stable_dt(now, limits, force, speed)
         if not math.isfinite(dt):
             return Move.none(surface)
         before = self.beta
@@ -103,7 +103,7 @@ class ConstantDensity(Accelerated):
         rate = percentile(self.beta, limits.percentile, front)
         surface.extend_outwards(self.beta, front)
         clock.tick(dt)
-        return Move(dt, self.beta, None, rate, held / max(1, int(front.sum())), diffusion, account)
+        return Move(dt, self.beta, None, rate, held / max(1, int(front.sum())), diffusion, account, travel)
 
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 rho int beta beta' dA."""
@@ -111,21 +111,20 @@ class ConstantDensity(Accelerated):
 
     def stable_dt(
         self, now: Now, limits: Limits, force: tuple[float, float], speed: tuple[float, float]
-    ) -> float:
-        """Largest stable time step; ``force`` and ``speed`` are percentiles, each per mm and in voxels.
+    ) -> tuple[float, float]:
+        """Largest stable time step, and that of travel alone.
 
-        Travel, b dt + A dt^2/2 <= cfl with b and A the percentiles of speed and acceleration in voxels;
-        transverse waves, dt <= h/(sqrt(3) c_T) with c_T = sqrt(beta^2/2 + w alpha/rho); diffusion and noise.
+        ``force`` and ``speed`` are percentiles, each per mm and in voxels. Travel, b dt + A dt^2/2 <= cfl with b and A
+        the percentiles of speed and acceleration in voxels; transverse waves, dt <= h/(sqrt(3) c_T) with
+        c_T = sqrt(beta^2/2 + w alpha/rho); diffusion and noise.
         """
         surface = now.surface
         pull = self._pull_of_wells(force[1], surface) / self.rho
         stiffness = now.alpha / self.rho
         if self.clock.at_rest:
-            dt = self.clock.first_dt(pull, stiffness, smallest_spacing(surface), limits.cfl)
+            dt = travel = self.clock.first_dt(pull, stiffness, smallest_spacing(surface), limits.cfl)
         else:
             w = self.clock.next_weight()
-            dt = min(
-                travel_dt(speed[1], w * pull, limits.cfl),
-                wave_dt(surface, math.sqrt(0.5 * speed[0] ** 2 + w * stiffness)),
-            )
-        return self._bounded(dt, surface, limits)
+            travel = travel_dt(speed[1], w * pull, limits.cfl)
+            dt = min(travel, wave_dt(surface, math.sqrt(0.5 * speed[0] ** 2 + w * stiffness)))
+        return self._bounded(dt, surface, limits), travel

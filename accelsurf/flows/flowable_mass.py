@@ -137,7 +137,7 @@ class FlowableMass(Accelerated):
         normal = surface.normals()
         gravity = self._gravity_now(now)
         acceleration = self._acceleration(now, normal, gravity)
-        dt = self.stable_dt(now, acceleration, gravity, limits)
+        dt, travel = self.stable_dt(now, acceleration, gravity, limits)
         if not math.isfinite(dt):
             return Move.none(surface)
         before, dm = self.velocity, 0.5 * (dt + clock.last_dt)
@@ -163,7 +163,7 @@ class FlowableMass(Accelerated):
         surface.extend_outwards(speed, front)
         self._stretch(now, normal, dt)
         clock.tick(dt)
-        return Move(dt, speed, self.velocity, rate, held / max(1, int(front.sum())), diffusion, account)
+        return Move(dt, speed, self.velocity, rate, held / max(1, int(front.sum())), diffusion, account, travel)
 
     # -- mass ----------------------------------------------------------------------------------------------
 
@@ -250,8 +250,10 @@ class FlowableMass(Accelerated):
 
     # -- step and account ----------------------------------------------------------------------------------
 
-    def stable_dt(self, now: Now, acceleration: np.ndarray, gravity: Gravity | None, limits: Limits) -> float:
-        """Largest stable time step under ``acceleration`` (n, 3), that of weight 1.
+    def stable_dt(
+        self, now: Now, acceleration: np.ndarray, gravity: Gravity | None, limits: Limits
+    ) -> tuple[float, float]:
+        """Largest stable time step under ``acceleration`` (n, 3), that of weight 1, and that of travel alone.
 
         Travel, b dt + A dt^2/2 <= cfl, b and A the percentiles of speed and acceleration in voxels; transverse waves,
         c_T^2 = w (alpha + tension)/rho; with gravity sound, dt <= h/(sqrt(3) (|V| + c_s)), c_s^2 = w g A rho.
@@ -266,17 +268,18 @@ class FlowableMass(Accelerated):
             sound = self.gravity * gravity.area * float(self.density[front].max(initial=0.0))
         stiffness /= float(self.density[front].min(initial=self.rho))
         if self.clock.at_rest:
-            dt = self.clock.first_dt(pull, max(stiffness, sound), smallest, limits.cfl)
+            dt = travel = self.clock.first_dt(pull, max(stiffness, sound), smallest, limits.cfl)
         else:
             w = self.clock.next_weight()
             rate = percentile(self._rates(surface, self.velocity), limits.percentile, front)
             fastest = percentile(np.linalg.norm(self.velocity, axis=1), limits.percentile, front)
+            travel = travel_dt(rate, w * pull, limits.cfl)
             dt = min(
-                travel_dt(rate, w * pull, limits.cfl),
+                travel,
                 wave_dt(surface, math.sqrt(w * stiffness)),
                 wave_dt(surface, fastest + math.sqrt(w * sound)) if sound > 0 else math.inf,
             )
-        return self._bounded(dt, surface, limits)
+        return self._bounded(dt, surface, limits), travel
 
     @staticmethod
     def _rates(surface: LevelSet, velocity: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ class Gradient(Descent):
         """Step with beta = f, dt <= cfl/|f|, dt <= h^2/(4 alpha), and D dt within the reach of diffusion."""
         surface, front = now.surface, now.front
         speed = np.array(now.force, np.float32)
-        dt = self.travel_dt(voxel_rates(surface, front, speed)[front], surface, limits)
+        dt = travel = self.travel_dt(voxel_rates(surface, front, speed)[front], surface, limits)
         if now.alpha > 0:
             dt = min(dt, curvature_bound(surface) / now.alpha)
         if self.diffusion:
@@ -55,7 +55,7 @@ class Gradient(Descent):
         if diffusion > 0:
             surface.extend_outwards(speed, front)
             diffuse(surface, front, speed, diffusion * dt)
-        return finish(now, speed, dt, limits, diffusion)
+        return finish(now, speed, dt, limits, travel, diffusion)
 
 
 def curvature_bound(surface: LevelSet) -> float:

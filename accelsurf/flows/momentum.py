@@ -45,12 +45,12 @@ class Momentum(Remembering):
     def move(self, now: Now, limits: Limits) -> Move:
         """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""
         force = np.asarray(now.force, np.float32)
-        dt = self.travel_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
+        dt = travel = self.travel_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
         if now.alpha > 0:
             dt = min(dt, curvature_bound(now.surface) / now.alpha)
         if not math.isfinite(dt):
             return Move.none(now.surface)
         speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last
-        move = finish(now, speed, dt, limits)
+        move = finish(now, speed, dt, limits, travel)
         self._last = move.speed * np.float32(dt)
         return move

@@ -47,7 +47,7 @@ class Sobolev(Remembering):
         dt = self.travel_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
         if not math.isfinite(dt):
             return Move.none(surface)
-        move = finish(now, speed, dt, limits)
+        move = finish(now, speed, dt, limits, dt)
         self._last = move.speed
         return move
 
