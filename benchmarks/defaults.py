@@ -34,7 +34,7 @@ SCANS = {
     "T1 brain": ("mri_brain256", "ball:126,110,130,30vox", True),
     "T1 brain, oblique": ("mri_brain_oblique", "ball:71,89,71,30vox", True),
     "T2 cord": ("mri_cord_iso", "ball:30.3,27,25.0,2.5vox", True),
-    "CT of a head phantom": ("ct_phantom_oblique", "ball:88,40,20,4vox", False),
+    "CT of a head phantom": ("ct_phantom_oblique", "ball:83,108,7,8vox", False),
 }
 COLUMNS = ("input", "noise", "Dice", "HD95 voxels", "volume", "steps", "stop", "grids", "presmooth", "warnings")
 
