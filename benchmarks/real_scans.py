@@ -53,6 +53,7 @@ _CORD = " ".join(
     f"--start ball:{place},2.5vox"
     for place in ("31.8,5,24.8", "30.8,16,24.7", "30.3,27,25.0", "30.3,38,25.3", "30.3,49,25.6")
 )
+_WHITE = "threshold:half:110, + 2*local-region:R=15"
 _NUCLEI = "local-region:R=2.5 + 0.02*threshold:half:25,"
 _BONES = (32, 33, 69, 70, *range(97, 104), *range(109, 116))
 CASES: dict[str, Case] = {
@@ -62,7 +63,7 @@ CASES: dict[str, Case] = {
     "oblique brain, defaults": Case("mri_brain_oblique", "--start center"),
     "white matter": Case(
         "mri_brain_oblique",
-        "--start ball:55,90,85,6vox --start ball:88,90,85,6vox --energy likelihood:update=no --levels 1", (2,), 0.90,
+        f"--start ball:55,90,85,6vox --start ball:88,90,85,6vox --energy '{_WHITE}' --levels 1", (2,), 0.90,
     ),
     "ventricles": Case(
         "mri_brain256", "--start ball:144,100,115,4vox --start ball:109,97,117,4vox --preset mr-ventricle", (4, 43)
