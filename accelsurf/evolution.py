@@ -129,15 +129,17 @@ class StopRule(NamedTuple):
     """When a run has converged, in physical terms.
 
     Looked at every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a
-    window before (what it moved there and back does not count), and the kinetic energy is below ``kinetic``
-    of w times the potential won so far, or the last step moved the surface by less than `STILL` voxels: a start
-    that is the end wins nothing. Short steps are no rest: where they are shorter than the share `SHORT` of
-    `Row.travel_dt`, the window is so many times longer.
+    window before (what it moved there and back does not count), and no more than the share ``far`` of it further than
+    two: a small part may still be on its way where all else rests. The kinetic energy is below ``kinetic`` of w times
+    the potential won so far, or the last step moved the surface by less than `STILL` voxels: a start that is the end
+    wins nothing. Short steps are no rest: where they are shorter than the share `SHORT` of `Row.travel_dt`, the window
+    is so many times longer.
     """
 
     window: int = 20
     motion: float = 0.1
     kinetic: float = 0.01
+    far: float = 0.01
 
 
 class Restart(NamedTuple):
@@ -598,6 +600,6 @@ class Evolution:
             return None
         moved, last = self.surface.distance_from(before), self.ledger[-1]
         swings = last.kinetic > rule.kinetic * self.flow.weight * self._won and last.motion_voxels > STILL
-        if moved > rule.motion or swings:
+        if moved.mean > rule.motion or moved.far > rule.far or swings:
             return None
-        return "converged", f"the surface moved {moved:.3f} voxels in {len(rows)} steps"
+        return "converged", f"the surface moved {moved.mean:.3f} voxels in {len(rows)} steps"

@@ -108,7 +108,7 @@ PRESETS: dict[str, Preset] = {
             "smoothness": "0: the cortex is folded",
         },
         {
-            _BRAIN: "Dice 0.966 from one ball (defaults 0.948)",
+            _BRAIN: "Dice 0.965 from one ball (defaults 0.948)",
             _OBLIQUE: "Dice 0.972 from the middle (defaults 0.952; a threshold 0.986, as fluid is left out there)",
         },
     ),

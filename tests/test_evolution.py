@@ -137,6 +137,19 @@ def test_short_steps_are_no_rest(flow):
     assert all(20 < row.travel_dt / row.dt < 200 for row in evolution.ledger[:-1])
 
 
+def test_a_small_part_on_its_way_is_no_rest():
+    """A ball at rest, and a rod of a fiftieth of its area that grows out of it to voxel 45."""
+    z, y, x = np.indices((40, 40, 50)) - np.array([19.5, 19.5, 18.5])[:, None, None, None]
+    r = np.sqrt(z**2 + y**2 + x**2)
+    rod = (z**2 + y**2 < 3.5**2) & (x > 0) & (x < 26)
+    evolution = Evolution(
+        LevelSet(r - 14, (1.0, 1.0, 1.0)), RegionField(np.where(rod, -1.0, np.clip(r - 14, -1, 1))), Gradient(),
+        max_steps=200, rule=StopRule(6),
+    )
+    assert run(evolution).reason == "converged"
+    assert np.flatnonzero(evolution.surface.labels.any(axis=(0, 1)))[-1] >= 43
+
+
 def test_restart_when_the_potential_rises_after_travel():
     def restarts(restart):
         evolution = Evolution(

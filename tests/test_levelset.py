@@ -413,14 +413,14 @@ def test_distance_from_a_snapshot_is_the_shift():
     ):
         surface = LevelSet(exact, spacing)
         before = surface.snapshot()
-        assert surface.distance_from(before) == 0
+        assert surface.distance_from(before) == (0, 0)
         steps(surface, constant(-0.6), per_voxel / 2, 3)
-        assert surface.distance_from(before) == pytest.approx(0.9, abs=0.01)
+        assert surface.distance_from(before) == (pytest.approx(0.9, abs=0.01), 0)
     surface = LevelSet(ball((30, 30, 30), ISOTROPIC, 9.0), ISOTROPIC)
     before = surface.snapshot()
     steps(surface, constant(-1.0), 0.5, 8)
     # Where the earlier band did not reach, its half width counts; the others are in its outermost part.
-    assert surface.distance_from(before) == pytest.approx(3, abs=0.1)
+    assert surface.distance_from(before) == (pytest.approx(3, abs=0.1), 1)
 
 
 def test_a_surface_that_shrinks_to_nothing():
@@ -445,7 +445,7 @@ def test_no_surface_to_begin_with(sign):
     assert (surface.size, surface.is_filled) == (0, sign < 0)
     assert surface.redistance([np.empty(0, np.float32)]).fields[0].size == 0
     assert volume(surface) == pytest.approx(0 if sign > 0 else 210 * 2.1)
-    assert surface.distance_from(surface.snapshot()) == surface.half_width
+    assert surface.distance_from(surface.snapshot()) == (surface.half_width, 1)
     assert check_level_set(surface) == []
 
 

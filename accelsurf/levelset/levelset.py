@@ -19,6 +19,8 @@ from accelsurf.levelset.parallel import Workers, dot
 FRONT_WIDTH = 2.0
 #: Rounds of closest points that are passed on: more than the cells of a way through the band.
 MOST_ROUNDS = 64
+#: What has come further than so many voxels since an earlier surface is still on its way.
+FAR = 2.0
 #: Components of at most this many voxels are below what the grid resolves (a ball of radius 1.5 voxels).
 SMALLEST = 14
 
@@ -40,6 +42,13 @@ class Snapshot(NamedTuple):
 
     cells: np.ndarray
     psi: np.ndarray
+
+
+class Shift(NamedTuple):
+    """How far a surface has come, voxels: the ``mean`` over its area, and the share of it beyond `FAR`."""
+
+    mean: float
+    far: float
 
 
 class LevelSet:
@@ -205,8 +214,8 @@ class LevelSet:
         """The band as it is now, for `distance_from`."""
         return Snapshot(self.band.cells, self.band.psi)
 
-    def distance_from(self, before: Snapshot) -> float:
-        """Mean distance, in voxels along the normal and weighted by area, of the surface from an earlier one.
+    def distance_from(self, before: Snapshot) -> Shift:
+        """Distance of the surface from an earlier one, in voxels along the normal and weighted by area.
 
         Measured at the voxels that the surface cuts now; where the earlier band did not reach, its half
         width counts.
@@ -214,14 +223,15 @@ class LevelSet:
         _, area = self.cut()
         on = np.flatnonzero(area)
         if on.size == 0 or before.cells.size == 0:
-            return self.half_width
+            return Shift(self.half_width, 1.0)
         at = np.minimum(np.searchsorted(before.cells, self.band.cells[on]), before.cells.size - 1)
         known = before.cells[at] == self.band.cells[on]
         moved = np.abs(self.band.psi[on].astype(np.float64) - before.psi[at])
         foot, h = self.band.foot[on].astype(np.float64), np.array([self.grid.hz, self.grid.hy, self.grid.hx])
         per_mm = np.sqrt(((foot / h) ** 2).sum(axis=1) / np.maximum((foot**2).sum(axis=1), 1e-300))
         voxels = np.where(known, moved * per_mm, self.half_width)
-        return dot(area[on], voxels) / float(area[on].sum())
+        whole = float(area[on].sum())
+        return Shift(dot(area[on], voxels) / whole, float(area[on][voxels > FAR].sum()) / whole)
 
     # -- how it moves --------------------------------------------------------------------------------------
 
