@@ -275,6 +275,8 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
     calls |= {peer.name: whole(peer) for peer in available(options)}
     if options.again:
         trials = kept_search(options)
+        # The others are what they were; of accelsurf what this code reaches counts, not what it reached then.
+        trials[OWN] = searched(own, _dice_of(truth), [trial.settings for trial in trials[OWN]], None, options)
     else:
         grid = [{**own_real_grid()[0], "max_steps": 3}] if options.quick else own_real_grid()
         # The search calls the whole command, and reads back what it wrote: its seconds are the command's alone.
