@@ -15,8 +15,8 @@ from accelsurf.levelset import LevelSet, Workers
 from accelsurf.pyramid import Level, carried, coarsened, refined
 
 #: A coarse level only has to come near, the next one goes on anyway: its window, its motion as a multiple of the
-#: finest level's, its kinetic energy.
-COARSE_WINDOW, COARSE_MOTION, COARSE_KINETIC = 10, 2.0, 0.05
+#: finest level's, its kinetic energy, and the share of it that may be further off.
+COARSE_WINDOW, COARSE_MOTION, COARSE_KINETIC, COARSE_FAR = 10, 2.0, 0.05, 0.01
 #: How a coarse level ends without a surface that the next one could go on from.
 FAILED = ("vanished", "filled", "diverged")
 
@@ -196,7 +196,7 @@ class CoarseToFine:
         if number == 0:
             return self.rule
         motion = StopRule().motion if self.rule is None else self.rule.motion
-        return StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC)
+        return StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC, COARSE_FAR)
 
     def _take(self, parts: Parts, new_energy: bool) -> Energy | None:
         self._make_energy, self.flow, self.limits, self.restart, self._half_width, self.rule = parts

@@ -86,7 +86,7 @@ def test_the_account_of_the_energy_goes_on(cube):
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
 def test_momentum_goes_on(cube, flow, monkeypatch):
     # The coarse level ends in full motion. The weight of k = 3 tells the time on the clock of w and gamma.
-    for name, value in (("COARSE_WINDOW", 8), ("COARSE_MOTION", 1e9), ("COARSE_KINETIC", 1e9)):
+    for name, value in (("COARSE_WINDOW", 8), ("COARSE_MOTION", 1e9), ("COARSE_KINETIC", 1e9), ("COARSE_FAR", 1.0)):
         monkeypatch.setattr(coarse_to_fine, name, value)
     options = {**START, "presmooth": 2.0, "restart": "off", "k": 3, "max_steps": 24, "flow": flow}
     rows = segment(cube.image, levels=2, **options).ledger
