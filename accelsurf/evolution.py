@@ -130,10 +130,10 @@ class StopRule(NamedTuple):
 
     Looked at every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a
     window before (what it moved there and back does not count), and no more than the share ``far`` of it further than
-    two: a small part may still be on its way where all else rests. The kinetic energy is below ``kinetic`` of w times
-    the potential won so far, or the last step moved the surface by less than `STILL` voxels: a start that is the end
-    wins nothing. Short steps are no rest: where they are shorter than the share `SHORT` of `Row.travel_dt`, the window
-    is so many times longer.
+    `levelset.FAR`: a small part may still be on its way where all else rests. The kinetic energy is below ``kinetic``
+    of w times the potential won so far, or the last step moved the surface by less than `STILL` voxels: a start that is
+    the end wins nothing. Short steps are no rest: where they are shorter than the share `SHORT` of `Row.travel_dt`, the
+    window is so many times longer.
     """
 
     window: int = 20
@@ -572,6 +572,7 @@ class Evolution:
         return self._converged()
 
     def _has_stalled(self) -> bool:
+        """Whether the last `LAST` steps were too short to get anywhere."""
         rows = self._rows
         if len(rows) < LAST:
             return False

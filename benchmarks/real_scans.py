@@ -26,7 +26,7 @@ from accelsurf.objects import ROOM
 from accelsurf.report import peak_rss_mb, versions
 from accelsurf.volume import Volume
 from benchmarks.pages import head_of, put_table, row_of
-from benchmarks.peers.objects import compare_on_objects
+from benchmarks.peers.objects import compare_on_objects, mean_dice
 from benchmarks.peers.scans import best_window, compare_peers
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -187,10 +187,10 @@ def each(labels: Volume, truth: Volume) -> dict[str, Any]:
     ids = [int(own) for own in np.unique(truth.array) if own > 0]
     pairs = [[one.with_array((one.array == own).astype(np.uint8)) for one in (labels, truth)] for own in ids]
     found = [metrics.evaluate(*pair).to_dict() for pair in pairs if pair[0].array.any()]
-    dice = [metrics.dice(*(one.array > 0 for one in pair)) for pair in pairs]
     means = {key: float(np.mean([one[key] for one in found])) for key in ("hd95_mm", "mean_surface_distance_mm")}
     whole = metrics.dice(labels.array > 0, truth.array > 0)
-    return {"dice": float(np.mean(dice)), **means, "found": len(found), "of": len(ids), "all_as_one": whole}
+    own = mean_dice(labels.array, truth.array)
+    return {"dice": own, **means, "found": len(found), "of": len(ids), "all_as_one": whole}
 
 
 def text_of(cases: dict[str, dict[str, Any]]) -> str:

@@ -14,7 +14,7 @@ import pytest
 from accelsurf.object_starts import ObjectStart
 from accelsurf.volume import Volume
 from benchmarks import benchmark
-from benchmarks.peers import objects, programs, render, segment
+from benchmarks.peers import objects, programs, render, scans, segment
 from benchmarks.peers.advance import grow, sparse_field
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import (
@@ -32,7 +32,6 @@ from benchmarks.peers.measure import (
     table,
 )
 from benchmarks.peers.memory import fitted
-from benchmarks.peers.scans import best_window
 from benchmarks.peers.work import ball, noisy_cube, radius_error, scan
 
 
@@ -113,14 +112,14 @@ def test_peers_find_two_touching_balls_each(monkeypatch: pytest.MonkeyPatch) -> 
     # One setting each, so that nothing hangs on how many fit into the time.
     name = "scikit-image morphological_chan_vese"
     one = replace(programs.PEERS[name], coarse=programs.PEERS[name].coarse[:1], fine={})
-    monkeypatch.setattr(objects, "PEERS", {name: one})
+    monkeypatch.setattr(scans, "PEERS", {name: one})
     monkeypatch.setattr(objects, "WATERSHEDS", [{"sigma": 1.0, "flooded": "value", "where": 0.4}])
     z, y, x = np.indices((24, 24, 36)) - np.array([11.5, 11.5, 11.5])[:, None, None, None]
     truth = np.where(z**2 + y**2 + x**2 < 8**2, 3, 0) + np.where(z**2 + y**2 + (x - 15) ** 2 < 7**2, 5, 0)
     image = Volume.from_array((truth > 0) * 100.0, 1.0)
     psi = [np.sqrt(z**2 + y**2 + (x - at) ** 2) - 3 for at in (0, 15)]
     starts = [ObjectStart(own, (0, 0, 0), np.float32(one)) for own, one in zip((3, 5), psi, strict=True)]
-    found = objects.compare_on_objects(image, truth, starts, best_window(image.array, truth > 0), 60.0)
+    found = objects.compare_on_objects(image, truth, starts, scans.best_window(image.array, truth > 0), 60.0)
     assert found["best"]["scikit-image watershed"]["dice"] > 0.95
     assert found["best"]["SimpleITK watershed"]["dice"] > 0.95
     assert found["best"]["scikit-image morphological_chan_vese, shared out"]["dice"] > 0.9

@@ -7,7 +7,7 @@ reference.
 
 from __future__ import annotations
 
-import time
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,8 +17,8 @@ from scipy import ndimage
 from accelsurf.object_starts import ObjectStart
 from accelsurf.volume import Volume
 from benchmarks.peers.measure import Trial, combinations, search
-from benchmarks.peers.programs import PEERS, level
-from benchmarks.peers.scans import Window, found_by, in_window, search_peer
+from benchmarks.peers.programs import level
+from benchmarks.peers.scans import Window, found_by, in_window, search_peer, search_peers
 
 #: Settings of the watersheds: presmoothing (voxels), what is flooded, and the threshold between the true means.
 WATERSHEDS = combinations(sigma=(1.0, 2.0, 3.0), flooded=("value", "distance"), where=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
@@ -35,7 +35,7 @@ def mean_dice(found: np.ndarray, truth: np.ndarray) -> float:
     largest = int(max(found.max(), truth.max())) + 1
     sizes = [np.bincount(one.ravel(), minlength=largest) for one in (found, truth)]
     both = np.bincount(truth[found == truth], minlength=largest)
-    own = np.flatnonzero(sizes[1])[1:] if sizes[1][0] else np.flatnonzero(sizes[1])
+    own = np.unique(truth[truth > 0])
     return float(np.mean(2.0 * both[own] / (sizes[0] + sizes[1])[own]))
 
 
@@ -55,18 +55,11 @@ def compare_on_objects(
     def shared_out(inside: np.ndarray, _: Mapping[str, np.ndarray]) -> float:
         return mean_dice(np.where(inside, nearest, 0), truth)
 
-    for peer in PEERS.values():
-        if peer.missing:
-            found["missing"].append(peer.missing)
-            continue
-        began = time.perf_counter()
-        trials = search_peer(peer, case, seconds, shared_out, halve=False)
-        found["best"][f"{peer.name}, shared out"] = found_by(peer.name, trials, time.perf_counter() - began)
+    search_peers(found, lambda peer: search_peer(peer, case, seconds, shared_out, halve=False), ", shared out")
     seeds = np.where(psi < 0, nearest, 0)
     for name, flood in (("scikit-image watershed", _skimage_flood), ("SimpleITK watershed", _sitk_flood)):
-        began = time.perf_counter()
-        trials = search_watershed(flood, image, truth, seeds, seconds)
-        found["best"][name] = found_by(name, trials, time.perf_counter() - began)
+        tried = functools.partial(search_watershed, flood, image, truth, seeds, seconds)
+        found["best"][name] = found_by(name, tried)
     return found
 
 

@@ -7,7 +7,6 @@ two-sided threshold of ITK-SNAP makes it, so that a speed of one sign is right f
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -16,7 +15,7 @@ import numpy as np
 from accelsurf import starts
 from accelsurf.metrics import dice
 from accelsurf.volume import Volume
-from benchmarks.peers.measure import Trial, best, ranked, search
+from benchmarks.peers.measure import Trial, best, ranked, search, timed
 from benchmarks.peers.programs import PEERS, Peer
 
 #: Voxels around object and start that the programs get, and the voxels above which settings are searched at half the
@@ -69,18 +68,22 @@ def compare_peers(
     values = in_window(image.as_float32()[box], window)
     whole = {"image": values, "truth": truth[box], "start": start[box] / min(image.geometry.spacing)}
     found: dict[str, Any] = {"seconds_of_search": seconds, "voxels": list(values.shape), "best": {}, "missing": []}
-    for peer in PEERS.values():
-        if peer.missing:
-            found["missing"].append(peer.missing)
-            continue
-        began = time.perf_counter()
-        trials = search_peer(peer, whole, seconds)
-        found["best"][peer.name] = found_by(peer.name, trials, time.perf_counter() - began)
+    search_peers(found, lambda peer: search_peer(peer, whole, seconds))
     return found
 
 
-def found_by(name: str, trials: list[Trial], seconds: float) -> dict[str, Any]:
-    """What a search of ``seconds`` found, for JSON."""
+def search_peers(found: dict[str, Any], tried: Callable[[Peer], list[Trial]], remark: str = "") -> None:
+    """Enter the best that each program has ``tried`` into what was ``found``, or that it is missing."""
+    for peer in PEERS.values():
+        if peer.missing:
+            found["missing"].append(peer.missing)
+        else:
+            found["best"][peer.name + remark] = found_by(peer.name, lambda peer=peer: tried(peer))
+
+
+def found_by(name: str, search: Callable[[], list[Trial]]) -> dict[str, Any]:
+    """What a search found and how long it took, for JSON."""
+    seconds, trials = timed(search)
     top = best(trials)
     print(f"   {name}: Dice {top.dice:.4f} in {top.seconds:.1f} s with {top.settings}", flush=True)
     return {**top.to_dict(), "tried": len(trials), "search_s": seconds}
