@@ -22,47 +22,49 @@ _HOMES = {
     "InputError": "accelsurf.errors",
     "OutputError": "accelsurf.errors",
     "UsageError": "accelsurf.errors",
-    "Geometry": "accelsurf.geometry",
-    "Volume": "accelsurf.volume",
+    "Geometry": "accelsurf.grid.geometry",
+    "Volume": "accelsurf.grid.volume",
     "read": "accelsurf.io",
     "read_labels": "accelsurf.io",
     "write": "accelsurf.io",
-    "RunConfig": "accelsurf.config",
-    "Surface": "accelsurf.surface",
-    "Contours": "accelsurf.contours",
-    "Result": "accelsurf.segmentation",
-    "segment": "accelsurf.segmentation",
-    "evolve": "accelsurf.segmentation",
-    "ObjectsResult": "accelsurf.several",
-    "segment_objects": "accelsurf.several",
-    "evaluate": "accelsurf.metrics",
-    "show": "accelsurf.viewer.notebook",
+    "RunConfig": "accelsurf.settings.run_config",
+    "Surface": "accelsurf.analysis.surface_mesh",
+    "Contours": "accelsurf.analysis.contours",
+    "Result": "accelsurf.segmentation.api",
+    "segment": "accelsurf.segmentation.api",
+    "evolve": "accelsurf.segmentation.api",
+    "ObjectsResult": "accelsurf.segmentation.several",
+    "segment_objects": "accelsurf.segmentation.several",
+    "evaluate": "accelsurf.analysis.metrics",
+    "report_of": "accelsurf.report.document",
+    "show": "accelsurf.viewer.frontends.notebook",
 }
 
 __all__ = ["__version__", *_HOMES]
 
 if TYPE_CHECKING:
-    from accelsurf.config import RunConfig as RunConfig
-    from accelsurf.contours import Contours as Contours
+    from accelsurf.analysis.contours import Contours as Contours
+    from accelsurf.analysis.metrics import evaluate as evaluate
+    from accelsurf.analysis.surface_mesh import Surface as Surface
     from accelsurf.errors import AccelsurfError as AccelsurfError
     from accelsurf.errors import EmptyResultError as EmptyResultError
     from accelsurf.errors import GeometryError as GeometryError
     from accelsurf.errors import InputError as InputError
     from accelsurf.errors import OutputError as OutputError
     from accelsurf.errors import UsageError as UsageError
-    from accelsurf.geometry import Geometry as Geometry
+    from accelsurf.grid.geometry import Geometry as Geometry
+    from accelsurf.grid.volume import Volume as Volume
     from accelsurf.io import read as read
     from accelsurf.io import read_labels as read_labels
     from accelsurf.io import write as write
-    from accelsurf.metrics import evaluate as evaluate
-    from accelsurf.segmentation import Result as Result
-    from accelsurf.segmentation import evolve as evolve
-    from accelsurf.segmentation import segment as segment
-    from accelsurf.several import ObjectsResult as ObjectsResult
-    from accelsurf.several import segment_objects as segment_objects
-    from accelsurf.surface import Surface as Surface
-    from accelsurf.viewer.notebook import show as show
-    from accelsurf.volume import Volume as Volume
+    from accelsurf.report.document import report_of as report_of
+    from accelsurf.segmentation.api import Result as Result
+    from accelsurf.segmentation.api import evolve as evolve
+    from accelsurf.segmentation.api import segment as segment
+    from accelsurf.segmentation.several import ObjectsResult as ObjectsResult
+    from accelsurf.segmentation.several import segment_objects as segment_objects
+    from accelsurf.settings.run_config import RunConfig as RunConfig
+    from accelsurf.viewer.frontends.notebook import show as show
 
 
 def __getattr__(name: str) -> Any:

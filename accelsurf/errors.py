@@ -96,3 +96,23 @@ def check_known(what: str, given: str, known: Iterable[str]) -> None:
     names = tuple(known)
     if given not in names:
         raise UsageError(f"{what}: {given} was given, expected {', '.join(names)}")
+
+
+class NotConvergedError(AccelsurfError):
+    """The run ended before it converged, and --strict asks for more."""
+
+    exit_code = 4
+    kind = "not-converged"
+
+
+class DoubtfulError(AccelsurfError):
+    """There is a result, but its quality is in doubt, and --strict asks for more."""
+
+    exit_code = 5
+    kind = "doubtful"
+
+
+class DivergedError(AccelsurfError):
+    """The energy became infinite or no number."""
+
+    kind = "diverged"

@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from accelsurf import io, metrics, phantoms
-from accelsurf.report import versions
-from accelsurf.volume import Volume
+from accelsurf import io
+from accelsurf.analysis import metrics
+from accelsurf.grid.volume import Volume
+from accelsurf.phantoms import recipes
+from accelsurf.report.document import versions
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -44,7 +46,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--only", default="", help="names of phantoms and scans, separated by semicolons")
     options = parser.parse_args()
-    names = [name.strip() for name in options.only.split(";") if name.strip()] or [*phantoms.recipe_names(), *SCANS]
+    names = [name.strip() for name in options.only.split(";") if name.strip()] or [*recipes.recipe_names(), *SCANS]
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"rows": {}}
     for name in names:
         rows = scan(name, options.threads) if name in SCANS else phantom(name, options.threads)
@@ -56,7 +58,7 @@ def main() -> None:
 def write(facts: dict[str, Any]) -> None:
     """The JSON and the page's table."""
     facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
-    order = [*phantoms.recipe_names(), *SCANS]
+    order = [*recipes.recipe_names(), *SCANS]
     facts["rows"] = dict(sorted(facts["rows"].items(), key=lambda item: order.index(item[1]["input"])))
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
     put_table(PAGE, "defaults", text_of(facts["rows"].values()))
@@ -64,12 +66,12 @@ def write(facts: dict[str, Any]) -> None:
 
 def phantom(name: str, threads: int) -> list[dict[str, Any]]:
     """Runs on a phantom, a noise each; the same ball for all."""
-    recipe, rows = phantoms.load_recipe(name), []
+    recipe, rows = recipes.load_recipe(name), []
     for noise in NOISE:
         if noise is None and recipe.noise == 0:
             continue
         amount = recipe.noise if noise is None else noise * abs(recipe.contrast)
-        made = phantoms.make(recipe.changed(noise=amount))
+        made = recipes.make(recipe.changed(noise=amount))
         with tempfile.TemporaryDirectory() as folder:
             source = Path(folder) / f"{name}.nii.gz"
             io.write(made.image, source)

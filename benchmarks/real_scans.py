@@ -21,10 +21,12 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from accelsurf import io, metrics, object_starts
-from accelsurf.objects import ROOM
-from accelsurf.report import peak_rss_mb, versions
-from accelsurf.volume import Volume
+from accelsurf import io
+from accelsurf.analysis import metrics
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization import object_starts
+from accelsurf.report.document import peak_rss_mb, versions
+from accelsurf.segmentation.objects import ROOM
 from benchmarks.pages import head_of, put_table, row_of
 from benchmarks.peers.objects import compare_on_objects, mean_dice
 from benchmarks.peers.scans import best_window, compare_peers

@@ -22,10 +22,10 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from accelsurf.config import RunConfig
-from accelsurf.metrics import dice
-from accelsurf.phantoms import load_recipe, make
-from accelsurf.segmentation import Result, segment
+from accelsurf.analysis.metrics import dice
+from accelsurf.phantoms.recipes import load_recipe, make
+from accelsurf.segmentation.api import Result, segment
+from accelsurf.settings.run_config import RunConfig
 
 #: World mm; the cube spans -24 to 24 in x, y and z.
 STARTS = {

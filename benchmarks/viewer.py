@@ -2,7 +2,7 @@
 
 Usage: python benchmarks/viewer.py [--size 256] [--steps 40] [--display :N] [-o benchmarks/results/viewer.json]
 
-Runs the same steps three times: by `accelsurf.run.Run` alone, by a Session that nobody looks at (it keeps states),
+Runs the same steps three times: by a Run alone, by a Session that nobody looks at (it keeps states),
 and in the window, on the display given or a screen of its own (Xvfb, xdotool). Keys are sent by xdotool; the answer is
 timed inside the window, when what the key asked for has been taken up and drawn. Software rendering competes with the
 solver for the same cores: on a machine with a graphics card the window costs less. Run it on a quiet machine.
@@ -61,7 +61,7 @@ def main() -> None:
 def phantom(n: int, folder: Path) -> tuple[Path, str]:
     """A large ball in noise, and a start inside it that grows for as long as is measured."""
     from accelsurf import io
-    from accelsurf.volume import Volume
+    from accelsurf.grid.volume import Volume
 
     shapes = ((-1, 1, 1), (1, -1, 1), (1, 1, -1))
     z, y, x = (np.arange(n, dtype=np.float32).reshape(shape) - 0.5 * n for shape in shapes)
@@ -74,7 +74,7 @@ def phantom(n: int, folder: Path) -> tuple[Path, str]:
 
 
 def config_of(start: str):
-    from accelsurf.config import RunConfig
+    from accelsurf.settings.run_config import RunConfig
 
     return RunConfig(start=start, levels=1, max_steps=100_000)
 
@@ -82,7 +82,7 @@ def config_of(start: str):
 def seconds_alone(source: Path, start: str, steps: int) -> tuple[float, float]:
     """Wall and processor time."""
     from accelsurf import io
-    from accelsurf.run import Run
+    from accelsurf.segmentation.run import Run
 
     run = Run(io.read(source), config_of(start))
     with run.workers:
@@ -96,7 +96,7 @@ def seconds_alone(source: Path, start: str, steps: int) -> tuple[float, float]:
 def seconds_of_session(source: Path, start: str, steps: int) -> tuple[float, float]:
     """Wall and processor time."""
     from accelsurf import io
-    from accelsurf.viewer.session import Session
+    from accelsurf.viewer.core.session import Session
 
     with Session(io.read(source), config_of(start)) as session:
         session.ready.result()
@@ -161,8 +161,8 @@ def window_process(source: str, told: str, start: str, steps: int) -> None:
     from PySide6.QtWidgets import QApplication
 
     from accelsurf import io
-    from accelsurf.viewer.desktop import Window
-    from accelsurf.viewer.session import Session
+    from accelsurf.viewer.core.session import Session
+    from accelsurf.viewer.frontends.desktop import Window
 
     app = QApplication(sys.argv[:1])
     app.setStyle("Fusion")

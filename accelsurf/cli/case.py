@@ -15,39 +15,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from accelsurf import outputs, preview, report
 from accelsurf.cli import INTERRUPTED, objects
-from accelsurf.config import RunConfig
-from accelsurf.errors import AccelsurfError, EmptyResultError
-from accelsurf.outputs import make_writable, refuse_existing, tells_of_failure, write_bytes
+from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
+from accelsurf.report import document, outputs, preview
+from accelsurf.report.outputs import make_writable, refuse_existing, tells_of_failure, write_bytes
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
     from accelsurf.cli.progress import Watcher
-    from accelsurf.segmentation import Result
-    from accelsurf.several import ObjectsResult
-    from accelsurf.volume import Volume
-
-
-class NotConvergedError(AccelsurfError):
-    """The run ended before it converged, and --strict asks for more."""
-
-    exit_code = 4
-    kind = "not-converged"
-
-
-class DoubtfulError(AccelsurfError):
-    """There is a result, but its quality is in doubt, and --strict asks for more."""
-
-    exit_code = 5
-    kind = "doubtful"
-
-
-class DivergedError(AccelsurfError):
-    """The energy became infinite or no number."""
-
-    kind = "diverged"
+    from accelsurf.grid.volume import Volume
+    from accelsurf.segmentation.api import Result
+    from accelsurf.segmentation.several import ObjectsResult
 
 
 @dataclass
@@ -155,7 +135,7 @@ def run_case(case: Case, watcher: Watcher) -> int:
         raise
     interrupted = case.result is not None and case.result.stop.reason == "interrupted"
     code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
-    status: report.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
+    status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
     _write_report(case, status, code, error)
     for warning in case.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -165,9 +145,11 @@ def run_case(case: Case, watcher: Watcher) -> int:
 
 
 def _compute(case: Case, watcher: Watcher) -> None:
-    from accelsurf import channels, io, pictures
-    from accelsurf.segmentation import segment
-    from accelsurf.several import segment_objects
+    from accelsurf import io
+    from accelsurf.io import channels
+    from accelsurf.io.formats import raster
+    from accelsurf.segmentation.api import segment
+    from accelsurf.segmentation.several import segment_objects
 
     assert case.config is not None
     case.volume, *more = _timed(case, "load", lambda: channels.read(case.source))
@@ -176,7 +158,7 @@ def _compute(case: Case, watcher: Watcher) -> None:
         case.warnings.append(note)
     labels = case.label_format(case.config)
     outputs.check(case.config, labels, case.volume.geometry)
-    if not pictures.keeps(case.volume.geometry, f".{labels}"):
+    if not raster.keeps(case.volume.geometry, f".{labels}"):
         case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     preview.load_meanwhile()
     with watcher.watch(case.name, case.config.max_steps):
@@ -208,12 +190,12 @@ def _write(case: Case, config: RunConfig) -> None:
         writers = objects.writers(case, config, case.result, names, picture)
         for path, (kind, writer) in writers.items():
             _timed(case, "write", functools.partial(writer, path))
-            case.outputs.append(report.describe_output(path, kind))
+            case.outputs.append(document.describe_output(path, kind))
         objects.remove_old(case, names, writers)
         return
     names = {kind: path.name for kind, path in case.paths(config).items() if kind != "report"}
     for kind, path in outputs.write_result(case.result, case.folder, names, scene(case), case.seconds):
-        case.outputs.append(report.describe_output(path, kind))
+        case.outputs.append(document.describe_output(path, kind))
 
 
 def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
@@ -277,20 +259,20 @@ def report_failure(case: Case, error: BaseException) -> None:
         print(f"warning: the report could not be written: {second.message}", file=sys.stderr)
 
 
-def _write_report(case: Case, status: report.Status, code: int, error: BaseException | None) -> None:
+def _write_report(case: Case, status: document.Status, code: int, error: BaseException | None) -> None:
     geometry = case.volume.geometry if case.volume is not None else None
     case.seconds["total"] = time.perf_counter() - case._began
     own = set(case.result.warnings) if case.result is not None else set()
-    document = report.build(
+    contents = document.build(
         status=status,
         exit_code=code,
         argv=sys.argv,
         config=case.config,
-        source=report.describe_input(case.source, geometry=geometry, checksum=case.checksum),
+        source=document.describe_input(case.source, geometry=geometry, checksum=case.checksum),
         result=case.result,
-        error=report.describe_error(error) if error is not None else None,
+        error=document.describe_error(error) if error is not None else None,
         seconds=case.seconds,
         outputs=case.outputs,
         warnings=[warning for warning in case.warnings if warning not in own],
     )
-    write_bytes(case.report_path, (report.to_json(document) + "\n").encode())
+    write_bytes(case.report_path, (document.to_json(contents) + "\n").encode())

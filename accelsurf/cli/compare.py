@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, RUN, Display, Output, Overwrite, SharedSettings, required, run_config
-from accelsurf.config import FLOWS, RunConfig
 from accelsurf.errors import UsageError
+from accelsurf.settings.run_config import FLOWS, RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Case
-    from accelsurf.volume import Volume
+    from accelsurf.grid.volume import Volume
 
 
 def compare(
@@ -51,11 +51,11 @@ def compare(
         Replace outputs that exist.
     """
     from accelsurf import io
-    from accelsurf.channels import read as read_channels
     from accelsurf.cli.case import Case
     from accelsurf.cli.progress import Watcher
-    from accelsurf.outputs import refuse_existing
-    from accelsurf.report import describe_input
+    from accelsurf.io.channels import read as read_channels
+    from accelsurf.report.document import describe_input
+    from accelsurf.report.outputs import refuse_existing
 
     display = display or Display()
     source, folder = required(input, "INPUT"), required(output, "-o DIR, the output folder,")
@@ -82,7 +82,7 @@ def compare(
 
 def evolve_case(case: Case, watcher: Any, channels: Sequence[Volume] = ()) -> None:
     """Run the flow of one case, without writing anything; its result is kept in it."""
-    from accelsurf.segmentation import segment
+    from accelsurf.segmentation.api import segment
 
     assert case.config is not None and case.volume is not None
     with watcher.watch(case.name, case.config.max_steps):
@@ -119,11 +119,12 @@ def conclude(
     int
         0, or 130 when a run was interrupted.
     """
-    from accelsurf import metrics, preview, report
+    from accelsurf.analysis import metrics
     from accelsurf.cli import INTERRUPTED
     from accelsurf.cli.case import scene
     from accelsurf.cli.progress import table
-    from accelsurf.outputs import write_bytes
+    from accelsurf.report import document, preview
+    from accelsurf.report.outputs import write_bytes
 
     runs: list[dict[str, Any]] = []
     rows: list[tuple[str, ...]] = []
@@ -132,7 +133,7 @@ def conclude(
         result, config = case.result, case.config
         assert result is not None and config is not None
         found = metrics.evaluate(result.labels_volume(), truth).to_dict() if truth is not None else None
-        ending = report.describe_result(result)
+        ending = document.describe_result(result)
         seconds = sum(result.seconds.values())  # of the run alone: files and pictures say nothing about a flow
         runs.append({"name": case.name, "flow": config.flow, **ending, "seconds": seconds, "metrics": found})
         dice = f"{found['dice']:.4f}" if found is not None else "-"
@@ -148,19 +149,19 @@ def conclude(
     interrupted = any(case.result is not None and case.result.stop.reason == "interrupted" for case in cases)
     code = INTERRUPTED if interrupted else 0
     write_bytes(paths["picture"], preview.comparison_png(scenes, title))
-    document = {
-        "schema_version": report.SCHEMA_VERSION,
+    contents = {
+        "schema_version": document.SCHEMA_VERSION,
         "status": "interrupted" if interrupted else "ok",
         "exit_code": code,
-        "versions": report.versions(),
+        "versions": document.versions(),
         "argv": sys.argv,
         "config": cases[0].config.model_dump(mode="json", exclude={"flow"}) if cases[0].config is not None else None,
         **facts,
         "runs": runs,
         "agreement_dice": agreement,
-        "outputs": [report.describe_output(paths["picture"], "picture")],
+        "outputs": [document.describe_output(paths["picture"], "picture")],
     }
-    write_bytes(paths["comparison"], (report.to_json(document) + "\n").encode())
+    write_bytes(paths["comparison"], (document.to_json(contents) + "\n").encode())
     if not quiet:
         print(table(("flow", "steps", "seconds", "energy", "Dice", "stop"), rows))
         print()

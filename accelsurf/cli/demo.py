@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from accelsurf.cli.options import Display, Output, Overwrite
-from accelsurf.config import FlowName
+from accelsurf.settings.run_config import FlowName
 
 #: Small ball inside the cube, off its centre: most of the object has to be found.
 START = "ball:9,-7,6,10"
@@ -37,17 +37,18 @@ def demo(
     overwrite
         Replace outputs that exist.
     """
-    from accelsurf import io, phantoms
+    from accelsurf import io
     from accelsurf.cli.case import Case, run_case
     from accelsurf.cli.compare import conclude
     from accelsurf.cli.progress import Watcher
-    from accelsurf.config import RunConfig
-    from accelsurf.outputs import refuse_existing
-    from accelsurf.report import describe_input
+    from accelsurf.phantoms import recipes
+    from accelsurf.report.document import describe_input
+    from accelsurf.report.outputs import refuse_existing
+    from accelsurf.settings.run_config import RunConfig
 
     assert output is not None
     display = display or Display()
-    recipe = phantoms.load_recipe("cube_noisy")
+    recipe = recipes.load_recipe("cube_noisy")
     image, labels = output / "cube.nii.gz", output / "cube_truth.nii.gz"
     paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
     common = RunConfig(start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS)
@@ -61,7 +62,7 @@ def demo(
     began = time.perf_counter()
     if not display.quiet:
         print(f"A cube of side {recipe.side:g} mm in noise as strong as its contrast; start: {START}", flush=True)
-    phantom = phantoms.make(recipe)
+    phantom = recipes.make(recipe)
     io.write(phantom.image, image)
     io.write_labels(phantom.truth, labels)
     watcher = Watcher(display)

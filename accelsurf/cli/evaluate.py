@@ -28,8 +28,9 @@ def evaluate(
     as_json
         Print JSON.
     """
-    from accelsurf import io, metrics
-    from accelsurf.report import to_json
+    from accelsurf import io
+    from accelsurf.analysis import metrics
+    from accelsurf.report.document import to_json
 
     found = metrics.evaluate(io.read_labels(pred), io.read_labels(ref)).to_dict()
     if as_json:

@@ -15,12 +15,14 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
     as_json
         Print JSON, with the schema of the configuration.
     """
-    from accelsurf import io, phantoms, starts
+    from accelsurf import io
     from accelsurf.cli import EXIT_CODES
-    from accelsurf.config import ENERGIES, FLOWS, MeshFormat, RunConfig
-    from accelsurf.evolution import StopReason
-    from accelsurf.presets import PRESETS
-    from accelsurf.report import to_json, versions
+    from accelsurf.evolution.loop import StopReason
+    from accelsurf.initialization import starts
+    from accelsurf.phantoms import recipes
+    from accelsurf.report.document import to_json, versions
+    from accelsurf.settings.presets import PRESETS
+    from accelsurf.settings.run_config import ENERGIES, FLOWS, MeshFormat, RunConfig
 
     facts = {
         "versions": versions(),
@@ -30,7 +32,7 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
         "stop_reasons": list(get_args(StopReason)),
         "volume_formats": list(io.SUFFIXES),
         "mesh_formats": list(get_args(MeshFormat)),
-        "recipes": phantoms.recipe_names(),
+        "recipes": recipes.recipe_names(),
         "exit_codes": {str(code): meaning for code, meaning in EXIT_CODES.items()},
         "presets": {name: preset._asdict() for name, preset in PRESETS.items()},
         "config_schema": RunConfig.json_schema(),

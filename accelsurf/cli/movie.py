@@ -85,13 +85,14 @@ def movie(
     preview
         One PNG of the last frame, no movie.
     """
-    from accelsurf import channels, io
+    from accelsurf import io
     from accelsurf.cli.progress import Watcher
-    from accelsurf.outputs import refuse_existing
-    from accelsurf.run import Run
-    from accelsurf.viewer import movie as films
-    from accelsurf.viewer.headless import require_graphics
-    from accelsurf.viewer.scene import Scene
+    from accelsurf.io import channels
+    from accelsurf.report.outputs import refuse_existing
+    from accelsurf.segmentation.run import Run
+    from accelsurf.viewer.frontends import movie_file as films
+    from accelsurf.viewer.scene.headless import require_graphics
+    from accelsurf.viewer.scene.scene import Scene
 
     look, display = look or Look(), display or Display()
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")

@@ -7,14 +7,21 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from accelsurf import preview, report
-from accelsurf.errors import AccelsurfError, EmptyResultError, OutputError
-from accelsurf.outputs import write_bytes
+from accelsurf.errors import (
+    AccelsurfError,
+    DivergedError,
+    DoubtfulError,
+    EmptyResultError,
+    NotConvergedError,
+    OutputError,
+)
+from accelsurf.report import document, preview
+from accelsurf.report.outputs import write_bytes
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Case
-    from accelsurf.config import RunConfig
-    from accelsurf.several import ObjectsResult
+    from accelsurf.segmentation.several import ObjectsResult
+    from accelsurf.settings.run_config import RunConfig
 
 Writer = Callable[[Path], None]
 #: Kinds of outputs that there is one of for each object.
@@ -75,10 +82,10 @@ def writers(
                 add(f"{stem}_{own}.{suffix}", kind.partition("-")[0], _mesh_writer(case, one, config))
         if config.save_sdf:
             add(names["sdf"], "sdf", lambda path: io.write(result.labels_volume().with_array(result.psi), path))
-    rows = report.describe_objects(result)
-    add("objects.csv", "objects", lambda path: _write(path, report.objects_csv(rows)))
+    rows = document.describe_objects(result)
+    add("objects.csv", "objects", lambda path: _write(path, document.objects_csv(rows)))
     ledgers = {own: one.ledger for own, one in result.objects.items()}
-    add(names["trace"], "trace", lambda path: _write(path, report.objects_trace_csv(ledgers)))
+    add(names["trace"], "trace", lambda path: _write(path, document.objects_trace_csv(ledgers)))
     add(names["preview"], "preview", lambda path: write_bytes(path, preview.preview_png(picture)))
     return out
 
@@ -99,8 +106,6 @@ def shortcoming(case: Case, result: ObjectsResult) -> AccelsurfError | None:
 
     An object that vanished is a warning; it is an error when none is left.
     """
-    from accelsurf.cli.case import DivergedError, DoubtfulError, NotConvergedError
-
     told = f"{case.name}: {result.stop.message}"
     if not result.labels.any():
         return EmptyResultError(told, "start closer to the objects, or with less --smoothness")

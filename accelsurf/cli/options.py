@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from accelsurf.config import REPEATED, SWITCHES, RunConfig, read_toml
 from accelsurf.errors import UsageError
-from accelsurf.presets import PRESETS
+from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.run_config import REPEATED, SWITCHES, RunConfig, read_toml
 
 RUN = Group("What to run", sort_key=1)
 FLOW = Group("Fine control of the flow", sort_key=2)

@@ -11,10 +11,10 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from accelsurf.cli.options import Display
-from accelsurf.report import to_json
+from accelsurf.report.document import to_json
 
 if TYPE_CHECKING:
-    from accelsurf.evolution import Row
+    from accelsurf.evolution.loop import Row
 
 
 #: What the bar says until the first step: the one place where a run may seem to hang.

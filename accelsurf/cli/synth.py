@@ -32,12 +32,13 @@ def synth(
     overwrite
         Replace outputs that exist.
     """
-    from accelsurf import io, phantoms
-    from accelsurf.outputs import refuse_existing, write_bytes
-    from accelsurf.report import describe_output, to_json, versions
+    from accelsurf import io
+    from accelsurf.phantoms import recipes
+    from accelsurf.report.document import describe_output, to_json, versions
+    from accelsurf.report.outputs import refuse_existing, write_bytes
 
     folder = required(output, "-o DIR, the output folder,")
-    chosen = phantoms.load_recipe(recipe)
+    chosen = recipes.load_recipe(recipe)
     if seed is not None:
         chosen = chosen.changed(seed=seed)
     paths = {
@@ -46,7 +47,7 @@ def synth(
         "facts": folder / f"{chosen.name}.json",
     }
     refuse_existing(paths, overwrite)
-    phantom = phantoms.make(chosen)
+    phantom = recipes.make(chosen)
     io.write(phantom.image, paths["image"])
     io.write_labels(phantom.truth, paths["labels"])
     facts = {

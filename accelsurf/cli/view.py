@@ -66,30 +66,31 @@ def view(
         for name, value in {"--host": host, "--port": port, "--no-open": None if open_page else True}.items():
             if value is not None:
                 raise UsageError(f"{name} was given for a window", "it means something with --browser only")
-    from accelsurf import channels, io
+    from accelsurf import io
+    from accelsurf.io import channels
 
     if browser:
-        from accelsurf.viewer.headless import require_graphics
+        from accelsurf.viewer.scene.headless import require_graphics
 
         require_graphics()
     else:
-        from accelsurf.viewer.display import require_display
+        from accelsurf.viewer.frontends.display import require_display
 
         require_display()
     volume, *more = channels.read(source)
     truth = None if reference is None else io.read_labels(reference)
-    from accelsurf.viewer.session import Session
+    from accelsurf.viewer.core.session import Session
 
     with Session(volume, made, name=io.split_name(source)[0], source=source, kept_mb=keep, channels=more) as session:
         if browser:
-            from accelsurf.viewer.browser import LOCAL, serve
+            from accelsurf.viewer.frontends.browser import LOCAL, serve
 
             session.ready.result()
             if host not in (None, LOCAL, "localhost"):
                 print(_OPEN_TO_OTHERS.format(host), file=sys.stderr)
             serve(session, truth, result, theme, overwrite, host or LOCAL, port or 0, lambda at: _tell(at, open_page))
         else:
-            from accelsurf.viewer.desktop import show
+            from accelsurf.viewer.frontends.desktop import show
 
             session.ready.result()
             show(session, truth, result, theme, overwrite)

@@ -6,16 +6,16 @@ and the ``..._at_front`` functions are there for energies of your own.
 """
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.at_front import normals_at_front, points_at_front, sample_at_front, slope_at_front
-from accelsurf.energies.base import Energy, ImageEnergy, RegionSums, Sums
 from accelsurf.energies.chan_vese import ChanVese
-from accelsurf.energies.combined import Area, Balloon, WeightedSum
+from accelsurf.energies.front_samples import normals_at_front, points_at_front, sample_at_front, slope_at_front
 from accelsurf.energies.geodesic import Geodesic, edge_contrast, edge_indicator
 from accelsurf.energies.likelihood import Gaussian, GaussianLikelihood, HistogramLikelihood, Parzen, gaussian_of
 from accelsurf.energies.local_region import LocalRegion
-from accelsurf.energies.own import Checked
+from accelsurf.energies.protocol import Energy, ImageEnergy, RegionSums, Sums
 from accelsurf.energies.region_field import RegionField
 from accelsurf.energies.threshold import Threshold
+from accelsurf.energies.user_energy import Checked
+from accelsurf.energies.weighted_sum import Area, Balloon, WeightedSum
 
 __all__ = [
     "Area",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.base import ImageEnergy, Interface, Sums
+from accelsurf.energies.protocol import ImageEnergy, Interface, Sums
 from accelsurf.levelset import LevelSet
 
 

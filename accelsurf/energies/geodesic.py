@@ -8,8 +8,8 @@ import numpy as np
 from scipy import ndimage
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.at_front import sample_at_front, slope_at_front
-from accelsurf.energies.base import ImageEnergy
+from accelsurf.energies.front_samples import sample_at_front, slope_at_front
+from accelsurf.energies.protocol import ImageEnergy
 from accelsurf.errors import InputError
 from accelsurf.levelset import LevelSet, dot
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.at_front import sample_at_front
-from accelsurf.energies.base import ImageEnergy, Interface, RegionSums, Sums
+from accelsurf.energies.front_samples import sample_at_front
+from accelsurf.energies.protocol import ImageEnergy, Interface, RegionSums, Sums
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
 from accelsurf.levelset import Change, LevelSet, dot

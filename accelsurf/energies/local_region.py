@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.at_front import check_shape
-from accelsurf.energies.base import Interface
+from accelsurf.energies.front_samples import check_shape
+from accelsurf.energies.protocol import Interface
 from accelsurf.kernels import windows
 from accelsurf.levelset import Change, LevelSet
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.at_front import sample_at_front
-from accelsurf.energies.base import ImageEnergy
+from accelsurf.energies.front_samples import sample_at_front
+from accelsurf.energies.protocol import ImageEnergy
 from accelsurf.levelset import LevelSet
 
 

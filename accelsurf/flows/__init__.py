@@ -4,12 +4,12 @@ A flow knows no image. beta is the speed along the inward normal N (beta > 0 shr
 the whole velocity V carries the surface, psi_t = -V . grad psi.
 """
 
-from accelsurf.flows.base import Account, Flow, Limits, Move, Now
 from accelsurf.flows.constant_density import ConstantDensity
+from accelsurf.flows.descent import Gradient
 from accelsurf.flows.flowable_mass import FlowableMass
-from accelsurf.flows.gradient import Gradient
-from accelsurf.flows.momentum import Momentum
+from accelsurf.flows.heavy_ball import Momentum
 from accelsurf.flows.noise import Noise
+from accelsurf.flows.protocol import Account, Flow, Limits, Move, Now
 from accelsurf.flows.sobolev import Sobolev
 
 __all__ = [

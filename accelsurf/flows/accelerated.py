@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.flows.base import (
+from accelsurf.flows.noise import Noise
+from accelsurf.flows.protocol import (
     Account,
     Flow,
     Limits,
@@ -17,7 +18,6 @@ from accelsurf.flows.base import (
     free_diffusion,
     smallest_spacing,
 )
-from accelsurf.flows.noise import Noise
 from accelsurf.levelset import LevelSet
 
 #: Where the surface turns around in two steps running, its wells are taken to be steeper by this factor, at most so

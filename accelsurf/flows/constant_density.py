@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated, travel_dt, wave_dt
-from accelsurf.flows.base import (
+from accelsurf.flows.protocol import (
     Limits,
     Move,
     Now,

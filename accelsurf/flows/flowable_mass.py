@@ -8,16 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated, travel_dt, wave_dt
-from accelsurf.flows.base import (
-    Flow,
-    Limits,
-    Move,
-    Now,
-    diffuse,
-    hold_back,
-    percentile,
-    smallest_spacing,
-)
+from accelsurf.flows.protocol import Flow, Limits, Move, Now, diffuse, hold_back, percentile, smallest_spacing
 from accelsurf.kernels import transport
 from accelsurf.levelset import LevelSet
 

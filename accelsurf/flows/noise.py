@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.flows.base import axes_of, smallest_spacing
+from accelsurf.flows.protocol import axes_of, smallest_spacing
 from accelsurf.kernels import waves
 from accelsurf.levelset import LevelSet
 

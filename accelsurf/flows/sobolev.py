@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.base import Limits, Move, Now, Remembering, finish, smallest_spacing, voxel_rates
+from accelsurf.flows.protocol import Limits, Move, Now, Remembering, finish, smallest_spacing, voxel_rates
 from accelsurf.kernels import tube
 from accelsurf.levelset import LevelSet, dot
 

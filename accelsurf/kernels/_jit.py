@@ -21,7 +21,7 @@ def _cache_folder() -> str | None:
     that it calls and that were compiled into it: after a change in one of those it would run the old code.
     """
     here = Path(__file__).parent
-    source = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(here.glob("*.py")))).hexdigest()[:12]
+    source = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(here.rglob("*.py")))).hexdigest()[:12]
     given = os.environ.get("NUMBA_CACHE_DIR")
     for base in (Path(given),) if given else (here / "__pycache__", Path.home() / ".cache" / "accelsurf"):
         folder = base / f"kernels-{source}"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.cubic import cubic_rows
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
 from accelsurf.kernels.interpolate import band_rows, band_value_at, linear_band_value
 from accelsurf.kernels.march import OPEN, length
+from accelsurf.kernels.simd.cubic import cubic_rows
 
 #: The smallest distance that a cell may be given, as a part of the smallest spacing: the sign must survive.
 LEAST = 1e-6

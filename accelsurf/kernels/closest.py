@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.cubic import cubic
 from accelsurf.kernels.grid import TOGETHER, unravel
 from accelsurf.kernels.interpolate import value_and_gradient
+from accelsurf.kernels.simd.cubic import cubic
 
 MAX_ITERATIONS = 6
 #: The iteration ends once a correction is below this many voxels: the first, which knows nothing of the

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.cubic import cubic
 from accelsurf.kernels.grid import Grid
+from accelsurf.kernels.simd.cubic import cubic
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels.grid import voxels_along
-from accelsurf.levelset.levelset import LevelSet
+from accelsurf.levelset.level_set import LevelSet
 
 #: How far the slope of psi beside the front may be from 1 on average: a distance has slope 1, but the centred
 #: differences of a rough surface fall short of it.

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.config import RunConfig
-from accelsurf.metrics import dice, evaluate
-from accelsurf.segmentation import Result, segment
-from accelsurf.volume import Volume
+from accelsurf.analysis.metrics import dice, evaluate
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.api import Result, segment
+from accelsurf.settings.run_config import RunConfig
 
 PROCESSES = 2
 #: Colours that the colour-blind tell apart.

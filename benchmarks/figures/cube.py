@@ -8,8 +8,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from accelsurf.surface import extract
-from accelsurf.volume import Volume
+from accelsurf.analysis.surface_mesh import extract
+from accelsurf.grid.volume import Volume
 from benchmarks.figures.common import FINE, Task, agreement, box, make, run_all, write
 from benchmarks.figures.planar import save, show, tell
 

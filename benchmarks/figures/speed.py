@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from accelsurf.energies import ChanVese
-from accelsurf.evolution import Evolution, Restart
+from accelsurf.evolution.loop import Evolution, Restart
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Limits, Sobolev
 from accelsurf.levelset import LevelSet
 from benchmarks.figures.common import COLOURS, write

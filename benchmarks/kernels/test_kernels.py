@@ -16,7 +16,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.energies import ChanVese
-from accelsurf.flows.base import diffuse, diffusion_reach
+from accelsurf.flows.protocol import diffuse, diffusion_reach
 from accelsurf.levelset import LevelSet
 from benchmarks.peers.work import ball, bumpy, evolution
 

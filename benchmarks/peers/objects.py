@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.object_starts import ObjectStart
-from accelsurf.volume import Volume
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization.object_starts import ObjectStart
 from benchmarks.peers.measure import Trial, combinations, search
 from benchmarks.peers.programs import level
 from benchmarks.peers.scans import Window, found_by, in_window, search_peer, search_peers

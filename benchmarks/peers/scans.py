@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from accelsurf import starts
-from accelsurf.metrics import dice
-from accelsurf.volume import Volume
+from accelsurf.analysis.metrics import dice
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization import starts
 from benchmarks.peers.measure import Trial, best, ranked, search, timed
 from benchmarks.peers.programs import PEERS, Peer
 

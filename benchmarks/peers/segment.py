@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.metrics import dice
-from accelsurf.segmentation import segment
+from accelsurf.analysis.metrics import dice
+from accelsurf.segmentation.api import segment
 from benchmarks.peers.measure import (
     LONG,
     MissingError,

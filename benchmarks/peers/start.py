@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import io
-from accelsurf.volume import Volume
+from accelsurf.grid.volume import Volume
 from benchmarks.peers.measure import Options, Timing, goal, run_process, set_threads, table
 from benchmarks.peers.work import noisy_cube
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.config import RunConfig
 from accelsurf.levelset import Workers
-from accelsurf.run import Run
-from accelsurf.segmentation import result_of
+from accelsurf.segmentation.api import result_of
+from accelsurf.segmentation.run import Run
+from accelsurf.settings.run_config import RunConfig
 from benchmarks.peers.advance import grow
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import LONG, MissingError, Options, digest, goal, table, timed
@@ -94,7 +94,7 @@ def advance_on(count: int, options: Options) -> dict[str, Any]:
 
 def segment_on(volume: Any, config: RunConfig) -> dict[str, Any]:
     """The library's run, its preparation included."""
-    from accelsurf.volume import Volume
+    from accelsurf.grid.volume import Volume
 
     volume = volume if isinstance(volume, Volume) else Volume.from_array(volume, 1.0)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies import ChanVese
-from accelsurf.evolution import Evolution, Restart
+from accelsurf.evolution.loop import Evolution, Restart
 from accelsurf.flows import ConstantDensity, Flow, Limits
 from accelsurf.levelset import LevelSet, Workers
 from benchmarks.peers.measure import MissingError

@@ -1,0 +1,159 @@
+"""The zero level of psi in an image of one slice: closed contours in world mm, their length, and files of them.
+
+Marching squares (scikit-image) on psi, linear between pixel centres. As the mesh of a volume, a contour is closed also
+where the object is cut by the image's border: it runs along the outer edges of the border pixels, half a pixel
+outside their centres, and that part counts in its length.
+
+Shown as an image, with x to the right and y down, the object lies to the left of the direction in which a contour
+runs: outer contours run counter-clockwise, those of holes clockwise. (In a slice across another axis, the last of its
+two array axes is the one to the right.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.measure import find_contours
+
+from accelsurf.analysis.surface_mesh import NODE_MARGIN, polydata, write_atomically, writer_for
+from accelsurf.errors import EmptyResultError, InputError
+from accelsurf.grid.geometry import Geometry
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Contours:
+    """Closed curves in a plane of the world.
+
+    Parameters
+    ----------
+    loops : tuple of ndarray, shape (n, 3), float64
+        (x, y, z) in mm, LPS, of each curve's points in order; the last is joined to the first.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> square = Contours((np.array([[0.0, 0, 0], [0, 2, 0], [2, 2, 0], [2, 0, 0]]),))
+    >>> square.length, square.area
+    (8.0, 4.0)
+    """
+
+    loops: tuple[Floats, ...]
+
+    @cached_property
+    def length(self) -> float:
+        """Sum of the curves' lengths, mm."""
+        return float(sum(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1).sum() for loop in self.loops))
+
+    @cached_property
+    def area(self) -> float:
+        """Area of the object, mm2: what the outer curves enclose less the holes."""
+        total = np.zeros(3)
+        for loop in self.loops:
+            arms = loop - loop[0]  # far from the world origin products of positions would lose digits
+            total += np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0) / 2
+        return float(np.linalg.norm(total))
+
+    def write(self, path: str | Path, space: str = "lps") -> None:
+        """Write the contours: .vtp (closed polylines) or .csv, by suffix.
+
+        A CSV has the columns contour (counted from 0), x_mm, y_mm, z_mm; the last row of a contour repeats its first.
+        The file appears complete or not at all; an existing one is replaced.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file to write.
+        space : {"lps", "ras"}, optional
+            Coordinates of the file.
+
+        Raises
+        ------
+        UsageError
+            For another suffix or space.
+        OutputError
+            When the file cannot be written.
+        """
+        writer, flip = writer_for(path, space, WRITERS, "contour")
+        write_atomically(Path(path), writer(tuple(loop * flip for loop in self.loops), space.upper()))
+
+
+def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
+    """The contours psi = 0 of an image of one slice.
+
+    Parameters
+    ----------
+    psi : ndarray, shape (nz, ny, nx), one of these 1
+        Level-set function in mm, negative inside.
+    geometry : Geometry
+        Its grid.
+
+    Returns
+    -------
+    Contours
+        Closed, the object on their left; the same psi gives the same bytes.
+
+    Raises
+    ------
+    EmptyResultError
+        When no pixel is inside.
+    InputError
+        When psi is not of the grid's shape, has more than one slice, or is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> psi = np.full((1, 4, 5), -1.0, dtype=np.float32)
+    >>> image = extract(psi, Geometry((1, 4, 5), (7.0, 2.0, 1.0)))
+    >>> image.area, image.length
+    (40.0, 26.0)
+    """
+    axis = geometry.slice_axis
+    if axis is None or psi.shape != geometry.shape:
+        raise InputError(f"psi of shape {psi.shape} on a grid of {geometry.shape} given, one slice expected")
+    plane = np.squeeze(psi, axis).astype(np.float64)
+    if not np.isfinite(plane).all():
+        raise InputError("psi has NaN or infinite values, finite distances expected")
+    if not (plane < 0).any():
+        raise EmptyResultError("no pixel is inside: there is no contour", hint="the object vanished; start larger")
+    margin = NODE_MARGIN * min(geometry.steps)
+    near = np.abs(plane) < margin
+    plane[near] = np.where(plane[near] < 0, -margin, margin)
+    # Two layers around the image, both on its outer edge: psi goes on, then all is outside, so that the contour turns
+    # between the two, where there is no room.
+    block = np.pad(np.pad(plane, 1, mode="edge"), 1, mode="edge")
+    ring = np.ones(block.shape, bool)
+    ring[1:-1, 1:-1] = False
+    block[ring] = np.abs(block[ring])
+    places = [np.concatenate([[-0.5, -0.5], np.arange(n), [n - 0.5, n - 0.5]]) for n in plane.shape]
+    # "high": pixels that touch at a corner only are two objects, as they are where components are counted.
+    found = find_contours(block, 0.0, fully_connected="high", positive_orientation="low")
+    loops = []
+    for nodes in found:
+        rows, columns = (np.interp(nodes[:-1, a], np.arange(len(places[a])), places[a]) for a in (0, 1))
+        points = geometry.index_to_world(np.insert(np.stack([rows, columns], axis=1), axis, 0.0, axis=1))
+        loops.append(points[(points != np.roll(points, -1, axis=0)).any(axis=1)])
+    return Contours(tuple(loops))
+
+
+def _vtp(loops: tuple[Floats, ...], space: str) -> bytes:
+    ends = np.cumsum([len(loop) for loop in loops])
+    lines = [[*range(end - len(loop), end), end - len(loop)] for end, loop in zip(ends, loops, strict=True)]
+    return polydata(np.concatenate(loops), np.concatenate(lines), ends + np.arange(1, len(ends) + 1), "Lines", space)
+
+
+def _csv(loops: tuple[Floats, ...], space: str) -> bytes:
+    lines = ["contour,x_mm,y_mm,z_mm"]
+    for number, loop in enumerate(loops):
+        lines += [f"{number},{x:.6f},{y:.6f},{z:.6f}" for x, y, z in (*loop, loop[0])]
+    return ("\n".join(lines) + "\n").encode()
+
+
+WRITERS: dict[str, Callable[[tuple[Floats, ...], str], bytes]] = {".vtp": _vtp, ".csv": _csv}
+"""Formats by suffix: loops and the space's name in capitals to the bytes of the file."""

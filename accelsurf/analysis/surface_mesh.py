@@ -1,0 +1,364 @@
+"""The zero level of psi as a closed triangle mesh in world mm, its measures, and mesh files.
+
+Marching cubes (Lewiner's, from scikit-image) runs on the bounding box of the inside voxels only. The mesh is closed
+also where the object meets the volume's border: there it ends on the outer faces of the border voxels, half a voxel
+outside their centres, with flat caps and sharp edges. A volume of one slice gives a prism one voxel thick.
+
+World coordinates are LPS, as in ITK; RAS is (-x, -y, z), a rotation by 180 degrees about z (determinant +1), so
+outward normals stay outward and no triangle has to be turned.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.measure import marching_cubes
+
+from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
+from accelsurf.grid.geometry import Geometry
+
+Floats = NDArray[np.float64]
+Writer = TypeVar("Writer")
+Ints = NDArray[np.int32]
+
+NODE_MARGIN = 1e-4
+"""Values of psi closer to 0 than this part of the smallest voxel size are moved there, so that the surface passes
+every voxel centre at a distance and no triangle collapses to a point or a line."""
+
+SPACES = ("lps", "ras")
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A triangle mesh in world mm.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (n, 3), float64
+        (x, y, z) in mm, LPS.
+    faces : ndarray, shape (m, 3), int32
+        Vertex numbers, counter-clockwise seen from outside: normals point outward.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    >>> tetrahedron = Surface(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32))
+    >>> round(tetrahedron.volume, 4), round(tetrahedron.area, 4), tetrahedron.is_closed
+    (0.1667, 2.366, True)
+    """
+
+    vertices: Floats
+    faces: Ints
+
+    @cached_property
+    def _corners(self) -> tuple[Floats, Floats, Floats]:
+        # Relative to the middle: far from the world origin the volume's sum would lose digits to cancellation.
+        v = self.vertices - self.vertices.mean(axis=0)
+        return v[self.faces[:, 0]], v[self.faces[:, 1]], v[self.faces[:, 2]]
+
+    @property
+    def area(self) -> float:
+        """Sum of the triangles' areas, mm2."""
+        a, b, c = self._corners
+        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume, mm3, by the divergence theorem: sum of a . (b x c) / 6; positive when outward."""
+        a, b, c = self._corners
+        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+    @property
+    def bounds(self) -> Floats:
+        """Smallest and largest (x, y, z), shape (2, 3), mm LPS."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether every edge is used as often in one direction as in the other: no holes, all facing one way."""
+        start, end, n = *self._sides(), len(self.vertices)
+        return bool(np.array_equal(np.sort(start * n + end), np.sort(end * n + start)))
+
+    @property
+    def euler_characteristic(self) -> int:
+        """Vertices - edges + faces: 2 for each ball-like closed part, 0 for a torus."""
+        start, end = self._sides()
+        edges = np.unique(np.minimum(start, end) * len(self.vertices) + np.maximum(start, end))
+        return len(np.unique(self.faces)) - len(edges) + len(self.faces)
+
+    def _sides(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First and last vertex of every triangle side, in the triangle's sense."""
+        return self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).astype(np.int64).ravel()
+
+    def write(self, path: str | Path, space: str = "lps") -> None:
+        """Write a mesh file: .ply (binary), .stl (binary), .obj or .vtp, by suffix.
+
+        The file appears complete or not at all: it is written under a temporary name and renamed. An existing file
+        is replaced. The coordinate space and the unit stand in the header (.vtp: in the field data).
+
+        Parameters
+        ----------
+        path : str or Path
+            The file to write.
+        space : {"lps", "ras"}, optional
+            Coordinates of the file. Normals point outward in both.
+
+        Raises
+        ------
+        UsageError
+            For another suffix or space.
+        OutputError
+            When the file cannot be written.
+        """
+        writer, flip = writer_for(path, space, WRITERS, "mesh")
+        write_atomically(Path(path), writer(self.vertices * flip, self.faces, space.upper()))
+
+
+def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
+    """The surface psi = 0 as a closed mesh.
+
+    Between voxel centres psi is taken as linear along the grid's edges: where it is a signed distance there, the
+    vertices are second order accurate. Away from the surface its values do not matter, only their sign.
+
+    Parameters
+    ----------
+    psi : ndarray, shape (nz, ny, nx)
+        Level-set function in mm, negative inside.
+    geometry : Geometry
+        Its grid.
+
+    Returns
+    -------
+    Surface
+        Closed, normals outward, for left-handed directions too. The same psi gives the same bytes.
+
+    Raises
+    ------
+    EmptyResultError
+        When no voxel is inside. (All voxels inside is allowed: the box of the volume.)
+    InputError
+        When psi is not of the grid's shape, or not finite around the object.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> psi = np.full((3, 4, 5), -1.0, dtype=np.float32)
+    >>> box = extract(psi, Geometry((3, 4, 5), (2.0, 1.0, 1.0)))
+    >>> round(box.volume, 6), round(box.area, 6), box.is_closed
+    (120.0, 148.0, True)
+    """
+    if psi.shape != geometry.shape:
+        raise InputError(f"psi of shape {psi.shape} given, the grid's {geometry.shape} expected")
+    ranges = _inside_ranges(psi)
+    if ranges is None:
+        raise EmptyResultError("no voxel is inside: there is no surface", hint="the object vanished; start larger")
+    block, positions = _closed_block(psi, ranges, NODE_MARGIN * min(geometry.spacing))
+    nodes, faces, _, _ = marching_cubes(block, level=0.0)
+    zyx = np.stack([np.interp(nodes[:, a], np.arange(len(positions[a])), positions[a]) for a in range(3)], axis=1)
+    zyx, faces = _merge_cap_edges(zyx, faces, geometry.shape)
+    # skimage's triangles face outward in a right-handed (z, y, x); taken as (x, y, z) they are mirrored once, and
+    # once more by a left-handed direction.
+    if np.linalg.det(geometry.direction) > 0.0:
+        faces = faces[:, ::-1]
+    return Surface(geometry.index_to_world(zyx), np.ascontiguousarray(faces, dtype=np.int32))
+
+
+def _inside_ranges(psi: NDArray[np.float32]) -> list[tuple[int, int]] | None:
+    """First and one past the last inside voxel along z, y, x; None when there is none."""
+    inside = psi < 0
+    ranges = []
+    for axis in range(3):
+        hit = np.flatnonzero(inside.any(axis=tuple(a for a in range(3) if a != axis)))
+        if not len(hit):
+            return None
+        ranges.append((int(hit[0]), int(hit[-1]) + 1))
+    return ranges
+
+
+def _closed_block(
+    psi: NDArray[np.float32], ranges: list[tuple[int, int]], margin: float
+) -> tuple[NDArray[np.float32], list[Floats]]:
+    """The part of psi that has the surface, closed by caps, and the index position of its layers along each axis."""
+    box = tuple(slice(max(a - 1, 0), min(b + 1, n)) for (a, b), n in zip(ranges, psi.shape, strict=True))
+    block = psi[box].astype(np.float32, order="C")
+    if not np.isfinite(block).all():
+        raise InputError("psi has NaN or infinite values around the object, finite distances expected")
+    near = np.abs(block) < margin
+    block[near] = np.where(block[near] < 0, -margin, margin)
+    positions = []
+    for axis, ((first, stop), n) in enumerate(zip(ranges, psi.shape, strict=True)):
+        position = np.arange(box[axis].start, box[axis].stop, dtype=np.float64)
+        if first == 0:
+            block = np.concatenate([*_cap(block, axis, 0), block], axis=axis)
+            position = np.concatenate([[-0.5, -0.5], position])
+        if stop == n:
+            block = np.concatenate([block, *_cap(block, axis, -1)[::-1]], axis=axis)
+            position = np.concatenate([position, [n - 0.5, n - 0.5]])
+        positions.append(position)
+    return block, positions
+
+
+def _cap(block: NDArray[np.float32], axis: int, end: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Two layers, outer first, that both lie on the outer face of the border voxels.
+
+    The inner one continues psi, which takes the walls straight to the face. The outer one is all outside, so the
+    surface turns between the two; and as there is no room between them, it lies flat on the face.
+    """
+    inner = np.take(block, [end], axis=axis)
+    return np.abs(inner), inner
+
+
+def _merge_cap_edges(zyx: Floats, faces: Ints, shape: tuple[int, int, int]) -> tuple[Floats, Ints]:
+    """Close the rims where two caps meet: their vertices coincide there, and the triangles between have no area."""
+    on_cap = (zyx == -0.5) | (zyx == np.array(shape) - 0.5)
+    rim = np.flatnonzero(on_cap.sum(axis=1) >= 2)
+    if not len(rim):
+        return zyx, faces
+    _, first, which = np.unique(zyx[rim], axis=0, return_index=True, return_inverse=True)
+    target = np.arange(len(zyx))
+    target[rim] = rim[first[which.ravel()]]
+    merged = target[faces]
+    a, b, c = merged.T
+    used, numbers = np.unique(merged[(a != b) & (b != c) & (c != a)], return_inverse=True)
+    return zyx[used], numbers.reshape(-1, 3).astype(np.int32)
+
+
+def _ply(vertices: Floats, faces: Ints, space: str) -> bytes:
+    header = (
+        f"ply\nformat binary_little_endian 1.0\ncomment SPACE={space}\ncomment UNIT=mm\n"
+        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, faces
+    return header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes()
+
+
+def _stl(vertices: Floats, faces: Ints, space: str) -> bytes:
+    rows = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    rows["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    rows["corners"] = corners
+    # The first word must not be "solid": readers take that for the text format.
+    header = f"accelsurf SPACE={space} UNIT=mm".encode().ljust(80)
+    return header + np.uint32(len(faces)).astype("<u4").tobytes() + rows.tobytes()
+
+
+def _obj(vertices: Floats, faces: Ints, space: str) -> bytes:
+    head = f"# accelsurf SPACE={space} UNIT=mm\n"
+    points = ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel().tolist())
+    triangles = ("f %d %d %d\n" * len(faces)) % tuple((faces + 1).ravel().tolist())
+    return (head + points + triangles).encode()
+
+
+def _vtp(vertices: Floats, faces: Ints, space: str) -> bytes:
+    return polydata(vertices, faces.ravel(), np.arange(3, 3 * len(faces) + 1, 3), "Polys", space)
+
+
+def polydata(
+    points: Floats, numbers: NDArray[np.integer], ends: NDArray[np.integer], kind: str, space: str
+) -> bytes:
+    """VTK's XML PolyData with raw appended arrays; written here so that saving a mesh does not load VTK.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        mm.
+    numbers : ndarray, shape (m,)
+        Point numbers of the cells, one cell after the other.
+    ends : ndarray
+        Where each cell ends in them.
+    kind : {"Polys", "Lines"}
+        What the cells are.
+    space : str
+        "LPS" or "RAS".
+    """
+    arrays = [points.astype("<f8"), numbers.astype("<i8"), ends.astype("<i8")]
+    sorts = {"Verts": 0, "Lines": 0, "Strips": 0, "Polys": 0, kind: len(ends)}
+    counts = " ".join(f'NumberOf{name}="{count}"' for name, count in sorts.items())
+    blocks = [np.uint64(array.nbytes).astype("<u8").tobytes() + array.tobytes() for array in arrays]
+    at = [0, len(blocks[0]), len(blocks[0]) + len(blocks[1])]
+    field = "".join(
+        f'<Array type="String" Name="{name}" NumberOfTuples="1" format="ascii">{_codes(value)}</Array>'
+        for name, value in (("SPACE", space), ("UNIT", "mm"))
+    )
+    header = (
+        '<?xml version="1.0"?>\n'
+        '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
+        f'<PolyData><FieldData>{field}</FieldData>\n<Piece NumberOfPoints="{len(points)}" {counts}>\n'
+        f'<Points><DataArray type="Float64" Name="Points" NumberOfComponents="3" format="appended" offset="{at[0]}"/>'
+        f'</Points>\n<{kind}><DataArray type="Int64" Name="connectivity" format="appended" offset="{at[1]}"/>'
+        f'<DataArray type="Int64" Name="offsets" format="appended" offset="{at[2]}"/></{kind}>\n'
+        '</Piece></PolyData>\n<AppendedData encoding="raw">_'
+    )
+    return header.encode() + b"".join(blocks) + b"</AppendedData></VTKFile>\n"
+
+
+def _codes(text: str) -> str:
+    """A string as VTK's XML keeps it: character codes, ended by 0."""
+    return " ".join(str(ord(letter)) for letter in text) + " 0"
+
+
+WRITERS: dict[str, Callable[[Floats, Ints, str], bytes]] = {".ply": _ply, ".stl": _stl, ".obj": _obj, ".vtp": _vtp}
+"""Mesh formats by suffix: vertices, faces and the space's name in capitals to the bytes of the file."""
+
+
+def writer_for(path: str | Path, space: str, writers: dict[str, Writer], kind: str) -> tuple[Writer, Floats]:
+    """Choose a writer by a file's suffix, and the factors that bring LPS points to the space asked for.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to be written.
+    space : {"lps", "ras"}
+        Its coordinates.
+    writers : dict
+        Writers by suffix.
+    kind : str
+        What is written, as errors say it.
+
+    Raises
+    ------
+    UsageError
+        For another suffix or space.
+    """
+    target = Path(path)
+    writer = writers.get(target.suffix.lower())
+    if writer is None:
+        known = ", ".join(writers)
+        raise UsageError(f"{target.name}: {kind} format {target.suffix!r} given, one of {known} expected")
+    if space not in SPACES:
+        raise UsageError(f"{kind} space {space!r} given, one of {', '.join(SPACES)} expected")
+    return writer, np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)
+
+
+def write_atomically(target: Path, content: bytes) -> None:
+    """Write a mesh file whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    # The process number keeps two runs that write the same name from sharing one temporary file.
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(content)
+        os.replace(part, target)
+    except OSError as error:
+        raise OutputError(
+            f"{target}: the mesh cannot be written ({error.strerror or error})", hint="choose a folder you may write to"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):  # gone after the rename, or never made
+            part.unlink()

@@ -1,0 +1,183 @@
+"""An energy beside others: where two surfaces meet neither enters the other or pushes it back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.protocol import Energy, Restrained
+from accelsurf.levelset import FRONT_WIDTH, LevelSet
+
+#: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
+NEAR = 1.0
+
+Corner = tuple[int, int, int]
+
+
+class Flow(Protocol):
+    """What a collision asks of a flow; see `accelsurf.flows.Flow`."""
+
+    def momentum(self, surface: LevelSet) -> np.ndarray:
+        """Speed (n,) along the inward normal that the surface would keep without forces."""
+        ...
+
+    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Add to it (n,)."""
+        ...
+
+
+class Neighbour(NamedTuple):
+    """Another object: its ``surface``, where its grid begins in the common one, what pulls it and how it moves."""
+
+    surface: LevelSet
+    corner: Corner
+    energy: Contested
+    flow: Flow
+
+
+class Touch(NamedTuple):
+    """Where a surface is near a neighbour: ``near`` (m,) of the places asked for; the neighbour's ``cells`` and
+    ``slots`` there; ``share`` (m,), 1 where the two touch and 0 from `NEAR` on.
+    """
+
+    other: Neighbour
+    near: NDArray[np.intp]
+    cells: NDArray[np.int64]
+    slots: NDArray[np.int32]
+    share: NDArray[np.float32]
+
+
+class Contested(Restrained):
+    """Another energy among neighbours that pull at the same places.
+
+    Where surfaces i and j touch neither can push the other back: i's force becomes max(f_i, -max(f_j, 0)), so that it
+    rests while both want to grow, and follows where the other gives way. Then neither could lower its own energy alone.
+    (The mean of both forces would have the minimum of U_i + U_j, and no rest between objects that are alike: the
+    smallest difference of their models lets one swallow the other.) Speeds meet in the same way, as in a collision that
+    is not elastic. It sets in over the last voxel between them; surfaces that draw apart feel nothing of each other.
+    After each motion psi_i is held above (psi_i - psi_j)/2: what both hold goes to the one that is deeper there.
+
+    Parameters
+    ----------
+    energy : Energy
+        The object's own.
+    corner : (z, y, x)
+        First voxel of the object's grid in the grid that all objects share.
+
+    Attributes
+    ----------
+    neighbours : sequence of Neighbour
+        Set by whoever moves the objects; they stand still while this one moves.
+    """
+
+    def __init__(self, energy: Energy, corner: Corner) -> None:
+        super().__init__(energy)
+        self._corner = corner
+        self.neighbours: Sequence[Neighbour] = ()
+        # Raster order in the object's grid; only of the front.
+        self._cells, self._forces = np.empty(0, np.int64), np.empty(0, np.float32)
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front; held where it pushes against a neighbour that does not give way."""
+        own = np.asarray(self._energy.force(surface, front, curvature), np.float32)
+        self._cells, self._forces = surface.band.cells[front], own[front]
+        on = np.flatnonzero(front)
+        held = np.zeros(on.size, np.float32)
+        for touch in self._touching(surface, on):
+            held[touch.near] = np.maximum(
+                held[touch.near], against(own[on[touch.near]], touch.other.energy.force_in(touch.cells), touch.share)
+            )
+        own[on] += held
+        return own
+
+    def _touching(self, surface: LevelSet, on: NDArray[np.intp]) -> Iterator[Touch]:
+        """Where the surface, at slots ``on`` of its band, is near each neighbour."""
+        if not self.neighbours:
+            return
+        steps = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
+        index = np.stack(np.unravel_index(surface.band.cells[on], surface.shape), axis=1) + np.array(self._corner)
+        foot = np.where(np.array(surface.shape) > 1, surface.band.foot[on] / steps, 0.0)
+        for other in self.neighbours:
+            shape = np.array(other.surface.shape)
+            place = index + foot - np.array(other.corner)
+            # Feet of cells at the volume's border may lie beyond it: there the border's own voxels tell.
+            within = np.clip(place, 0, shape - 1)
+            near = np.flatnonzero((np.abs(place - within) <= FRONT_WIDTH).all(axis=1))
+            place = within
+            cells = np.ravel_multi_index(tuple(np.rint(place[near]).astype(np.int64).T), other.surface.shape)
+            slots = other.surface.dense.slot[cells]
+            near, cells, slots = near[slots >= 0], cells[slots >= 0], slots[slots >= 0]
+            gap = ndimage.map_coordinates(other.surface.psi, place[near].T, order=1, mode="nearest")
+            share = np.clip(1.0 - gap / (NEAR * steps.min()), 0.0, 1.0).astype(np.float32)
+            touches = share > 0
+            yield Touch(other, near[touches], cells[touches], slots[touches], share[touches])
+
+    def force_in(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+        """The object's own force at some cells of its grid in its last step, 0 away from its front."""
+        if self._cells.size == 0:
+            return np.zeros(cells.size, np.float32)
+        at = np.minimum(np.searchsorted(self._cells, cells), self._cells.size - 1)
+        return np.where(self._cells[at] == cells, self._forces[at], np.float32(0.0))
+
+    def collide(self, surface: LevelSet, flow: Flow) -> None:
+        """Let the surface's speed meet its neighbours'; after its motion."""
+        if not self.neighbours or surface.size == 0:
+            return
+        speed, front = np.asarray(flow.momentum(surface), np.float32), surface.front()
+        on = np.flatnonzero(front)
+        own, pressed = speed[on], self.force_in(surface.band.cells[on]) < 0
+        stopped, slowed = np.zeros(on.size, np.float32), np.zeros(on.size, np.float32)
+        for other, near, cells, slots, share in self._touching(surface, on):
+            theirs = other.flow.momentum(other.surface)[slots]
+            stopped[near] = np.maximum(stopped[near], against(own[near], theirs, share))
+            both = pressed[near] & (other.energy.force_in(cells) < 0)
+            slowed[near] = np.minimum(slowed[near], np.where(both, -share * np.maximum(own[near], 0.0), 0.0))
+        push = np.zeros(surface.size, np.float32)
+        push[on] = stopped + slowed
+        if push.any():
+            surface.extend_outwards(push, front)
+            flow.push(surface, push)
+
+    def hold(self, surface: LevelSet) -> None:
+        """Give up half of what neighbours hold too; between the surface's motion and its redistancing."""
+        hold = getattr(self._energy, "hold", None)
+        if hold is not None:
+            hold(surface)
+        for other in self.neighbours:
+            on, theirs = beside(surface, self._corner, other)
+            cells = surface.band.cells[on]
+            mine = surface.dense.psi[cells]
+            surface.dense.psi[cells] = np.maximum(mine, np.float32(0.5) * (mine - theirs))
+
+    def overlap(self, surface: LevelSet) -> float:
+        """How deep, mm, neighbours are inside of the surface where it runs, within a voxel; 0 if none is."""
+        deepest, on_surface = 0.0, surface.front(1.0)
+        for other in self.neighbours:
+            on, theirs = beside(surface, self._corner, other)
+            near = on_surface[on]
+            if near.any():
+                deepest = max(deepest, -float((surface.band.psi[on] + theirs)[near].min()))
+        return deepest
+
+
+def against(mine: NDArray[np.float32], theirs: NDArray[np.float32], share: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What makes a quantity along the inward normal max(mine, -max(theirs, 0)) where two touch, less off it."""
+    return np.asarray(-share * np.minimum(mine + np.maximum(theirs, 0.0), 0.0))
+
+
+def beside(
+    surface: LevelSet, corner: Corner, other: Neighbour
+) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Slots of the band cells that lie on a neighbour's grid too, and the neighbour's psi there, mm."""
+    index = np.unravel_index(surface.band.cells, surface.shape)
+    moved = [i + (a - b) for i, a, b in zip(index, corner, other.corner, strict=True)]
+    inside = np.ones(surface.size, np.bool_)
+    for i, n in zip(moved, other.surface.shape, strict=True):
+        inside &= (i >= 0) & (i < n)
+    on = np.flatnonzero(inside)
+    values: Any = other.surface.psi[tuple(i[on] for i in moved)]
+    return on, values

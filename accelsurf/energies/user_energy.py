@@ -1,0 +1,131 @@
+"""An energy that somebody else wrote, checked: its mistakes are told in one line and not found deep in a kernel."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from accelsurf.energies.protocol import Energy
+from accelsurf.errors import InputError, UsageError
+from accelsurf.levelset import Change, LevelSet
+
+METHODS = ("start", "follow", "value", "force")
+
+
+class Checked:
+    """An energy that behaves as the one given, but whose value and force are looked at before they are used.
+
+    Parameters
+    ----------
+    energy : Energy
+        See there for what it must have.
+
+    Attributes
+    ----------
+    name : str
+        ``custom: ClassName``, as reports have it.
+
+    Raises
+    ------
+    UsageError
+        When a method is missing or alpha is no number of at least 0.
+    """
+
+    def __init__(self, energy: Any) -> None:
+        kind = type(energy).__name__
+        missing = [name for name in METHODS if not callable(getattr(energy, name, None))]
+        if missing:
+            raise UsageError(
+                f"energy: a {kind} was given, which has no {', '.join(missing)}",
+                "an energy has alpha, start, follow, value and force: see accelsurf.energies.Energy; "
+                "accelsurf.energies.ImageEnergy has start and follow ready",
+            )
+        self._energy: Energy = energy
+        self._kind = kind
+        self.name = f"custom: {kind}"
+        self._alpha()
+
+    @property
+    def alpha(self) -> float:
+        """The energy's own."""
+        return self._alpha()
+
+    def _alpha(self) -> float:
+        alpha: Any = getattr(self._energy, "alpha", None)
+        if not _is_number(alpha) or not 0 <= alpha < math.inf:
+            raise UsageError(
+                f"energy: alpha of {self._kind} is {alpha!r}, expected a number at least 0",
+                "alpha is the largest factor of the curvature in the force; 0 when there is none",
+            )
+        return float(alpha)
+
+    def start(self, surface: LevelSet) -> None:
+        """Take up a surface."""
+        self._energy.start(surface)
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up what changed."""
+        self._energy.follow(surface, change)
+
+    def kept(self) -> Any:
+        """What the energy carries from step to step, if it can say so."""
+        return self._energy.kept() if hasattr(self._energy, "kept") else None
+
+    def resume(self, surface: LevelSet, kept: Any) -> None:
+        """Go on from what was kept, or from full sums."""
+        if hasattr(self._energy, "resume"):
+            self._energy.resume(surface, kept)
+        else:
+            self._energy.start(surface)
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface; NaN and infinity pass, they end the run as ``diverged``.
+
+        Raises
+        ------
+        InputError
+            When it is not one number.
+        """
+        value = self._energy.value(surface, part, area)
+        if not _is_number(value):
+            raise InputError(f"{self._kind}.value returned {_what(value)}, expected one number", "return float(...)")
+        return float(value)
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,), float32; what is off the front does not count and becomes 0.
+
+        Raises
+        ------
+        InputError
+            When it is not one finite number for each front cell.
+        """
+        force = self._energy.force(surface, front, curvature)
+        if not isinstance(force, np.ndarray) or force.shape != front.shape or force.dtype.kind not in "fiu":
+            raise InputError(
+                f"{self._kind}.force returned {_what(force)}, expected an array of numbers of shape {front.shape}",
+                "one number for each band cell, in the order of the arrays front and curvature",
+            )
+        with np.errstate(over="ignore"):
+            checked = np.where(front, force, 0).astype(np.float32)
+        bad = ~np.isfinite(checked)
+        if bad.any():
+            first = int(bad.argmax())
+            z, y, x = (int(i) for i in np.unravel_index(surface.band.cells[first], surface.shape))
+            raise InputError(
+                f"{self._kind}.force returned {int(bad.sum())} values on the front that are not finite, "
+                f"the first {force[first]} at index x={x}, y={y}, z={z}",
+                "look for a division by 0 or a logarithm of 0 there",
+            )
+        return checked
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def _what(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype} of shape {value.shape}"
+    return f"a {type(value).__name__}"

@@ -1,0 +1,104 @@
+"""Energies added with weights, and the terms that need no image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from accelsurf.energies.protocol import Energy
+from accelsurf.levelset import Change, LevelSet
+
+
+class WeightedSum:
+    """U = sum of w_i U_i, f = sum of w_i f_i.
+
+    Parameters
+    ----------
+    terms : sequence of (weight, Energy)
+        Weights may be negative for energies without curvature in their force only.
+
+    Attributes
+    ----------
+    alpha : float
+        Sum of w_i alpha_i: the largest factor of H.
+    """
+
+    def __init__(self, terms: Sequence[tuple[float, Energy]]) -> None:
+        self._terms = [(float(weight), energy) for weight, energy in terms]
+        self.alpha = sum(weight * energy.alpha for weight, energy in self._terms)
+        assert all(weight > 0 or energy.alpha == 0 for weight, energy in self._terms)
+
+    def start(self, surface: LevelSet) -> None:
+        """Take up a surface, every term."""
+        for _, energy in self._terms:
+            energy.start(surface)
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up what changed, every term."""
+        for _, energy in self._terms:
+            energy.follow(surface, change)
+
+    def kept(self) -> list[Any]:
+        """What the terms carry from step to step, in their order; None for those that carry nothing."""
+        return [energy.kept() if hasattr(energy, "kept") else None for _, energy in self._terms]
+
+    def resume(self, surface: LevelSet, kept: list[Any]) -> None:
+        """Go on, on this surface, from what was ``kept`` on it."""
+        for (_, energy), what in zip(self._terms, kept, strict=True):
+            if hasattr(energy, "resume"):
+                energy.resume(surface, what)
+            else:
+                energy.start(surface)
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface."""
+        return sum(weight * energy.value(surface, part, area) for weight, energy in self._terms)
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Force f (n,) at the front."""
+        force = np.zeros(surface.size, np.float32)
+        for weight, energy in self._terms:
+            force += np.float32(weight) * energy.force(surface, front, curvature)
+        return force
+
+
+class Balloon:
+    """U = Vol, f = 1: with a weight above 0 the surface shrinks everywhere, below 0 it grows."""
+
+    alpha = 0.0
+
+    def start(self, surface: LevelSet) -> None:
+        """Nothing to take up: the surface knows its volume."""
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Nothing to take up."""
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """Volume, mm3."""
+        return surface.volume(part)
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """1 at the front."""
+        return front.astype(np.float32)
+
+
+class Area:
+    """U = A, f = H: the area of the surface as a term of its own."""
+
+    alpha = 1.0
+
+    def start(self, surface: LevelSet) -> None:
+        """Nothing to take up."""
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Nothing to take up."""
+
+    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+        """Area, mm2."""
+        return float(area.sum())
+
+    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """The curvature."""
+        return curvature.astype(np.float32)

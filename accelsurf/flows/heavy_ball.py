@@ -1,0 +1,56 @@
+"""Gradient descent with the plain momentum of the literature: the second baseline."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from accelsurf.flows.descent import curvature_bound
+from accelsurf.flows.protocol import Limits, Move, Now, Remembering, finish, voxel_rates
+from accelsurf.levelset import LevelSet
+
+
+class Momentum(Remembering):
+    """Step s_n = (1 - omega) dt f + omega s_(n-1), redistanced after each (Andersson, Läthén, Lenz, Borga 2013).
+
+    The last step is a field on the surface, extended by the march as all fields are. There is no mass, no time
+    but the number of steps, and no term for the motion of the surface itself.
+
+    Parameters
+    ----------
+    blend : float
+        omega, the part of the last step that is kept: 0 (plain descent) up to, not including, 1.
+    """
+
+    name = "momentum"
+
+    def __init__(self, blend: float = 0.8) -> None:
+        super().__init__()
+        self.blend = float(blend)
+
+    def rest(self, area: np.ndarray) -> float:
+        """Forget the last step."""
+        self._last[:] = 0.0
+        return 0.0
+
+    def momentum(self, surface: LevelSet) -> np.ndarray:
+        """The last step, mm."""
+        return self._last
+
+    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Change what is remembered."""
+        self._last = self._last + speed
+
+    def move(self, now: Now, limits: Limits) -> Move:
+        """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""
+        force = np.asarray(now.force, np.float32)
+        dt = travel = self.travel_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
+        if now.alpha > 0:
+            dt = min(dt, curvature_bound(now.surface) / now.alpha)
+        if not math.isfinite(dt):
+            return Move.none(now.surface)
+        speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last
+        move = finish(now, speed, dt, limits, travel)
+        self._last = move.speed * np.float32(dt)
+        return move

@@ -1,0 +1,168 @@
+"""A volume: an array (z, y, x) and where it lies. Made by `accelsurf.io.read`, or from a plain array."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Voxel values on a grid.
+
+    Parameters
+    ----------
+    array : ndarray, shape (nz, ny, nx)
+        Real numbers or booleans. Kept as it is, not copied; accelsurf never writes into it.
+    geometry : Geometry
+        The grid, of the same shape.
+    metadata : dict of str to str, optional
+        What the file's header said beyond the grid; `accelsurf.io.write` uses it to give the same header back.
+    source : Path, optional
+        The file it was read from.
+
+    Raises
+    ------
+    InputError
+        When the array is not 3D, is empty, is not of a real type, or its shape is not the grid's.
+    """
+
+    array: NDArray[Any]
+    geometry: Geometry
+    metadata: dict[str, str] = field(default_factory=dict)
+    source: Path | None = None
+
+    def __post_init__(self) -> None:
+        array = self.array
+        if not isinstance(array, np.ndarray):
+            raise InputError(f"a {type(array).__name__} given, a numpy array expected")
+        if array.dtype.kind not in "buif":
+            raise InputError(
+                f"an array of type {array.dtype} given, real numbers expected",
+                hint="for complex values segment one real part, e.g. numpy.abs(array)",
+            )
+        if array.ndim != 3:
+            raise InputError(
+                f"an array of {array.ndim} dimensions given, 3 (z, y, x) expected",
+                hint="take one channel or time point; Volume.from_array accepts 2D as one slice",
+            )
+        if array.shape != self.geometry.shape:
+            raise InputError(f"an array of shape {array.shape} given, the grid's {self.geometry.shape} expected")
+
+    @classmethod
+    def from_array(
+        cls,
+        array: ArrayLike,
+        spacing: float | Sequence[float] = 1.0,
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        direction: ArrayLike | None = None,
+    ) -> Volume:
+        """A volume from a plain array.
+
+        Parameters
+        ----------
+        array : array_like, shape (nz, ny, nx) or (ny, nx)
+            Voxel values; a 2D image becomes one slice.
+        spacing : float or sequence of float, optional
+            mm in array order: (hz, hy, hx), or one number for all axes. For a 2D image also (hy, hx); the slice is
+            then 1 mm thick.
+        origin : sequence of float, optional
+            World position (x, y, z), mm LPS, of the first voxel's centre.
+        direction : array_like, shape (3, 3), optional
+            As in `Geometry`; the identity by default.
+
+        Raises
+        ------
+        InputError
+            When the array cannot be a volume; GeometryError when the grid cannot be one.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Volume.from_array(np.zeros((4, 5)), spacing=(0.5, 0.25)).geometry.spacing
+        (1.0, 0.5, 0.25)
+        """
+        values = np.asarray(array)
+        flat = values.ndim == 2
+        if flat:
+            values = values[np.newaxis]
+        if values.ndim != 3 or values.size == 0:
+            raise InputError(
+                f"an array of shape {values.shape} given, (z, y, x) with at least one voxel expected",
+                hint="take one channel or time point of it first",
+            )
+        steps = (float(spacing),) * 3 if isinstance(spacing, (int, float, np.number)) else tuple(spacing)
+        if flat and len(steps) == 2:
+            steps = (1.0, *steps)
+        frame = np.eye(3) if direction is None else np.asarray(direction)
+        # Geometry checks every one of them and says which is wrong; the casts only tell the type checker so.
+        geometry = Geometry(values.shape, steps, tuple(origin), frame)  # type: ignore[arg-type]
+        return cls(values, geometry)
+
+    def as_float32(self) -> NDArray[np.float32]:
+        """The values as a new C-contiguous float32 array, (z, y, x); the solver may write into it.
+
+        Raises
+        ------
+        InputError
+            When a voxel is NaN or infinite, or too large for float32; the message has the count and the first place.
+        """
+        _refuse_nonfinite(self.array)
+        with np.errstate(over="ignore"):  # a float64 beyond float32 becomes inf; named below
+            values = np.array(self.array, dtype=np.float32, order="C", copy=True)
+        if self.array.dtype.itemsize > 4 and not np.isfinite(values).all():
+            raise InputError(
+                f"{_where(~np.isfinite(values))} beyond the range of 32-bit floats (3.4e38)",
+                hint="rescale the image, e.g. divide it by its largest value",
+            )
+        return values
+
+    def with_array(self, array: NDArray[Any]) -> Volume:
+        """Another array on the same grid, with the same header metadata (but no source: it was not read)."""
+        return Volume(array, self.geometry, dict(self.metadata))
+
+
+def check_image(volume: Volume) -> None:
+    """Refuse an image that nothing can be segmented from.
+
+    Raises
+    ------
+    InputError
+        When a voxel is NaN or infinite, or when all voxels have the same value.
+
+    Examples
+    --------
+    >>> check_image(Volume.from_array([[0, 1], [1, 0]]))
+    """
+    _refuse_nonfinite(volume.array)
+    low, high = volume.array.min(), volume.array.max()
+    if low == high:
+        raise InputError(
+            f"the image is constant: every voxel is {low}",
+            hint="there is nothing to tell object from background; is this the right file?",
+        )
+
+
+def _refuse_nonfinite(array: NDArray[Any]) -> None:
+    if array.dtype.kind != "f" or np.isfinite(array).all():
+        return
+    nans, bad = np.isnan(array), ~np.isfinite(array)
+    raise InputError(
+        f"{_where(bad)} not finite ({int(nans.sum())} NaN, {int(bad.sum() - nans.sum())} infinite)",
+        hint="replace them first, e.g. volume.with_array(numpy.nan_to_num(volume.array, posinf=0, neginf=0))",
+    )
+
+
+def _where(bad: NDArray[np.bool_]) -> str:
+    """'3 voxels are', with the first place in the order people type it, x first."""
+    count = int(bad.sum())
+    z, y, x = (int(i) for i in np.unravel_index(int(bad.argmax()), bad.shape))
+    return f"{count} {'voxel is' if count == 1 else 'voxels are'} (first at index x={x}, y={y}, z={z})"

@@ -1,0 +1,329 @@
+"""First surfaces: balls, boxes, seeds, label maps, thresholds, meshes, in the words of ``--start``.
+
+A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS). With the suffix ``vox`` they are voxel
+indices (x, y, z; 0 is the centre of the first voxel), and a radius is in voxels of the smallest spacing.
+Each start becomes a function psi on the grid, negative inside; several are united by their minimum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf import io
+from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization import region_growing
+from accelsurf.io import meshes
+
+#: Kind -> the form in which it is written.
+KINDS: dict[str, str] = {
+    "ball": "ball:X,Y,Z,R",
+    "box": "box:X0,Y0,Z0,X1,Y1,Z1",
+    "seed": "seed:X,Y,Z,R",
+    "label": "label:FILE",
+    "threshold": "threshold:LO,HI",
+    "largest": "largest:LO,HI",
+    "otsu": "otsu",
+    "mesh": "mesh:FILE",
+    "center": "center",
+}
+SLAB_VOXELS = 2**20
+"""Voxels worked on at once, so that coordinates never need a whole volume."""
+
+
+class Start(NamedTuple):
+    """A start, parsed: its ``kind``, its ``numbers`` and whether these are voxel indices, or its ``file``.
+
+    ``word`` is what follows the kind or the file: ``dark``, ``otsu``, ``ras``; ``ids`` are the labels wanted,
+    as ranges.
+    """
+
+    kind: str
+    numbers: tuple[float, ...] = ()
+    vox: bool = False
+    file: str = ""
+    word: str = ""
+    ids: tuple[tuple[int, int], ...] = ()
+
+
+def parse(text: str) -> Start:
+    """Read one start.
+
+    Parameters
+    ----------
+    text : str
+        As on the command line.
+
+    Raises
+    ------
+    UsageError
+        When it is not of a known form.
+
+    Examples
+    --------
+    >>> parse("ball:10,-20,5.5,12")
+    Start(kind='ball', numbers=(10.0, -20.0, 5.5, 12.0), vox=False, file='', word='', ids=())
+    >>> parse("box:0,0,0,9,9,9vox").vox
+    True
+    """
+    kind, colon, rest = text.strip().partition(":")
+    if kind not in KINDS:
+        raise UsageError(f"start {text!r}: unknown kind {kind!r}", f"use one of {', '.join(KINDS.values())}")
+    if kind == "center":
+        if colon:
+            raise UsageError(f"start {text!r}: center takes no values", "write --start center, or a ball")
+        return Start(kind)
+    if kind in ("label", "mesh"):
+        return _parse_file(text, kind, rest)
+    if kind == "otsu":
+        if rest not in ("", "dark") or (colon and not rest):
+            raise UsageError(f"start {text!r}: otsu or otsu:dark expected", "otsu is for bright objects")
+        return Start(kind, word=rest)
+    if kind == "largest" and rest in ("otsu", "otsu:dark"):
+        return Start(kind, word=rest)
+    vox = rest.endswith("vox") and kind in ("ball", "box", "seed")
+    numbers = _numbers(text, rest[:-3] if vox else rest, KINDS[kind])
+    if kind in ("ball", "seed") and numbers[3] <= 0:
+        raise UsageError(f"start {text!r}: radius {numbers[3]:g} given, expected above 0", f"as in {KINDS[kind]}")
+    if kind == "box" and any(a >= b for a, b in zip(numbers[:3], numbers[3:], strict=True)):
+        raise UsageError(f"start {text!r}: the first corner must lie below the second in x, y and z", KINDS[kind])
+    if kind in ("threshold", "largest") and numbers[0] > numbers[1]:
+        raise UsageError(f"start {text!r}: the low threshold is above the high one", f"as in {KINDS[kind]}")
+    return Start(kind, numbers, vox)
+
+
+def _parse_file(text: str, kind: str, rest: str) -> Start:
+    """Read FILE, FILE@IDS of a label map or FILE@ras of a mesh."""
+    file, at, tail = rest.rpartition("@") if "@" in rest else (rest, "", "")
+    if not file:
+        raise UsageError(f"start {text!r}: no file named", f"write {KINDS[kind]}")
+    if kind == "mesh":
+        # A name may have an @ of its own.
+        return Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
+    if not at:
+        return Start(kind, file=rest)
+    ids = []
+    for part in tail.split(","):
+        first, _, last = part.partition("-")
+        if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
+            raise UsageError(
+                f"start {text!r}: {part!r} is no label, expected whole numbers and ranges",
+                "as in label:FILE@2,41,251-255",
+            )
+        ids.append((int(first), int(last or first)))
+    return Start(kind, file=file, ids=tuple(ids))
+
+
+def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
+    expected = form.count(",") + 1
+    parts = values.split(",")
+    if form.startswith(("threshold", "largest")) and len(parts) == 2 and any(parts):
+        # An open side, as in the energy of that name.
+        parts = [parts[0].strip() or "-inf", parts[1].strip() or "inf"]
+    try:
+        numbers = tuple(float(value) for value in parts)
+    except ValueError:
+        numbers = ()
+    if len(numbers) != expected or any(math.isnan(v) for v in numbers):
+        raise UsageError(f"start {text!r}: {expected} numbers separated by commas expected", f"as in {form}")
+    if not form.startswith(("threshold", "largest")) and any(math.isinf(v) for v in numbers):
+        raise UsageError(f"start {text!r}: finite numbers expected", f"as in {form}")
+    return numbers
+
+
+def build(starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """Return the function psi of the union of starts on the grid of a volume.
+
+    Parameters
+    ----------
+    starts : sequence of str
+        At least one.
+    volume : Volume
+        The image; thresholds are in its units.
+    image : ndarray, shape (nz, ny, nx), optional
+        What thresholds are applied to instead of the volume's own array (the presmoothed image).
+
+    Returns
+    -------
+    ndarray, shape (nz, ny, nx), float32
+        Negative inside. The distance (mm) for balls and boxes; half a voxel to either side for label maps and
+        thresholds.
+
+    Raises
+    ------
+    UsageError
+        When a start cannot be parsed.
+    InputError
+        When a start lies outside the volume, or their union is empty or the whole volume; GeometryError when a label
+        map lies on another grid.
+
+    Examples
+    --------
+    >>> psi = build(["ball:4,4,4,2"], Volume.from_array(np.zeros((9, 9, 9))))
+    >>> int((psi < 0).sum()), float(psi[4, 4, 4])
+    (27, -2.0)
+    """
+    values = volume.array if image is None else image
+    psi = np.full(volume.geometry.shape, np.inf, np.float32)
+    for text in starts:
+        one = _build_one(parse(text), text, volume.geometry, values)
+        if not (one < 0).any():
+            raise InputError(*_nothing_inside(text, volume.geometry))
+        np.minimum(psi, one, out=psi)
+    if (psi < 0).all():
+        raise InputError(
+            f"start {' + '.join(starts)}: every voxel of the volume is inside", "leave some background outside"
+        )
+    return psi
+
+
+def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], float]:
+    """Return centre, as an index (z, y, x), and radius (mm) of a ball in a volume.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be parsed or is no ball.
+    InputError
+        When no voxel centre is inside it.
+
+    Examples
+    --------
+    >>> ball_of("ball:3,4,6,2", Geometry((9, 9, 9), (2.0, 1.0, 1.0)))
+    ((3.0, 4.0, 3.0), 2.0)
+    """
+    start = parse(text)
+    if start.kind != "ball":
+        raise UsageError(f"{text!r} was given, expected a ball", f"as in {KINDS['ball']}")
+    if start.vox:
+        x, y, z = start.numbers[:3]
+        radius = start.numbers[3] * min(geometry.steps)
+    else:
+        z, y, x = (float(v) for v in geometry.world_to_index(start.numbers[:3]))
+        radius = start.numbers[3]
+    centre = np.array([z, y, x])
+    nearest = np.clip(np.round(centre), 0, np.array(geometry.shape) - 1)
+    if not float(np.linalg.norm((nearest - centre) * geometry.spacing)) < radius:
+        raise InputError(*_nothing_inside(text, geometry))
+    return (z, y, x), radius
+
+
+def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
+    kind = parse(text).kind
+    if kind == "label":
+        return f"start {text!r}: no voxel of the label map is meant", "give a map and labels that it has"
+    if kind == "mesh":
+        return f"start {text!r}: no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
+    if kind in ("threshold", "largest", "otsu"):
+        return f"start {text!r}: no voxel lies between these values", "thresholds are in the image's own units"
+    corner = geometry.index_to_world(np.array([[0, 0, 0], [n - 1 for n in geometry.shape]]))
+    low, high = corner.min(axis=0), corner.max(axis=0)
+    reach = "; ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    return (
+        f"start {text!r}: no voxel centre is inside it",
+        f"the volume's corners span {reach} mm (world, LPS); the suffix vox takes voxel indices",
+    )
+
+
+def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> NDArray[np.float32]:
+    if start.kind == "label":
+        return _from_mask(_read_mask(start, geometry), geometry)
+    if start.kind == "mesh":
+        return _from_mask(meshes.inside(start.file, geometry, ras=start.word == "ras"), geometry)
+    if start.kind == "seed":
+        z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])
+        radius = start.numbers[3] * (min(geometry.steps) if start.vox else 1.0)
+        return _from_mask(region_growing.grown(values, geometry, (float(z), float(y), float(x)), radius), geometry)
+    if start.kind in ("threshold", "largest", "otsu"):
+        if start.numbers:
+            mask = (values >= start.numbers[0]) & (values <= start.numbers[1])
+        else:
+            mask = region_growing.otsu(values, dark=start.word.endswith("dark"))
+        return _from_mask(region_growing.largest(mask) if start.kind == "largest" else mask, geometry)
+    if start.kind == "center":
+        extents = [e for e, n in zip(geometry.extent_mm, geometry.shape, strict=True) if n > 1]
+        centre = tuple(0.5 * (n - 1) for n in reversed(geometry.shape))
+        radius = 0.25 * min(extents or [geometry.spacing[0]])
+        return _ball(geometry, centre, radius)
+    if start.kind == "ball":
+        if start.vox:
+            return _ball(geometry, start.numbers[:3], start.numbers[3] * min(geometry.steps))
+        z, y, x = geometry.world_to_index(start.numbers[:3])
+        return _ball(geometry, (x, y, z), start.numbers[3])
+    return _box(geometry, start)
+
+
+def _read_mask(start: Start, geometry: Geometry) -> NDArray[np.bool_]:
+    labels = io.read_labels(start.file)
+    if not labels.geometry.matches(geometry):
+        raise GeometryError(
+            f"start label:{start.file}: on another grid than the image: {labels.geometry.difference(geometry)}",
+            "resample it to the image's grid first",
+        )
+    if not start.ids:
+        return np.asarray(labels.array > 0)
+    mask = np.zeros(labels.array.shape, np.bool_)
+    for first, last in start.ids:
+        mask |= (labels.array >= first) & (labels.array <= last)
+    return mask
+
+
+def _from_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:
+    half = np.float32(0.5 * min(geometry.steps))
+    return np.where(mask, -half, half)
+
+
+def _slabs(geometry: Geometry) -> Iterator[tuple[slice, NDArray, NDArray, NDArray]]:
+    """Index coordinates (z, y, x) of a few planes at a time, broadcastable."""
+    nz, ny, nx = geometry.shape
+    step = max(1, SLAB_VOXELS // (ny * nx))
+    y, x = np.arange(ny, dtype=float)[None, :, None], np.arange(nx, dtype=float)[None, None, :]
+    for first in range(0, nz, step):
+        planes = slice(first, min(first + step, nz))
+        yield planes, np.arange(planes.start, planes.stop, dtype=float)[:, None, None], y, x
+
+
+def _evaluate(geometry: Geometry, function: Callable[[NDArray, NDArray, NDArray], NDArray]) -> NDArray[np.float32]:
+    psi = np.empty(geometry.shape, np.float32)
+    for planes, z, y, x in _slabs(geometry):
+        psi[planes] = function(z, y, x)
+    return psi
+
+
+def _ball(geometry: Geometry, centre_xyz: Sequence[float], radius: float) -> NDArray[np.float32]:
+    cx, cy, cz = centre_xyz
+    hz, hy, hx = geometry.spacing
+
+    def distance(z: NDArray, y: NDArray, x: NDArray) -> NDArray:
+        # Squares of one axis in double precision, their sums over the volume in single: half the time.
+        squares = [((c * h) ** 2).astype(np.float32) for c, h in ((z - cz, hz), (y - cy, hy), (x - cx, hx))]
+        found = (squares[0] + squares[1]) + squares[2]
+        np.sqrt(found, out=found)
+        found -= np.float32(radius)
+        return found
+
+    return _evaluate(geometry, distance)
+
+
+def _box(geometry: Geometry, start: Start) -> NDArray[np.float32]:
+    low, high = np.array(start.numbers[:3]), np.array(start.numbers[3:])
+    scale = np.array(geometry.spacing_xyz) if start.vox else np.ones(3)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low) * scale
+
+    def distance(z: NDArray, y: NDArray, x: NDArray) -> NDArray:
+        if start.vox:
+            offsets = [(c - m) * s for c, m, s in zip((x, y, z), middle, scale, strict=True)]
+        else:
+            world = geometry.index_to_world(np.stack(np.broadcast_arrays(z, y, x), axis=-1))
+            offsets = [world[..., axis] - middle[axis] for axis in range(3)]
+        q = [np.abs(o) - a for o, a in zip(offsets, half, strict=True)]
+        outside = np.sqrt(sum(np.maximum(a, 0.0) ** 2 for a in q))
+        return np.asarray(outside + np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0.0))
+
+    return _evaluate(geometry, distance)

@@ -1,0 +1,109 @@
+"""PNG: what the header claims, whether it is all there, and how it is written. ITK reads the pixels."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.io.formats.raster import TRUNCATED_HINT, PictureHeader, inflated_bytes
+
+_START = b"\x89PNG\r\n\x1a\n"
+_CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
+_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+_ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+_CHUNK = 1 << 16
+
+
+def parse(file: BinaryIO) -> PictureHeader:
+    """Read the header of a PNG.
+
+    Raises
+    ------
+    InputError
+        When it is none, is damaged, or has grey values with transparency, which ITK cannot read.
+    """
+    start = file.read(33)
+    if start[:8] != _START or start[12:16] != b"IHDR":
+        raise InputError("this is not a PNG image: it does not start as one", hint="is it the right file?")
+    if len(start) < 33 or zlib.crc32(start[12:29]) != struct.unpack(">I", start[29:])[0]:
+        raise InputError("the PNG header is damaged", hint=TRUNCATED_HINT)
+    width, height, depth, color, _, _, interlaced = struct.unpack(">IIBBBBB", start[16:29])
+    if not (width and height) or depth not in _DEPTHS.get(color, ()) or interlaced > 1:
+        raise InputError(
+            f"the PNG header is damaged: {width} x {height}, {depth} bits, colour type {color}", hint=TRUNCATED_HINT
+        )
+    if color == 4:
+        raise InputError(
+            "a grey PNG with transparency given, one without expected", hint="save it without the alpha channel"
+        )
+    bits = depth * (_CHANNELS[color] if color != 3 else 1)  # a palette is looked up later
+    unpacked = _row_bytes(width, height, bits, bool(interlaced))
+    return PictureHeader((1, height, width), None, unpacked, _CHANNELS[color] * (2 if depth == 16 else 1))
+
+
+def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
+    """Bytes of all rows, each with the byte that names its filter."""
+    total = 0
+    for x, y, dx, dy in _ADAM7 if interlaced else ((0, 0, 1, 1),):
+        columns, rows = -(-(width - x) // dx), -(-(height - y) // dy)
+        if columns > 0 and rows > 0:
+            total += rows * (1 + (columns * bits + 7) // 8)
+    return total
+
+
+def check_complete(path: Path, header: PictureHeader) -> None:
+    """Refuse a PNG that is cut short or damaged: every checksum, and the number of bytes of its rows.
+
+    Raises
+    ------
+    InputError
+        With what is wrong.
+    """
+    unpack, present, name = zlib.decompressobj(), 0, b""
+    with path.open("rb") as file:
+        file.seek(len(_START))
+        while name != b"IEND":
+            start = file.read(8)
+            if len(start) < 8:
+                raise InputError("the PNG ends before its end mark", hint=TRUNCATED_HINT)
+            left, name = struct.unpack(">I4s", start)
+            check = zlib.crc32(name)
+            while left and (piece := file.read(min(left, _CHUNK))):
+                left, check = left - len(piece), zlib.crc32(piece, check)
+                if name == b"IDAT":
+                    present += inflated_bytes(unpack, piece)
+            if left or file.read(4) != struct.pack(">I", check):
+                part = name.decode("ascii", "replace")
+                raise InputError(f"the part {part} of the PNG is cut short or damaged", hint=TRUNCATED_HINT)
+    if present < header.unpacked_bytes:
+        raise InputError(
+            f"the header announces {header.unpacked_bytes} bytes of rows, the file holds {present}",
+            hint=TRUNCATED_HINT,
+        )
+
+
+def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
+    """A grey PNG of the one slice of an array, with the size of a pixel as ITK keeps it.
+
+    Parameters
+    ----------
+    array : ndarray, shape (1, ny, nx), uint8 or uint16
+    spacing : tuple of float
+        (hz, hy, hx) in mm.
+    """
+    _, height, width = array.shape
+    rows = np.ascontiguousarray(array[0], array.dtype.newbyteorder(">")).view(np.uint8).reshape(height, -1)
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), rows], axis=1)  # each row begins with its filter: none
+    head = struct.pack(">IIBBBBB", width, height, 8 * array.itemsize, 0, 0, 0, 0)
+    # ITK takes this part for mm, whatever unit it names, and writes unit 1.
+    scale = b"\x01%s\0%s" % (repr(float(spacing[2])).encode(), repr(float(spacing[1])).encode())
+    parts = ((b"IHDR", head), (b"sCAL", scale), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
+    return _START + b"".join(
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in parts
+    )

@@ -1,0 +1,285 @@
+"""TIFF: what the directories claim, whether it is all there, and how it is written. ITK reads the voxels.
+
+ITK returns something for nearly every TIFF: the high bytes of 16-bit tiles, half floats as integers, grey values and
+opacity in turns. So the directories are read here first, and what ITK would not give back unchanged is refused.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import zlib
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, PictureHeader, inflated_bytes
+
+_SAVE_PLAIN = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
+LARGEST_FILE = 0xFFFFFFFF
+_MOST_TAG_VALUES = 1 << 22
+_LARGEST_TILE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
+_DIRECTORY_BYTES = 2 + 15 * 12 + 4  # of a page written here: 15 entries
+
+# Tags of a TIFF directory.
+_SUBFILE, _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
+_STRIPS, _ORIENTATION, _SAMPLES, _ROWS, _STRIP_BYTES, _X_RES, _Y_RES, _PLANAR = 273, 274, 277, 278, 279, 282, 283, 284
+_RES_UNIT, _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES, _FORMAT = 296, 322, 323, 324, 325, 339
+_TIFF_TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 13: "I", 16: "Q"}
+_DEFLATE = (8, 32946)
+_COMPRESSIONS = (1, 5, *_DEFLATE, 32773)  # none, LZW, deflate (two numbers), PackBits
+_MM = {
+    **dict.fromkeys(("micron", "microns", "um", "\u00b5m", "\u03bcm", "\\u00b5m"), 1e-3),
+    **{"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1000.0},
+}
+
+Page = dict[int, tuple[Any, ...]]
+
+
+def parse(file: BinaryIO) -> PictureHeader:
+    """Read the directories of a TIFF (also BigTIFF): a page is a slice.
+
+    Raises
+    ------
+    InputError
+        When it is none, is damaged, its pages differ, or it is of a sort that ITK does not read faithfully.
+    """
+    try:
+        pages = [page for page in _pages(file) if not page.get(_SUBFILE, (0,))[0] & 1]  # thumbnails are marked by 1
+        if not pages:
+            raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
+        first = _sort(pages[0])
+        _check_sort(pages[0])
+        for number, page in enumerate(pages[1:], 2):
+            if _sort(page) != first:
+                raise InputError(
+                    f"page {number} of the TIFF differs from the first in size or type, like slices expected",
+                    hint="extract the page, or the pages of one size, first",
+                )
+        width, height, bits = int(pages[0][_WIDTH][0]), int(pages[0][_HEIGHT][0]), sum(_bits(pages[0]))
+        spacing = _spacing(pages[0], len(pages))
+        packing = int(pages[0].get(_COMPRESSION, (1,))[0])
+        strips = tuple(strip for page in pages for strip in _strips(page))
+    except (LookupError, TypeError, ValueError, OverflowError, struct.error):
+        raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
+    unpacked = len(pages) * height * ((width * bits + 7) // 8)
+    pixel = 4 if _TILES in pages[0] or bits == 1 else bits // 8  # those ITK reads as colours with opacity
+    return PictureHeader((len(pages), height, width), spacing, unpacked, pixel, strips, packing)
+
+
+def check_complete(path: Path, header: PictureHeader) -> None:
+    """Refuse a TIFF whose strips are not all there.
+
+    Raises
+    ------
+    InputError
+        With what is missing.
+    """
+    size, present = path.stat().st_size, 0
+    with path.open("rb") as file:
+        for offset, length in header.strips:
+            if offset + length > size or length == 0:
+                raise InputError(
+                    f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
+                    hint=TRUNCATED_HINT,
+                )
+            if header.packing in _DEFLATE:
+                file.seek(offset)
+                present += inflated_bytes(zlib.decompressobj(), file.read(length))
+            else:
+                present += length
+    if header.packing in (1, *_DEFLATE) and present < header.unpacked_bytes:
+        raise InputError(
+            f"the header announces {header.unpacked_bytes} bytes of voxels, the file holds {present}",
+            hint=TRUNCATED_HINT,
+        )
+
+
+def _pages(file: BinaryIO) -> list[Page]:
+    """The directories of a file, one after the other."""
+    start = file.read(16)
+    order = {b"II": "<", b"MM": ">"}.get(start[:2], "")
+    version = struct.unpack(order + "H", start[2:4])[0] if order and len(start) >= 4 else 0
+    if version not in (42, 43):
+        raise InputError("this is not a TIFF image: it does not start as one", hint="is it the right file?")
+    big = version == 43
+    word, count_type, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
+    at = struct.unpack_from(order + word, start, 8 if big else 4)[0]
+    pages: list[Page] = []
+    seen: set[int] = set()
+    while at:
+        if at in seen:
+            raise InputError("the pages of the TIFF run in a circle", hint=TRUNCATED_HINT)
+        seen.add(at)
+        file.seek(at)
+        (count,) = struct.unpack(order + count_type, file.read(struct.calcsize(count_type)))
+        if count > 4096:
+            raise ValueError
+        raw = file.read(count * entry)
+        (at,) = struct.unpack(order + word, file.read(struct.calcsize(word)))
+        page = {}
+        for place in range(0, count * entry, entry):
+            tag, kind, n = struct.unpack_from(order + "HH" + word, raw, place)
+            field = raw[place + 4 + struct.calcsize(word) : place + entry]
+            page[tag] = _values(file, order, kind, n, field)
+        pages.append(page)
+    return pages
+
+
+def _values(file: BinaryIO, order: str, kind: int, count: int, field: bytes) -> tuple[Any, ...]:
+    """The values of an entry, in the entry itself or where it points."""
+    code = _TIFF_TYPES.get(kind)
+    if code is None:
+        return ()  # of a type that no tag used here has
+    size = struct.calcsize(order + code) * count
+    if count > _MOST_TAG_VALUES:
+        raise ValueError
+    if size > len(field):
+        file.seek(struct.unpack(order + ("Q" if len(field) == 8 else "I"), field)[0])
+        field = file.read(size)
+    if code == "s":
+        return (field[:count].split(b"\0")[0].decode("utf-8", "replace"),)
+    return struct.unpack(order + code * count, field[:size])
+
+
+def _bits(page: Page) -> tuple[int, ...]:
+    samples = int(page.get(_SAMPLES, (1,))[0])
+    bits = page.get(_BITS, (1,))
+    return tuple(bits) if len(bits) == samples else (int(bits[0]),) * samples
+
+
+def _sort(page: Page) -> tuple[Any, ...]:
+    """What the pages of a stack have in common."""
+    keys = (_COMPRESSION, _PHOTOMETRIC, _ORIENTATION, _PLANAR)
+    tags = tuple(page.get(key, (1,))[0] for key in keys)
+    return page[_WIDTH][0], page[_HEIGHT][0], _bits(page), page.get(_FORMAT, (1,))[0], *tags
+
+
+def _strips(page: Page) -> list[tuple[int, int]]:
+    offsets, lengths = (_TILES, _TILE_BYTES) if _TILES in page else (_STRIPS, _STRIP_BYTES)
+    return list(zip(page[offsets], page[lengths], strict=True))
+
+
+def _check_sort(page: Page) -> None:
+    """Refuse what ITK's reader changes on the way, or mixes up."""
+    bits, form, colour = _bits(page), page.get(_FORMAT, (1,))[0], page.get(_PHOTOMETRIC, (1,))[0]
+    tiled, packing = _TILES in page, page.get(_COMPRESSION, (1,))[0]
+    grey = len(bits) == 1 and colour in (0, 1)
+    plain = (bits[0], form) in STORED.values() and len(set(bits)) == 1
+    wrong = ""
+    if not (page[_WIDTH][0] and page[_HEIGHT][0]):
+        raise ValueError
+    if packing not in _COMPRESSIONS:
+        wrong = f"compression number {packing}"
+    elif colour == 3:
+        wrong = "colours from a palette"
+    elif not grey and (colour != 2 or len(bits) not in (3, 4)):
+        wrong = f"{len(bits)} channels of colour kind {colour}"
+    elif bits != (1,) and not plain or (not grey and (form != 1 or bits[0] > 16)):
+        wrong = f"{bits[0]}-bit {({1: 'unsigned', 2: 'signed', 3: 'floating-point'}).get(form, 'complex')} values"
+    elif colour == 0 and bits != (1,):
+        wrong = "values that grow towards black"
+    elif page.get(_ORIENTATION, (1,))[0] != 1:
+        wrong = "rows and columns turned by its orientation tag"
+    elif page.get(_PLANAR, (1,))[0] != 1 and not grey:
+        wrong = "colour channels one after the other"
+    elif tiled and (bits[0] != 8 or form != 1):
+        wrong = "tiles"
+    elif tiled and max(page[_TILE_WIDTH][0], page[_TILE_HEIGHT][0]) > _LARGEST_TILE:
+        wrong = f"tiles of {page[_TILE_WIDTH][0]} x {page[_TILE_HEIGHT][0]}"
+    if wrong:
+        raise InputError(f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_SAVE_PLAIN)
+
+
+def _spacing(page: Page, pages: int) -> tuple[float, float, float]:
+    """Spacing (z, y, x) in mm where the file gives it in a unit of length, else 1.
+
+    Inches are dots per inch, of a screen or a printer: they say nothing about the object.
+    """
+    text = str(page.get(_DESCRIPTION, ("",))[0])
+    if "<OME" in text:
+        return _ome_spacing(text)
+    facts = dict(line.split("=", 1) for line in text.splitlines() if "=" in line) if text.startswith("ImageJ=") else {}
+    _refuse_channels(int(facts.get("channels", 1)), int(facts.get("frames", 1)))
+    if int(facts.get("images", pages)) > pages:
+        raise InputError(
+            f"the TIFF announces {facts['images']} images and has {pages} page{'s' if pages > 1 else ''}",
+            hint="save the stack with a page for each slice",
+        )
+    unit = _MM.get(facts.get("unit", "").lower(), 10.0 if page.get(_RES_UNIT, (2,))[0] == 3 else 0.0)
+    (xn, xd), (yn, yd) = page.get(_X_RES, (0, 0))[:2], page.get(_Y_RES, (0, 0))[:2]
+    if not unit or not all((xn, xd, yn, yd)):
+        return 1.0, 1.0, 1.0
+    depth = float(facts.get("spacing", 1.0 / unit)) * unit
+    return depth if math.isfinite(depth) and depth > 0 else 1.0, unit * yd / yn, unit * xd / xn
+
+
+def _ome_spacing(text: str) -> tuple[float, float, float]:
+    """Spacing by the XML of an OME-TIFF, in which the unit is the micrometre unless another is named."""
+    head = text[text.find("<Pixels") :].partition(">")[0]
+    facts = dict(re.findall(r'(\w+)="([^"]*)"', head))
+    _refuse_channels(int(facts.get("SizeC", 1)), int(facts.get("SizeT", 1)))
+    z, y, x = (
+        float(facts.get(f"PhysicalSize{a}", 0)) * _MM.get(facts.get(f"PhysicalSize{a}Unit", "um").lower(), 0.0)
+        for a in "ZYX"
+    )
+    return (z or 1.0, y, x) if min(x, y) > 0 and z >= 0 else (1.0, 1.0, 1.0)
+
+
+def _refuse_channels(channels: int, times: int) -> None:
+    for count, name in ((channels, "channel"), (times, "time point")):
+        if count > 1:
+            raise InputError(f"a TIFF stack of {count} {name}s given, one expected", hint=f"extract one {name} first")
+
+
+def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
+    """A TIFF with a page for each slice, deflated, its sizes per cm; ImageJ finds the distance of the slices as well.
+
+    Parameters
+    ----------
+    array : ndarray, shape (nz, ny, nx)
+        Of a type that `check_writable` allows.
+    spacing : tuple of float
+        (hz, hy, hx) in mm.
+
+    Raises
+    ------
+    UsageError
+        When the file would pass 4 GiB, which a TIFF cannot hold.
+    """
+    depth, height, width = array.shape
+    bits, form = STORED[array.dtype.name]
+    facts = f"ImageJ=1.53\nimages={depth}\nslices={depth}\nunit=cm\nspacing={float(spacing[0]) / 10.0!r}\n"
+    text = facts.encode() + b"\0"
+    resolutions = b"".join(struct.pack("<II", *_per_cm(h)) for h in (spacing[2], spacing[1]))
+    shared = 8 + len(text) + len(text) % 2
+    out = [struct.pack("<2sHI", b"II", 42, shared + len(resolutions)), text.ljust(shared - 8, b"\0"), resolutions]
+    at = shared + len(resolutions)
+    for z in range(depth):
+        page = zlib.compress(np.ascontiguousarray(array[z], array.dtype.newbyteorder("<")).tobytes(), 6)
+        entries = (
+            *((_WIDTH, 4, 1, width), (_HEIGHT, 4, 1, height), (_BITS, 3, 1, bits), (_COMPRESSION, 3, 1, 8)),
+            *((_PHOTOMETRIC, 3, 1, 1), (_DESCRIPTION, 2, len(text), 8), (_STRIPS, 4, 1, at + _DIRECTORY_BYTES)),
+            *((_ORIENTATION, 3, 1, 1), (_SAMPLES, 3, 1, 1), (_ROWS, 4, 1, height), (_STRIP_BYTES, 4, 1, len(page))),
+            *((_X_RES, 5, 1, shared), (_Y_RES, 5, 1, shared + 8), (_RES_UNIT, 3, 1, 3), (_FORMAT, 3, 1, form)),
+        )
+        page += b"\0" * (len(page) % 2)  # directories begin at even bytes
+        end = at + _DIRECTORY_BYTES + len(page)
+        if end > LARGEST_FILE:
+            raise UsageError("the file would pass 4 GiB, which a .tif cannot hold", "write a volume format instead")
+        out.append(struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", *entry) for entry in entries))
+        out += [struct.pack("<I", end if z + 1 < depth else 0), page]
+        at = end
+    return b"".join(out)
+
+
+def _per_cm(spacing: float) -> tuple[int, int]:
+    """Pixels per cm as a fraction of 32-bit numbers; denominators are kept small so that it reads back as itself."""
+    value = 10.0 / spacing
+    ratio = Fraction(value).limit_denominator(max(1, min(10**6, int(0xFFFFFFFF / value))))
+    return max(1, ratio.numerator), ratio.denominator

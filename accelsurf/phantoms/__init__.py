@@ -1,0 +1,1 @@
+"""Synthetic volumes with exact truth: shapes known by formula, and recipes that make images of them."""

@@ -1,0 +1,385 @@
+"""Synthetic volumes with exact truth: recipes in TOML, seeded, the same recipe gives the same bytes.
+
+An object is placed in mm relative to the middle of the volume, its axes along the index axes x, y, z; the direction
+matrix turns volume and object together, so an oblique phantom is the same object on a turned grid. The middle of the
+volume is the world's origin (0, 0, 0).
+
+The image is plain: background + contrast where a voxel's centre lies inside the object; then Gaussian blur in mm,
+a smooth multiplicative bias field, and Gaussian noise for each voxel, in this order. With ``antialias`` the voxels that
+the surface passes hold the part of them that lies inside (4 x 4 x 4 sample points): only then does the image tell
+where in the voxel the surface is. The truth label is that of the voxel's centre in both cases.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.phantoms.solids import SOLIDS, Solid
+
+Floats = NDArray[np.float64]
+
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0)]
+Count = Annotated[int, Field(strict=True, ge=1)]
+Seed = Annotated[int, Field(strict=True, ge=0)]
+
+MAX_VOXELS = 2**30
+"""Largest phantom: beyond it image, truth and their making need more than 10 GB."""
+
+SLAB_VOXELS = 2**20
+"""Voxels worked on at once, so that the float64 distances never need a whole volume."""
+
+
+class Recipe(BaseModel):
+    """What a phantom is made of. Lengths in mm; triples in the order x, y, z.
+
+    ``Recipe(...)`` raises pydantic's ValidationError; `load_recipe` and `recipe_from` raise UsageError instead.
+
+    Attributes
+    ----------
+    kind : {"ball", "cube", "box", "torus", "two-balls", "vessel"}
+        The object. Its own parameters: ball: radius. cube: side. box: sides. torus: ring_radius, tube_radius.
+        two-balls: radius, gap (0). vessel: radius and length of the root, levels (4), angle (35), taper (0.85),
+        tree_seed (none: a regular tree). A parameter of another kind is refused.
+    name : str
+        Stem of the files made from it; by default the recipe file's.
+    shape, spacing : triple
+        Number of voxels and their size; spacing 1 by default.
+    center : triple
+        Middle of the object relative to the volume's, along the index axes.
+    rotation : triple
+        Degrees by which the index axes are turned about the world's x, then y, then z axis.
+    background, contrast : float
+        Value outside, and what is added inside; 0 and 1.
+    antialias : bool
+        Whether voxels that the surface passes hold the part that lies inside; false.
+    blur : float
+        Standard deviation of the Gaussian blur, mm; 0.
+    bias : float
+        Relative amplitude of the bias field, at least 0 and less than 1: the image is multiplied by 1 + bias f, with
+        f smooth (half a wave across the volume along each axis, phases from the seed) and between -1 and 1; 0.
+    noise : float
+        Standard deviation of the noise; 0.
+    seed : int
+        Of noise and bias phases; 0.
+
+    Examples
+    --------
+    >>> recipe = Recipe(kind="ball", shape=(32, 32, 32), radius=10)
+    >>> phantom = make(recipe)
+    >>> round(phantom.volume_mm3), int(phantom.truth.array.sum())
+    (4189, 4224)
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["ball", "cube", "box", "torus", "two-balls", "vessel"]
+    name: Annotated[str, Field(pattern=r"^[^./\\][^/\\]*$")] = "phantom"
+    shape: tuple[Count, Count, Count]
+    spacing: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+    center: tuple[Real, Real, Real] = (0.0, 0.0, 0.0)
+    rotation: tuple[Real, Real, Real] = (0.0, 0.0, 0.0)
+    radius: Positive | None = None
+    side: Positive | None = None
+    sides: tuple[Positive, Positive, Positive] | None = None
+    ring_radius: Positive | None = None
+    tube_radius: Positive | None = None
+    gap: NotNegative | None = None
+    length: Positive | None = None
+    levels: Annotated[int, Field(strict=True, ge=1, le=8)] | None = None
+    angle: Annotated[float, Field(strict=True, gt=0.0, lt=90.0)] | None = None
+    taper: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] | None = None
+    tree_seed: Seed | None = None
+    background: Real = 0.0
+    contrast: Real = 1.0
+    antialias: Annotated[bool, Field(strict=True)] = False
+    blur: NotNegative = 0.0
+    bias: Annotated[float, Field(strict=True, ge=0.0, lt=1.0)] = 0.0
+    noise: NotNegative = 0.0
+    seed: Seed = 0
+
+    @model_validator(mode="after")
+    def _checked(self) -> Recipe:
+        known = inspect.signature(SOLIDS[self.kind]).parameters
+        foreign = sorted(key for key in _OBJECT_KEYS - set(known) if getattr(self, key) is not None)
+        missing = [key for key, p in known.items() if p.default is p.empty and getattr(self, key) is None]
+        if foreign:
+            raise ValueError(f"{foreign[0]} does not apply to a {self.kind}, which has {', '.join(known)}")
+        if missing:
+            raise ValueError(f"{missing[0]} is missing; a {self.kind} has {', '.join(known)}")
+        if self.contrast == 0.0:
+            raise ValueError("contrast 0 given, another number expected (there would be nothing to see)")
+        if math.prod(self.shape) > MAX_VOXELS:
+            raise ValueError(f"shape {self.shape} given, at most {MAX_VOXELS} voxels expected")
+        _ = self.solid  # its own checks
+        return self
+
+    @property
+    def solid(self) -> Solid:
+        """The object, around its own middle."""
+        keys = inspect.signature(SOLIDS[self.kind]).parameters
+        return SOLIDS[self.kind](**{key: getattr(self, key) for key in keys if getattr(self, key) is not None})
+
+    @property
+    def geometry(self) -> Geometry:
+        """The grid: its middle is the world's origin."""
+        direction = np.eye(3)
+        if any(self.rotation):
+            direction = Rotation.from_euler("xyz", self.rotation, degrees=True).as_matrix()
+        corner = direction @ (-np.array(self.spacing) * (np.array(self.shape) - 1) / 2)
+        nx, ny, nz = self.shape
+        hx, hy, hz = self.spacing
+        return Geometry((nz, ny, nx), (hz, hy, hx), tuple(corner), direction)
+
+    def changed(self, **changes: Any) -> Recipe:
+        """The same recipe with other values, checked like a new one: ``recipe.changed(seed=3)``.
+
+        Raises
+        ------
+        UsageError
+            When a key is unknown or a value impossible.
+        """
+        return recipe_from(self.model_dump(exclude_none=True) | changes, self.name)
+
+
+_OBJECT_KEYS = {key for solid in SOLIDS.values() for key in inspect.signature(solid).parameters}
+
+
+@dataclass(frozen=True, eq=False)
+class Phantom:
+    """A synthetic volume and what is known about it.
+
+    Attributes
+    ----------
+    image : Volume
+        float32.
+    truth : Volume
+        uint8: 1 where the voxel's centre lies inside the object.
+    volume_mm3, area_mm2 : float or None
+        Of the object itself, exact; None for a vessel, and when the object reaches beyond the volume.
+    recipe : Recipe
+        What it was made from.
+    """
+
+    image: Volume
+    truth: Volume
+    volume_mm3: float | None
+    area_mm2: float | None
+    recipe: Recipe
+
+
+def make(recipe: Recipe) -> Phantom:
+    """Make a phantom; the same recipe gives the same bytes.
+
+    Raises
+    ------
+    UsageError
+        When no voxel centre lies inside the object.
+    """
+    geometry, solid = recipe.geometry, recipe.solid
+    truth = np.empty(geometry.shape, dtype=np.uint8)
+    image = np.empty(geometry.shape, dtype=np.float32)
+    for part, points in _slabs(recipe):
+        distance = solid.distance(*points)
+        truth[part] = distance < 0.0
+        image[part] = truth[part]
+        if recipe.antialias:
+            _antialias(image[part], distance, points, recipe)
+    if not truth.any():
+        raise UsageError(
+            f"{recipe.name}: no voxel centre lies inside the object", hint="move it by center, or make it larger"
+        )
+    image *= recipe.contrast
+    image += recipe.background
+    _degrade(image, recipe)
+    half_extent = np.array(recipe.shape) * np.array(recipe.spacing) / 2
+    whole = bool((np.abs(recipe.center) + np.array(solid.reach) <= half_extent * (1 + 1e-9)).all())
+    return Phantom(
+        image=Volume(image, geometry),
+        truth=Volume(truth, geometry),
+        volume_mm3=solid.volume if whole else None,
+        area_mm2=solid.area if whole else None,
+        recipe=recipe,
+    )
+
+
+def signed_distance(recipe: Recipe) -> NDArray[np.float32]:
+    """Signed distance to the object's surface at the voxel centres, mm, negative inside; shape (nz, ny, nx).
+
+    Exact, but for a vessel's inside (see `accelsurf.phantoms.solids.Vessel`). The border of the volume is no surface.
+
+    Examples
+    --------
+    >>> signed_distance(Recipe(kind="ball", shape=(3, 1, 1), radius=1.5)).ravel().tolist()
+    [-0.5, -1.5, -0.5]
+    """
+    nx, ny, nz = recipe.shape
+    psi = np.empty((nz, ny, nx), dtype=np.float32)
+    for part, points in _slabs(recipe):
+        psi[part] = recipe.solid.distance(*points)
+    return psi
+
+
+def distance_at(recipe: Recipe, xyz: ArrayLike) -> Floats:
+    """Signed distance to the object's surface at world positions, mm, negative inside.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        The object and how it lies.
+    xyz : array_like, shape (..., 3)
+        World positions, mm LPS, e.g. the vertices of a surface.
+
+    Returns
+    -------
+    ndarray, shape (...), float64
+
+    Examples
+    --------
+    >>> distance_at(Recipe(kind="ball", shape=(8, 8, 8), radius=3), [[0, 0, 5], [0, 0, 0]])
+    array([ 2., -3.])
+    """
+    local = np.asarray(xyz, dtype=np.float64) @ recipe.geometry.direction - np.array(recipe.center)
+    return recipe.solid.distance(local[..., 0], local[..., 1], local[..., 2])
+
+
+def _slabs(recipe: Recipe) -> Iterator[tuple[slice, tuple[Floats, Floats, Floats]]]:
+    """Runs of slices, and their voxel centres relative to the object's middle, as arrays that broadcast to them."""
+    x, y, z = (
+        (np.arange(n, dtype=np.float64) - (n - 1) / 2) * h - c
+        for n, h, c in zip(recipe.shape, recipe.spacing, recipe.center, strict=True)
+    )
+    step = max(1, SLAB_VOXELS // (len(x) * len(y)))
+    for first in range(0, len(z), step):
+        part = slice(first, first + step)
+        yield part, (x.reshape(1, 1, -1), y.reshape(1, -1, 1), z[part].reshape(-1, 1, 1))
+
+
+def _antialias(image: NDArray[np.float32], distance: Floats, points: tuple[Floats, ...], recipe: Recipe) -> None:
+    """Where the surface may pass, write the part of the voxel that lies inside: of 4 x 4 x 4 points."""
+    spacing = np.array(recipe.spacing)
+    k, j, i = np.nonzero(np.abs(distance) < np.linalg.norm(spacing) / 2)
+    offsets = (np.indices((4, 4, 4)).reshape(3, -1) - 1.5) / 4 * spacing[:, np.newaxis]
+    near = (points[0].ravel()[i], points[1].ravel()[j], points[2].ravel()[k])
+    samples = (p[:, np.newaxis] + offset for p, offset in zip(near, offsets, strict=True))
+    image[k, j, i] = (recipe.solid.distance(*samples) < 0.0).mean(axis=1)
+
+
+def _degrade(image: NDArray[np.float32], recipe: Recipe) -> None:
+    """Blur, bias, noise: in place."""
+    if recipe.blur:
+        sigma = [recipe.blur / h for h in reversed(recipe.spacing)]
+        gaussian_filter(image, sigma, output=image, mode="nearest")
+    if recipe.bias:
+        # Its own stream: the same noise with and without a bias field.
+        phases = np.random.Generator(np.random.PCG64([recipe.seed, 1])).uniform(0.0, 2.0 * math.pi, 3)
+        x, y, z = (
+            np.sin(math.pi * (np.arange(n) + 0.5) / n + phase) for n, phase in zip(recipe.shape, phases, strict=True)
+        )
+        field = (x.reshape(1, 1, -1) + y.reshape(1, -1, 1) + z.reshape(-1, 1, 1)) / 3
+        image *= (1.0 + recipe.bias * field).astype(np.float32)
+    if recipe.noise:
+        random = np.random.Generator(np.random.PCG64(recipe.seed))
+        image += np.float32(recipe.noise) * random.standard_normal(image.shape, dtype=np.float32)
+
+
+def recipe_folder() -> Path:
+    """Where the recipes that come with accelsurf lie: inside the installed package, or volumes_synth/ of a checkout."""
+    here = Path(__file__).parents[1]
+    packaged = here / "_recipes"
+    return packaged if packaged.is_dir() else here.parent / "volumes_synth"
+
+
+def recipe_names() -> list[str]:
+    """Names of the recipes that come with accelsurf.
+
+    Examples
+    --------
+    >>> "cube_noisy" in recipe_names()
+    True
+    """
+    return sorted(path.stem for path in recipe_folder().glob("*.toml"))
+
+
+def load_recipe(recipe: str | Path) -> Recipe:
+    """Read a recipe: a TOML file, or by its bare name one that comes with accelsurf.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is not TOML.
+    UsageError
+        When no recipe has this name, a key is unknown, or a value impossible; the message names the key.
+
+    Examples
+    --------
+    >>> load_recipe("cube_noisy").side
+    48.0
+    """
+    path = Path(recipe)
+    if path.suffix != ".toml" and path.name == str(recipe) and not path.is_file():
+        path = recipe_folder() / f"{recipe}.toml"
+        if not path.is_file():
+            raise UsageError(f"no recipe is called {str(recipe)!r}", hint=f"there are: {', '.join(recipe_names())}")
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{path}: the recipe cannot be read ({error.strerror})",
+            hint=f"give a TOML file, or a name out of: {', '.join(recipe_names())}",
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: the recipe is not TOML ({error})") from error
+    return recipe_from({"name": path.stem} | values, str(path))
+
+
+def recipe_from(values: Mapping[str, Any], where: str = "recipe") -> Recipe:
+    """A recipe from its keys and values.
+
+    Parameters
+    ----------
+    values : mapping
+        As in the TOML file.
+    where : str, optional
+        What the message of an error begins with.
+
+    Raises
+    ------
+    UsageError
+        When a key is unknown or missing, or a value impossible; the message names the key.
+    """
+    try:
+        return Recipe(**values)
+    except ValidationError as error:
+        raise UsageError(*_explained(error.errors()[0], where)) from None
+
+
+def _explained(problem: Any, where: str) -> tuple[str, str]:
+    """Message and hint for the first thing pydantic found wrong."""
+    key = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        close = difflib.get_close_matches(key, Recipe.model_fields, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"known keys: {', '.join(Recipe.model_fields)}"
+        return f"{where}: unknown key {key!r}", hint
+    if problem["type"] == "missing":
+        return f"{where}: {key} is missing", ""
+    if not key:
+        return f"{where}: {problem['msg'].removeprefix('Value error, ')}", ""
+    return f"{where}: {key} = {problem['input']!r} given; {problem['msg'][0].lower()}{problem['msg'][1:]}", ""

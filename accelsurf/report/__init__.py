@@ -1,0 +1,1 @@
+"""What a run leaves behind besides labels and meshes: the JSON report, tables, pictures."""

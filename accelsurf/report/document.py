@@ -1,0 +1,439 @@
+"""What a run leaves behind besides its label map: a JSON report, a CSV trace; pure functions from values to text.
+
+The report says what was run on what, how it ended, what came out and where, so that a run can be repeated and a batch
+can be sifted without looking at a picture. Lengths are mm, order x, y, z, LPS. The pictures are in `preview`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import platform
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from accelsurf.errors import AccelsurfError
+from accelsurf.io import sha256
+
+if TYPE_CHECKING:
+    from accelsurf.analysis.quality import Quality
+    from accelsurf.evolution.loop import Row
+    from accelsurf.grid.geometry import Geometry
+    from accelsurf.segmentation.api import Result
+    from accelsurf.segmentation.several import ObjectsResult
+    from accelsurf.settings.run_config import RunConfig
+
+SCHEMA_VERSION = 1
+Status = Literal["ok", "failed", "interrupted"]
+
+#: Columns of the trace, in this order: fields of evolution.Row.
+TRACE_COLUMNS = (
+    "step",
+    "level",
+    "t",
+    "dt",
+    "travel_dt",
+    "potential",
+    "kinetic",
+    "mass_potential",
+    "weight",
+    "friction_work",
+    "smoothing_work",
+    "noise_work",
+    "mass",
+    "mass_correction",
+    "volume_mm3",
+    "area_mm2",
+    "speed",
+    "motion_voxels",
+    "limited_fraction",
+    "clamped_fraction",
+    "diffusion",
+    "band_cells",
+    "cells_visited",
+    "restarted",
+    "removed_components",
+    "seconds",
+    "edits",
+)
+#: Parts of a run that are timed, in the order they happen.
+TIMED = ("load", "start", "evolve", "mesh", "write", "total")
+_DISTRIBUTIONS = ("accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "pydantic", "matplotlib")
+
+
+def build(
+    *,
+    status: Status,
+    exit_code: int,
+    argv: Sequence[str] = (),
+    config: RunConfig | None = None,
+    source: Mapping[str, Any] | None = None,
+    result: Result | ObjectsResult | None = None,
+    error: Mapping[str, str] | None = None,
+    seconds: Mapping[str, float] | None = None,
+    outputs: Sequence[Mapping[str, str]] = (),
+    warnings: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Put the report of a run together. Every key is always there; what is not known is null.
+
+    Parameters
+    ----------
+    status : {"ok", "failed", "interrupted"}
+        How the run ended.
+    exit_code : int
+        What the command returns.
+    argv : sequence of str, optional
+        The command line.
+    config : RunConfig, optional
+        Settings of the run; None when they were not valid.
+    source : mapping, optional
+        The input, from `describe_input`.
+    result : Result, optional
+        What came out; None when nothing did.
+    error : mapping, optional
+        From `describe_error`.
+    seconds : mapping of str to float, optional
+        Durations by part of the run (load, start, evolve, mesh, write, total); those in the result are used for
+        parts not named here.
+    outputs : sequence of mapping, optional
+        Files written, from `describe_output`.
+    warnings : sequence of str, optional
+        Warnings besides the result's own.
+
+    Returns
+    -------
+    dict
+        Ready for `to_json`.
+    """
+    config = result.config if result is not None else config  # with the seed that was drawn, if none was given
+    spent = {**(dict(result.seconds) if result is not None else {}), **(seconds or {})}
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "status": status,
+        "exit_code": exit_code,
+        "error": dict(error) if error is not None else None,
+        "versions": versions(),
+        "argv": list(argv),
+        "config": describe_config(config, result),
+        "input": dict(source) if source is not None else None,
+        "seed": config.seed if config is not None else None,
+        "threads": config.threads if config is not None else None,
+        **describe_result(result),
+        "seconds": {part: spent.get(part) for part in TIMED},
+        "peak_rss_mb": peak_rss_mb(),
+        "warnings": [*(result.warnings if result is not None else ()), *warnings],
+        "outputs": [dict(output) for output in outputs],
+    }
+
+
+def report_of(result: Result | ObjectsResult) -> dict[str, Any]:
+    """Return the document of a run that ended or was interrupted, without files."""
+    interrupted = result.stop.reason == "interrupted"
+    return build(
+        status="interrupted" if interrupted else "ok",
+        exit_code=130 if interrupted else 0,
+        config=result.config,
+        result=result,
+    )
+
+
+def describe_config(
+    config: RunConfig | None, result: Result | ObjectsResult | None
+) -> dict[str, Any] | None:
+    """Return the settings of a run; ``energy`` is what the run had: ``custom: ClassName`` for one of the user's own."""
+    if config is None:
+        return None
+    settings = config.model_dump(mode="json")
+    return settings if result is None else {**settings, "energy": result.energy}
+
+
+def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
+    """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
+
+    ``chosen`` has what the run took for settings that image and grid decide: ``presmooth_mm``; ``scale``, the values of
+    each channel that became 0 and 1; ``step_voxels`` and ``limiter_percentile``; ``diffusion``, a rate or free;
+    ``stop``: still within so many voxels over so many steps; ``half_width_voxels`` of the band; ``levels``.
+
+    Parameters
+    ----------
+    result : Result or ObjectsResult or None
+        Of several objects the sums, and an entry for each in ``objects``. With None every value is null.
+    """
+    if result is None:
+        keys = ("stop", "chosen", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2")
+        return dict.fromkeys((*keys, "length_mm", "components", "touches_border", "quality", "objects"))
+    many = cast("ObjectsResult", result) if hasattr(result, "objects") else None
+    last = result.ledger[-1] if result.ledger else None
+    # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
+    first = next((row for row in result.ledger if row.level == 0), None)
+    return {
+        "stop": {
+            "reason": result.stop.reason,
+            "steps": result.stop.steps,
+            "time": result.stop.time,
+            "message": result.stop.message,
+        },
+        "chosen": result.chosen,
+        "levels": describe_levels(result),
+        "edits": [
+            {**edit.model_dump(mode="json"), "done": number < result.edits_done}
+            for number, edit in enumerate(result.config.edit)
+        ],
+        "energy": {
+            "name": result.energy,
+            "terms": result.terms,
+            "first": first.potential if first else None,
+            "last": last.potential if last else None,
+            "kinetic_last": last.kinetic if last else None,
+            "mass_potential_last": last.mass_potential if last else None,
+            "friction_work": last.friction_work if last else None,
+            "smoothing_work": last.smoothing_work if last else None,
+            "noise_work": last.noise_work if last else None,
+        },
+        "mass": describe_mass(result),
+        "volume_mm3": result.volume_mm3,
+        "area_mm2": result.area_mm2,
+        "enclosed_mm2": result.enclosed_mm2,
+        "length_mm": result.length_mm,
+        "components": result.components,
+        "touches_border": result.touches_border,
+        "quality": describe_quality(result.quality),
+        "objects": None if many is None else describe_objects(many),
+    }
+
+
+def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
+    """Return the part of the report about the trust in an object; None for several, which have it each."""
+    return None if quality is None else {**quality._asdict(), "warnings": list(quality.warnings)}
+
+
+def describe_objects(result: ObjectsResult) -> list[dict[str, Any]]:
+    """Return an entry for each of several objects, in order of their ids; ``centroid`` is (x, y, z) mm, LPS."""
+    return [
+        {
+            "id": own,
+            "reason": one.stop.reason,
+            "steps": one.stop.steps,
+            "message": one.stop.message,
+            "volume_mm3": one.volume_mm3,
+            "area_mm2": one.area_mm2,
+            "enclosed_mm2": one.enclosed_mm2,
+            "length_mm": one.length_mm,
+            "components": one.components,
+            "touches_border": one.touches_border,
+            "centroid": _centroid(one),
+            "cells_visited": sum(row.cells_visited for row in one.ledger),
+            "terms": one.terms,
+            "quality": describe_quality(one.quality if one.labels.any() else None),
+        }
+        for own, one in result.objects.items()
+    ]
+
+
+def _centroid(result: Result) -> list[float] | None:
+    inside = result.labels.nonzero()
+    if inside[0].size == 0:
+        return None
+    middle = [float(axis.mean()) for axis in inside]
+    return [float(v) for v in result.geometry.index_to_world(middle)]
+
+
+def describe_levels(result: Result | ObjectsResult) -> list[dict[str, Any]]:
+    """Return the part of the report about the grids that the run went over, coarsest first; 0 is the image's own."""
+    return [
+        {
+            "level": grid.number,
+            "size": list(reversed(grid.shape)),
+            "spacing": list(reversed(grid.spacing)),
+            "steps": steps,
+            "reason": reason,
+            "cells_visited": sum(row.cells_visited for row in result.ledger if row.level == grid.number),
+        }
+        for grid, steps, reason in result.levels
+    ]
+
+
+def describe_mass(result: Result | ObjectsResult) -> dict[str, Any] | None:
+    """Return the part of the report about conserved mass; None for a flow that has none.
+
+    ``correction`` is the part of the mass that had to be added to conserve it, ``cure`` what is done where the mass
+    potential would make the flow ill-posed, and ``clamped_fraction_largest`` the largest share of surface where it was.
+    """
+    if result.config.flow != "flowable-mass" or not result.ledger:
+        return None
+    first, last = result.ledger[0], result.ledger[-1]
+    return {
+        "first": first.mass,
+        "last": last.mass,
+        "correction": last.mass_correction,
+        "cure": "negative tension clamped at -smoothness, normal part only" if result.config.gravity > 0 else None,
+        "clamped_fraction_largest": max(row.clamped_fraction for row in result.ledger),
+    }
+
+
+def describe_input(
+    path: str | Path, *, geometry: Geometry | None = None, checksum: str | None = None
+) -> dict[str, Any]:
+    """Return the report's entry about the input.
+
+    Parameters
+    ----------
+    path : str or Path
+        The input file.
+    geometry : Geometry, optional
+        Its grid; None when it could not be read, and then the entries are null.
+    checksum : str, optional
+        SHA-256 of the file, from `accelsurf.io.sha256`.
+
+    Examples
+    --------
+    >>> from accelsurf.grid.geometry import Geometry
+    >>> entry = describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)))
+    >>> entry["size"], entry["spacing"]
+    ([3, 4, 5], [0.5, 1.0, 2.0])
+    """
+    grid: dict[str, Any] = dict.fromkeys(("size", "spacing", "origin", "direction"))
+    if geometry is not None:
+        grid = {
+            "size": list(geometry.size),
+            "spacing": list(geometry.spacing_xyz),
+            "origin": list(geometry.origin),
+            "direction": geometry.direction.tolist(),
+        }
+    return {"path": str(Path(path).absolute()), "sha256": checksum, **grid}
+
+
+def describe_error(error: BaseException) -> dict[str, str]:
+    """Return the report's entry about an error: its type, one line, and what to do.
+
+    Examples
+    --------
+    >>> from accelsurf.errors import InputError
+    >>> describe_error(InputError("scan.nii: the file is empty", "copy it again"))
+    {'type': 'InputError', 'message': 'scan.nii: the file is empty', 'hint': 'copy it again'}
+    """
+    if isinstance(error, AccelsurfError):
+        return {"type": type(error).__name__, "message": error.message, "hint": error.hint}
+    message = " ".join(str(error).split()) or type(error).__name__
+    hint = "run again with --debug for the full traceback; it belongs in a bug report"
+    return {"type": type(error).__name__, "message": message, "hint": hint}
+
+
+def describe_output(path: str | Path, kind: str) -> dict[str, str]:
+    """Return the report's entry about a file that was written.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    kind : str
+        What it is: labels, surface, contour, trace, preview, sdf, ...
+    """
+    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(path)}
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions that a result can depend on: Python, the platform and the packages at work.
+
+    Examples
+    --------
+    >>> sorted(versions())[:3]
+    ['SimpleITK', 'accelsurf', 'matplotlib']
+    """
+    found: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    if found["accelsurf"] is None:  # run from a source tree that is not installed
+        from accelsurf import __version__
+
+        found["accelsurf"] = __version__
+    return found
+
+
+def peak_rss_mb() -> float | None:
+    """Return the most memory this process has had so far, in MB (10^6 bytes); None where the system does not say."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak * (1 if sys.platform == "darwin" else 1024) / 1e6, 1)
+
+
+def to_json(report: Mapping[str, Any]) -> str:
+    """Return a report as JSON text, strictly: NaN and infinity, which JSON lacks, become null.
+
+    Examples
+    --------
+    >>> print(to_json({"dice": float("nan"), "steps": 3}))
+    {
+      "dice": null,
+      "steps": 3
+    }
+    """
+    return json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """Replace numpy scalars, tuples and non-finite numbers by what JSON knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # numpy scalar or array
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def trace_csv(ledger: Iterable[Row]) -> str:
+    """Return the trace of a run: one line per step, columns as in `TRACE_COLUMNS`, numbers without loss.
+
+    Parameters
+    ----------
+    ledger : iterable of Row
+        One row per step. Units: mm, mm^2, mm^3, voxels, seconds; t and dt in flow time. True is 1.
+    """
+    return _table(TRACE_COLUMNS, ([getattr(row, name) for name in TRACE_COLUMNS] for row in ledger))
+
+
+def objects_trace_csv(ledgers: Mapping[int, Iterable[Row]]) -> str:
+    """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
+    rows = ([own, *(getattr(row, name) for name in TRACE_COLUMNS)] for own, ledger in ledgers.items() for row in ledger)
+    return _table(("object", *TRACE_COLUMNS), rows)
+
+
+def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table of several objects, one row each, from `describe_objects`; empty is what an object has not."""
+    plain = [key for key in objects[0] if key not in ("centroid", "quality", "message")]
+    known: Mapping[str, Any] = next((one["quality"] for one in objects if one["quality"]), {})
+    measures = [key for key in known if key != "warnings"]
+    rows = []
+    for one in objects:
+        quality = one["quality"] or {}
+        place = one["centroid"] or (None, None, None)
+        told = "; ".join(quality.get("warnings", ()))
+        rows.append([*(one[key] for key in plain), *place, *(quality.get(key) for key in measures), told])
+    return _table((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    return stream.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    value = value.item() if hasattr(value, "item") else value
+    return int(value) if isinstance(value, bool) else repr(value) if isinstance(value, float) else value

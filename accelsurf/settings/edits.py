@@ -1,0 +1,156 @@
+"""Changes of a run while it runs: settings, and balls added to or taken from the surface, each before a given step.
+
+A run that a person steered is the same run again when its edits are given to it: viewer, command line and Python apply
+them in one place, `accelsurf.segmentation.run.Run`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, model_serializer
+
+from accelsurf.errors import UsageError
+
+#: Settings that the whole run has: what was read, prepared and will be written.
+FIXED = (
+    "start", "presmooth", "levels", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "seed", "reproducible",
+    "threads", "edit", "mask", "roi", "channel", "foreground", "background", "preset",
+)
+FORM = 'step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on'
+
+
+class Edit(BaseModel):
+    """One change before a step.
+
+    Parameters
+    ----------
+    step : int
+        Number of the step, as in the ledger, before which it happens; 0 is the start.
+    add, remove : str, optional
+        A ball, ``ball:X,Y,Z,R`` as a start's: united with the object, or taken away from it.
+    **settings
+        Fields of RunConfig, but for those in `FIXED`, that are in force from this step on. A ball comes after them.
+
+    Notes
+    -----
+    With neither, the run goes on: it has not converged before the stop rule has seen it anew from this step.
+
+    Examples
+    --------
+    >>> edit = Edit(step=30, smoothness=0.5, add="ball:10,10,10,4")
+    >>> edit.settings, edit.balls
+    ({'smoothness': 0.5}, (('add', 'ball:10,10,10,4'),))
+    """
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    step: int
+    add: str | None = None
+    remove: str | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings that change."""
+        return dict(self.model_extra or {})
+
+    @property
+    def balls(self) -> tuple[tuple[str, str], ...]:
+        """("add" or "remove", ball), in the order in which they happen."""
+        both = (("add", self.add), ("remove", self.remove))
+        return tuple((kind, ball) for kind, ball in both if ball is not None)
+
+    @model_serializer
+    def _table(self) -> dict[str, Any]:
+        given = {"step": self.step, **self.settings, "add": self.add, "remove": self.remove}
+        return {key: value for key, value in given.items() if value is not None}
+
+    def __str__(self) -> str:
+        return " ".join(f"{key}={shlex.quote(str(value))}" for key, value in self._table().items())
+
+
+def edits_of(value: Any) -> Any:
+    """Return edits from what a configuration file, an option or a caller gave: tables, texts, or edits.
+
+    Parameters
+    ----------
+    value : Edit, mapping, str, or a list or tuple of them
+
+    Returns
+    -------
+    tuple of Edit
+        By step; those of one step in the order given.
+
+    Raises
+    ------
+    UsageError
+        When one has no step or a negative one, or a ball is no text.
+
+    Examples
+    --------
+    >>> [str(edit) for edit in edits_of(["step=9 flow=gradient", {"step": 3, "add": "ball:1,2,3,4"}])]
+    ['step=3 add=ball:1,2,3,4', 'step=9 flow=gradient']
+    """
+    many = value if isinstance(value, (list, tuple)) else [value]
+    return tuple(sorted((_edit(one) for one in many), key=lambda edit: edit.step))
+
+
+def _edit(value: Any) -> Edit:
+    if isinstance(value, Edit):
+        value = value.model_dump()
+    table = _words(value) if isinstance(value, str) else value
+    if not isinstance(table, Mapping):
+        raise UsageError(f"edit: {_shown(value)} was given, expected a step and what changes before it", FORM)
+    step = table.get("step")
+    if isinstance(step, str) and step.isdecimal():
+        step = int(step)
+    if not isinstance(step, int) or isinstance(step, bool) or step < 0:
+        given = "no step" if step is None else f"step {_shown(step)}"
+        raise UsageError(f"edit: {given} was given, expected a whole number at least 0", FORM)
+    for key in ("add", "remove"):
+        ball = table.get(key)
+        if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
+            raise UsageError(f"edit at step {step}: {key} {_shown(ball)} was given, expected ball:X,Y,Z,R", FORM)
+    return Edit(**{**table, "step": step})
+
+
+def _words(text: str) -> dict[str, str]:
+    try:
+        pairs = [word.partition("=") for word in shlex.split(text)]
+    except ValueError:
+        pairs = [(text, "", "")]
+    if not pairs or not all(sign and key and value for key, sign, value in pairs):
+        raise UsageError(f"edit: {text!r} was given, expected words like step=30", FORM)
+    return {key: value for key, _, value in pairs}
+
+
+def refuse_unknown(edit: Edit, known: Mapping[str, Any]) -> None:
+    """Refuse settings that there are not, or that do not change while a run runs.
+
+    Raises
+    ------
+    UsageError
+        With the nearest that may.
+    """
+    possible = [key for key in known if key not in FIXED]
+    for key in edit.settings:
+        if key in possible:
+            continue
+        if key in known:
+            raise UsageError(
+                f"edit at step {edit.step}: {key} cannot change while a run runs", f"these can: {', '.join(possible)}"
+            )
+        near = difflib.get_close_matches(key.replace("-", "_"), [*possible, "add", "remove"], n=1, cutoff=0.5)
+        guess = f"did you mean {near[0]}? " if near else ""
+        raise UsageError(
+            f"edit at step {edit.step}: {key}: there is no such setting",
+            f"{guess}Valid are add, remove, {', '.join(possible)}",
+        )
+
+
+def _shown(value: Any) -> str:
+    return value if isinstance(value, str) and value else json.dumps(value, default=str)

@@ -1,0 +1,1 @@
+"""What the viewer knows without drawing anything: the session, its timeline, the frames to be drawn."""

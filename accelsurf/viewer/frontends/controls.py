@@ -1,0 +1,293 @@
+"""The panel beside the scene: sliders and choices for what can be steered. Knows no session; tells what was asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QGridLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSizePolicy,
+    QSlider,
+    QVBoxLayout,
+    QWidget,
+)
+
+from accelsurf.grid.geometry import Geometry
+from accelsurf.settings.energy_expression import SIMPLE
+from accelsurf.settings.run_config import FLOWS, RunConfig
+from accelsurf.viewer.core.frame import COLORS
+
+#: Positions of a slider; and how long it rests before what it says is taken up, milliseconds.
+TICKS, SETTLE_MS = 1000, 250
+UNITS = {
+    "smoothness": "Smoothness (mm)",
+    "diffusion": "Diffusion (mm2 per unit of time)",
+    "friction": "Friction of momentum (per unit of time)",
+    "cfl": "Largest motion in a step (CFL, voxels)",
+}
+#: Tool -> (its key, what is written on it, what it does).
+TOOLS = {
+    "look": ("V", "Look", "Turn the surface; drag in a slice to move the slices"),
+    "ball": ("B", "Ball", "Press in a slice or on the surface and drag: a ball to start from"),
+    "points": ("P", "Points", "Click in a slice: small balls to start from, one for each point"),
+    "grow": ("G", "Grow", "Press and drag in a slice or on the surface: add what the brush covers"),
+    "shrink": ("K", "Shrink", "Press and drag in a slice or on the surface: take away what the brush covers"),
+}
+
+
+class Amount(QWidget):
+    """A number on a slider and in a box, one of some words beside it if there are any.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends of the slider; in the box the number may be larger.
+    words : sequence of str
+        Words that may stand for a number.
+    power : float
+        Above 1 the slider is finer at its lower end.
+    digits : int
+        After the point.
+    limit : float, optional
+        Largest number that the box takes.
+    """
+
+    changed = Signal(object)
+
+    def __init__(
+        self, low: float, high: float, words: Sequence[str] = (), power: float = 1.0, digits: int = 3,
+        limit: float = 1e6,
+    ) -> None:
+        super().__init__()
+        self._low, self._high, self._power = low, high, power
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setRange(0, TICKS)
+        self.slider.setPageStep(TICKS // 10)
+        self.slider.setMinimumWidth(70)
+        self.box = QDoubleSpinBox()
+        self.box.setDecimals(digits)
+        self.box.setRange(low, limit)
+        self.box.setSingleStep((high - low) / 20)
+        self.box.setKeyboardTracking(False)
+        self.box.setFixedWidth(74)
+        self.word: QComboBox | None = None
+        line = QHBoxLayout(self)
+        line.setContentsMargins(0, 0, 0, 0)
+        line.setSpacing(4)
+        if words:
+            self.word = QComboBox()
+            self.word.addItems([*words, "value"])
+            self.word.setFixedWidth(66)
+            self.word.activated.connect(self._chosen)
+            line.addWidget(self.word)
+        line.addWidget(self.slider, 1)
+        line.addWidget(self.box)
+        self._settling = QTimer(self, singleShot=True, interval=SETTLE_MS)
+        self._settling.timeout.connect(self._tell)
+        self.slider.valueChanged.connect(self._slid)
+        self.slider.sliderReleased.connect(self._tell)
+        self.box.valueChanged.connect(self._typed)
+
+    @property
+    def value(self) -> float | str:
+        """The number, or the word that stands for it."""
+        if self.word is not None and self.word.currentText() != "value":
+            return self.word.currentText()
+        return float(self.box.value())
+
+    @property
+    def is_being_moved(self) -> bool:
+        """Whether a hand is on it: what the run says has to wait."""
+        return self.slider.isSliderDown() or self._settling.isActive() or self.box.hasFocus()
+
+    def show_value(self, value: float | str) -> None:
+        """Show what is in force; tells nobody."""
+        blockers = [QSignalBlocker(part) for part in (self.slider, self.box, self.word) if part is not None]
+        if isinstance(value, str) and self.word is not None:
+            self.word.setCurrentText(value)
+        else:
+            if self.word is not None:
+                self.word.setCurrentText("value")
+            self.box.setValue(float(value))
+            self.slider.setValue(self._tick(float(value)))
+        self._enable()
+        del blockers
+
+    def _enable(self) -> None:
+        numeric = self.word is None or self.word.currentText() == "value"
+        self.slider.setEnabled(numeric)
+        self.box.setEnabled(numeric)
+
+    def _tick(self, value: float) -> int:
+        share = min(max((value - self._low) / (self._high - self._low), 0.0), 1.0)
+        return round(TICKS * share ** (1.0 / self._power))
+
+    def _slid(self, tick: int) -> None:
+        value = self._low + (self._high - self._low) * (tick / TICKS) ** self._power
+        with QSignalBlocker(self.box):
+            self.box.setValue(value)
+        # A drag is one change, told when the hand lets go; keys and clicks beside the handle after a moment.
+        if not self.slider.isSliderDown():
+            self._settling.start()
+
+    def _typed(self, value: float) -> None:
+        with QSignalBlocker(self.slider):
+            self.slider.setValue(self._tick(value))
+        self._settling.start()
+
+    def _chosen(self) -> None:
+        self._enable()
+        if self.word is not None and self.word.currentText() == "value" and self.box.value() <= 0:
+            self.box.setValue(0.25 * self._high)
+        self._tell()
+
+    def _tell(self) -> None:
+        self._settling.stop()
+        self.changed.emit(self.value)
+
+
+class Panel(QWidget):
+    """All that can be steered. Each signal says what somebody asked for."""
+
+    setting = Signal(str, object)
+    tool_chosen = Signal(str)
+    color_chosen = Signal(str)
+    volume_wanted = Signal(bool)
+    planes_wanted = Signal(bool)
+    theme_wanted = Signal(str)
+    undo_wanted = Signal()
+    save_wanted = Signal()
+
+    def __init__(self, geometry: Geometry) -> None:
+        super().__init__()
+        self.setFixedWidth(316)
+        steps = geometry.steps
+        extents = [e for e, n in zip(geometry.extent_mm, geometry.shape, strict=True) if n > 1]
+        self._flat = geometry.slice_axis is not None
+        column = QVBoxLayout(self)
+        column.setContentsMargins(8, 6, 8, 6)
+        column.setSpacing(6)
+        self.choices = {"energy": _choice(SIMPLE), "flow": _choice(FLOWS)}
+        finest = min(steps)
+        self.amounts = {
+            "smoothness": Amount(0.0, 5.0 * finest, power=2.0),
+            "diffusion": Amount(0.0, 20.0 * finest**2, ("auto", "free"), power=2.0),
+            "friction": Amount(0.01, 5.0, ("t",), power=2.0),
+            "cfl": Amount(0.05, 1.0, digits=2, limit=1.0),
+        }
+        column.addWidget(self._settings())
+        column.addWidget(self._tools(finest, min(extents or [finest])))
+        column.addWidget(self._looks())
+        column.addStretch(1)
+        line = QHBoxLayout()
+        self.undo = QPushButton("Undo")
+        self.undo.setToolTip("Take the last change back (Ctrl+Z)")
+        self.save = QPushButton("Save")
+        self.save.setToolTip("Labels, mesh, picture, report and run.toml (Ctrl+S)")
+        for button, signal in ((self.undo, self.undo_wanted), (self.save, self.save_wanted)):
+            button.clicked.connect(signal)
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            line.addWidget(button)
+        column.addLayout(line)
+
+    def _settings(self) -> QGroupBox:
+        group = QGroupBox("Run")
+        form = QFormLayout(group)
+        form.setSpacing(5)
+        form.setContentsMargins(8, 4, 8, 6)
+        for key, choice in self.choices.items():
+            choice.activated.connect(lambda _, key=key, choice=choice: self.setting.emit(key, choice.currentText()))
+            form.addRow(key.capitalize(), choice)
+        for key, amount in self.amounts.items():
+            amount.changed.connect(lambda value, key=key: self.setting.emit(key, value))
+            amount.setToolTip(RunConfig.model_fields[key].description or "")
+            form.addRow(QLabel(UNITS[key]))
+            form.addRow(amount)
+        return group
+
+    def _tools(self, finest: float, smallest: float) -> QGroupBox:
+        group = QGroupBox("Mouse")
+        grid = QGridLayout(group)
+        grid.setSpacing(4)
+        grid.setContentsMargins(8, 4, 8, 6)
+        self._buttons = QButtonGroup(self)
+        self.tools: dict[str, QPushButton] = {}
+        for place, (name, (key, text, told)) in enumerate(TOOLS.items()):
+            button = QPushButton(text)
+            button.setCheckable(True)
+            button.setToolTip(f"{told} ({key})")
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            button.clicked.connect(lambda _, name=name: self.tool_chosen.emit(name))
+            self._buttons.addButton(button)
+            self.tools[name] = button
+            grid.addWidget(button, *((0, place * 2) if place < 3 else (1, (place - 3) * 3)), 1, 2 if place < 3 else 3)
+        self.tools["look"].setChecked(True)
+        self.radius = Amount(0.5 * finest, max(0.4 * smallest, 4.0 * finest), power=2.0, digits=2)
+        self.radius.show_value(max(0.06 * smallest, 2.0 * finest))
+        grid.addWidget(QLabel("Radius of ball and brush (mm)"), 2, 0, 1, 6)
+        grid.addWidget(self.radius, 3, 0, 1, 6)
+        return group
+
+    def _looks(self) -> QGroupBox:
+        group = QGroupBox("Show")
+        form = QFormLayout(group)
+        form.setSpacing(5)
+        form.setContentsMargins(8, 4, 8, 6)
+        self.color = _choice(COLORS)
+        self.color.activated.connect(lambda: self.color_chosen.emit(self.color.currentText()))
+        self.theme = _choice(("dark", "light"))
+        self.theme.activated.connect(lambda: self.theme_wanted.emit(self.theme.currentText()))
+        self.volume, self.planes = QCheckBox("Volume"), QCheckBox("Slices in 3D")
+        for box, signal in ((self.volume, self.volume_wanted), (self.planes, self.planes_wanted)):
+            box.toggled.connect(signal)
+            box.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            box.setEnabled(not self._flat)
+        self.color.setEnabled(not self._flat)
+        form.addRow("Colour by", self.color)
+        boxes = QHBoxLayout()
+        boxes.addWidget(self.volume)
+        boxes.addWidget(self.planes)
+        form.addRow(boxes)
+        form.addRow("Theme", self.theme)
+        return group
+
+    # -- what is in force ----------------------------------------------------------------------------------
+
+    def show_settings(self, settings: RunConfig, undoable: int) -> None:
+        """Show what is in force; what a hand is on is left alone."""
+        for key, choice in self.choices.items():
+            if not choice.view().isVisible():
+                if choice.findText(getattr(settings, key)) < 0:
+                    # An expression of the run's own.
+                    choice.addItem(getattr(settings, key))
+                choice.setCurrentText(getattr(settings, key))
+        for key, amount in self.amounts.items():
+            if not amount.is_being_moved:
+                amount.show_value(getattr(settings, key))
+            amount.setVisible(True)
+            amount.setEnabled(settings.matters(key))
+        self.undo.setEnabled(undoable > 0)
+
+    def scale_radius(self, factor: float) -> None:
+        """Make ball and brush larger or smaller."""
+        value = float(self.radius.value) * factor
+        self.radius.show_value(min(max(value, self.radius.box.minimum()), 1e5) if math.isfinite(value) else 1.0)
+
+
+def _choice(names: Sequence[str]) -> QComboBox:
+    choice = QComboBox()
+    choice.addItems(list(names))
+    choice.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+    choice.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+    return choice

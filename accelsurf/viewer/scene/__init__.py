@@ -1,0 +1,1 @@
+"""The scene: surface in 3D, slices, chart; drawn the same way for every front end."""

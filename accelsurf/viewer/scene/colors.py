@@ -1,0 +1,78 @@
+"""Colours of the scene, dark and light, and of quantities on the surface; all safe for any colour vision."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import UsageError
+from accelsurf.report.preview import BLUE, ORANGE, SKY, VERMILION
+
+
+class Theme(NamedTuple):
+    """Colours of everything but the data: behind the surface, behind charts, text, lines of charts and boxes."""
+
+    background: str
+    paper: str
+    ink: str
+    lines: str
+    potential: str
+    kinetic: str
+
+
+THEMES = {
+    "dark": Theme("#14171C", "#1D2128", "#F2F2F2", "#5A6270", SKY, ORANGE),
+    "light": Theme("#FFFFFF", "#FFFFFF", "#1A1A1A", "#9AA0A8", BLUE, VERMILION),
+}
+#: The surface and its contour; the reference and its; the cursor's lines; a start that is being placed.
+SURFACE, REFERENCE, CURSOR, MARK = ORANGE, SKY, "#F0E442", "#CC79A7"
+
+
+class Shade(NamedTuple):
+    """How a quantity is shown: title of its scale, matplotlib's colour map, whether 0 is the middle of the map."""
+
+    title: str
+    cmap: str
+    signed: bool
+
+
+#: Purple to orange, and cividis, were made for people who do not tell red from green.
+SHADES = {
+    "speed": Shade("outward speed, mm per unit time (above 0: grows)", "PuOr", True),
+    "force": Shade("outward force (above 0: grows)", "PuOr", True),
+    "density": Shade("density, mass per mm2", "cividis", False),
+}
+
+
+def theme_named(name: str) -> Theme:
+    """Return a theme by its name.
+
+    Raises
+    ------
+    UsageError
+        When there is no such theme.
+    """
+    if name not in THEMES:
+        raise UsageError(f"theme: {name} was given, expected {' or '.join(THEMES)}")
+    return THEMES[name]
+
+
+def color_range(values: NDArray[np.float32], signed: bool) -> tuple[float, float]:
+    """Return the values at both ends of the scale: round numbers, so that it does not flicker from step to step.
+
+    Examples
+    --------
+    >>> color_range(np.array([-0.4, 0.1, 3.1], np.float32), True)
+    (-5.0, 5.0)
+    >>> color_range(np.array([0.9, 1.0, 1.2], np.float32), False)
+    (0.0, 2.0)
+    """
+    finite = values[np.isfinite(values)]
+    largest = float(np.percentile(np.abs(finite), 98)) if finite.size else 0.0
+    if not largest > 0:
+        return (-1.0, 1.0) if signed else (0.0, 1.0)
+    decade = 10.0 ** np.floor(np.log10(largest))
+    high = float(min(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= largest * (1 - 1e-9)))
+    return (-high, high) if signed else (0.0, high)

@@ -1,0 +1,102 @@
+"""What a mouse does to a scene: turn, shift and zoom in 3D, drag slices, place balls; for pages, which send events.
+
+Places are pixels of the picture, counted from its lower left corner.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import check_known
+from accelsurf.viewer.scene.scene import Scene
+
+#: What a drag of the left button does: look around, or place a ball that becomes the start, is added or taken away.
+MODES = ("look", "start", "add", "remove")
+#: Degrees that the camera turns per pixel of a picture 720 high; zoom per notch of the wheel.
+TURN, ZOOM = 0.45, 1.12
+
+
+class Mouse:
+    """A mouse over a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Attributes
+    ----------
+    mode : str
+        One of `MODES`.
+    radius : float
+        Of the ball that is placed, mm.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self.mode, self.radius = "look", 0.1 * min(scene.geometry.extent_mm)
+        self._tile: str | None = None
+        self._at, self._shifting = (0.0, 0.0), False
+        self._ball: NDArray[np.float64] | None = None
+
+    def set_mode(self, mode: str) -> None:
+        """Take up one of `MODES`.
+
+        Raises
+        ------
+        UsageError
+            For another one.
+        """
+        check_known("mouse", mode, MODES)
+        self.mode = mode
+        self._drop_ball()
+
+    def press(self, x: float, y: float, shift: bool = False) -> None:
+        """A button goes down; with ``shift`` (or another button) the picture in 3D is shifted, not turned."""
+        picked = self._scene.pick(x, y)
+        self._tile, self._at, self._shifting = picked.tile, (x, y), shift
+        self.move(x, y)
+
+    def move(self, x: float, y: float) -> None:
+        """The mouse moves with a button down."""
+        if self._tile is None:
+            return
+        scene, (before_x, before_y) = self._scene, self._at
+        self._at = (x, y)
+        if self.mode != "look":
+            picked = scene.pick(x, y)
+            if picked.world is not None:
+                self._ball = picked.world
+                scene.mark_ball(self._ball, self.radius)
+        elif self._tile in scene.slice_tiles:
+            picked = scene.pick(x, y)
+            if picked.tile == self._tile and picked.world is not None:
+                scene.cursor = picked.world
+        elif self._tile == "space" and scene.space is not None:
+            if self._shifting:
+                scene.space.shift(x - before_x, y - before_y)
+            else:
+                height = float(scene.plotter.render_window.GetSize()[1])
+                scene.space.turn(TURN * 720.0 / height * (before_x - x), TURN * 720.0 / height * (before_y - y))
+
+    def release(self) -> tuple[str, str] | None:
+        """The button goes up; returns the mode and the ball, ``ball:X,Y,Z,R``, that was placed, or None."""
+        self._tile = None
+        ball = self._ball
+        if ball is None or self.mode == "look":
+            return None
+        text = "ball:" + ",".join(f"{value:.6g}" for value in (*ball, self.radius))
+        self._drop_ball()
+        return self.mode, text
+
+    def wheel(self, x: float, y: float, notches: float) -> None:
+        """Zoom in 3D; go through the slices elsewhere."""
+        picked = self._scene.pick(x, y)
+        if picked.tile in self._scene.slice_tiles:
+            self._scene.step_slice(picked.tile, 1 if notches > 0 else -1)
+        elif self._scene.space is not None and picked.tile == "space":
+            self._scene.space.zoom(ZOOM ** float(np.clip(notches, -5.0, 5.0)))
+
+    def _drop_ball(self) -> None:
+        self._ball = None
+        self._scene.mark_ball(None)

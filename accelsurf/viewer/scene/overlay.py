@@ -1,0 +1,153 @@
+"""What lies over a picture: lines of text, a scale bar in mm, the marker that tells directions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pyvista as pv
+from vtkmodules.vtkRenderingAnnotation import vtkAnnotatedCubeActor
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
+
+from accelsurf.grid.orientation import LETTERS
+
+#: Height of text, parts of the window's height, and the least that can be read, pixels.
+TEXT, LEAST_TEXT = 1 / 50, 12
+
+
+class Label:
+    """Text at a place in a renderer, (0, 0) its lower left corner and (1, 1) its upper right.
+
+    Parameters
+    ----------
+    renderer : pyvista.Renderer
+    color : str
+    place : (float, float)
+        Of the text's left end; past the middle of its right end; at the middle of its middle.
+    text : str, optional
+    boxed : bool, optional
+        Bold on a dark ground, to be read on any image; the place is that of its middle.
+    top : bool, optional
+        The place is that of the text's upper edge.
+    """
+
+    def __init__(
+        self,
+        renderer: pv.Renderer,
+        color: str,
+        place: tuple[float, float],
+        text: str = "",
+        boxed: bool = False,
+        top: bool = False,
+    ) -> None:
+        self._renderer = renderer
+        self._actor = actor = vtkTextActor()
+        actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+        actor.SetPosition(*place)
+        style = actor.GetTextProperty()
+        style.SetFontFamilyToArial()
+        style.SetBold(boxed)
+        (style.SetJustificationToLeft, style.SetJustificationToCentered, style.SetJustificationToRight)[
+            (place[0] >= 0.4) + (place[0] > 0.6)
+        ]()
+        if top:
+            style.SetVerticalJustificationToTop()
+        if boxed:
+            style.SetJustificationToCentered()
+            style.SetVerticalJustificationToCentered()
+            style.SetBackgroundColor(0.0, 0.0, 0.0)
+            style.SetBackgroundOpacity(0.45)
+        renderer.AddViewProp(actor)
+        self.paint(color)
+        self.text = text
+
+    @property
+    def text(self) -> str:
+        """What is written; several lines are allowed."""
+        return str(self._actor.GetInput() or "")
+
+    @text.setter
+    def text(self, text: str) -> None:
+        self._actor.SetInput(text)
+        self._actor.SetVisibility(bool(text))
+
+    def fit(self, height: int) -> None:
+        """Make the text readable in a window of so many pixels."""
+        self._actor.GetTextProperty().SetFontSize(max(LEAST_TEXT, round(height * TEXT)))
+
+    def move(self, right: float, up: float) -> None:
+        """Go to another place."""
+        self._actor.SetPosition(right, up)
+
+    def paint(self, color: str) -> None:
+        """Take another colour."""
+        self._actor.GetTextProperty().SetColor(pv.Color(color).float_rgb)
+
+
+class ScaleBar:
+    """A bar of a round number of mm at the lower right of a renderer with parallel projection."""
+
+    def __init__(self, renderer: pv.Renderer, color: str) -> None:
+        self._renderer = renderer
+        self._label = Label(renderer, color, (0.97, 0.045))
+        self._mesh = pv.PolyData(np.zeros((2, 3), np.float32), lines=[2, 0, 1])
+        mapper = vtkPolyDataMapper2D()
+        mapper.SetInputData(self._mesh)
+        coordinate = vtkCoordinate()
+        coordinate.SetCoordinateSystemToNormalizedViewport()
+        mapper.SetTransformCoordinate(coordinate)
+        self._actor = vtkActor2D()
+        self._actor.SetMapper(mapper)
+        self._actor.GetProperty().SetLineWidth(4.0)
+        renderer.AddViewProp(self._actor)
+        self.paint(color)
+
+    def fit(self, window_height: int) -> None:
+        """Make the bar as long as the camera's scale asks for."""
+        self._label.fit(window_height)
+        width, height = self._renderer.GetSize()
+        if not width or not height:
+            return
+        mm = 2.0 * self._renderer.camera.parallel_scale * width / height
+        length = round_length(0.25 * mm)
+        self._mesh.points = np.array([[0.97 - length / mm, 0.03, 0.0], [0.97, 0.03, 0.0]], np.float32)
+        self._label.text = f"{length:g} mm"
+
+    def paint(self, color: str) -> None:
+        """Take another colour."""
+        self._actor.GetProperty().SetColor(pv.Color(color).float_rgb)
+        self._label.paint(color)
+
+
+def round_length(most: float) -> float:
+    """Return the largest of 1, 2, 5, 10, ... (and tenths, ...) that is at most ``most``.
+
+    Examples
+    --------
+    >>> round_length(73.0), round_length(0.21)
+    (50.0, 0.2)
+    """
+    decade = 10.0 ** math.floor(math.log10(most))
+    return float(f"{max(step * decade for step in (1, 2, 5) if step * decade <= most * (1 + 1e-9)):g}")
+
+
+def orientation_cube(anatomical: bool) -> vtkAnnotatedCubeActor:
+    """Return a cube whose faces name the world's directions: L R A P S I of a patient, else +x -x +y ...."""
+    names = LETTERS if anatomical else (("-x", "+x"), ("-y", "+y"), ("-z", "+z"))
+    cube = vtkAnnotatedCubeActor()
+    for axis, (low, high) in zip("XYZ", names, strict=True):
+        getattr(cube, f"Set{axis}MinusFaceText")(low)
+        getattr(cube, f"Set{axis}PlusFaceText")(high)
+    cube.SetFaceTextScale(0.6 if anatomical else 0.45)
+    # Upright seen from any side, and from above for whoever stands in front.
+    cube.SetZFaceTextRotation(-90)
+    cube.GetCubeProperty().SetColor(0.30, 0.33, 0.38)
+    cube.GetTextEdgesProperty().SetColor(1.0, 1.0, 1.0)
+    cube.GetTextEdgesProperty().SetLineWidth(1.0)
+    for axis in "XYZ":
+        for side in ("Minus", "Plus"):
+            face = getattr(cube, f"Get{axis}{side}FaceProperty")()
+            face.SetColor(1.0, 1.0, 1.0)
+            face.SetInterpolationToFlat()
+            face.LightingOff()
+    return cube

@@ -1,0 +1,394 @@
+"""The scene: surface in 3D, three slices, chart of the energies; the same for desktop, browser, movie and preview.
+
+    +---------------+-------+-------+
+    |               | axial | coro- |
+    |  surface, mm  |       | nal   |      an image of one slice:      +-----------+------+
+    |               +-------+-------+                                  |   slice   | ener-|
+    |               | sagit-| ener- |                                  |           | gies |
+    |               | tal   | gies  |                                  +-----------+------+
+    +---------------+-------+-------+
+
+A scene draws `Frame`s and knows no solver. Nothing is rendered before `render` or `screenshot` is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import ArrayLike, NDArray
+
+from accelsurf.analysis.surface_mesh import write_atomically
+from accelsurf.errors import InputError, UsageError, check_known
+from accelsurf.evolution.loop import Row
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.orientation import Upright
+from accelsurf.grid.volume import Volume
+from accelsurf.io.headers import of_patient
+from accelsurf.viewer.core.frame import COLORS, Frame
+from accelsurf.viewer.scene.chart import EnergyChart
+from accelsurf.viewer.scene.colors import REFERENCE, SURFACE, Theme, theme_named
+from accelsurf.viewer.scene.grey_images import grabbed, grey_values, png_bytes
+from accelsurf.viewer.scene.headless import require_graphics
+from accelsurf.viewer.scene.overlay import Label
+from accelsurf.viewer.scene.shapes import label_surface, slice_of
+from accelsurf.viewer.scene.slices import SliceTile
+from accelsurf.viewer.scene.space import VIEWS, SpaceTile
+
+#: Size of a window or picture unless another is asked for, pixels.
+SIZE = (1280, 720)
+TILES = ("axial", "coronal", "sagittal")
+_LEGEND = ((SURFACE, 0.985), (REFERENCE, 0.955))
+
+
+class Picked(NamedTuple):
+    """What lies under a pixel: the ``tile`` (space, axial, coronal, sagittal, energies), and the ``world`` point
+    (x, y, z), mm, in a slice or on the surface; None beside them.
+    """
+
+    tile: str
+    world: NDArray[np.float64] | None
+
+
+class Scene:
+    """Everything that is drawn of one image and the surface in it.
+
+    Parameters
+    ----------
+    volume : Volume
+        The image, of one slice or more.
+    theme : str, optional
+        "dark" or "light".
+    reference : Volume, optional
+        Labels on the same grid (above 0 is the object) to compare with.
+    plotter : pyvista.Plotter, optional
+        To draw in, made with ``**Scene.layout(volume.geometry)``; one that needs no screen is made otherwise.
+    size : (int, int), optional
+        Width and height, pixels, of the plotter that is made.
+    title : str, optional
+        First line over the picture; the file's name unless given.
+
+    Attributes
+    ----------
+    plotter : pyvista.Plotter
+    frame : Frame or None
+        What is drawn now.
+
+    Raises
+    ------
+    UsageError
+        For an unknown theme.
+    InputError
+        When the reference is on another grid.
+    GraphicsError
+        When no plotter is given and nothing here can draw.
+    """
+
+    def __init__(
+        self,
+        volume: Volume,
+        *,
+        theme: str = "dark",
+        reference: Volume | None = None,
+        plotter: pv.Plotter | None = None,
+        size: tuple[int, int] = SIZE,
+        title: str | None = None,
+    ) -> None:
+        self._theme = theme_named(theme)
+        if reference is not None and not volume.geometry.matches(reference.geometry):
+            raise InputError(
+                f"the reference is not on the image's grid: {volume.geometry.difference(reference.geometry)}",
+                "resample it to the image's grid",
+            )
+        self.volume, self.geometry = volume, volume.geometry
+        self.frame: Frame | None = None
+        self._history: Sequence[Row] = ()
+        self._color = "plain"
+        self.title = (volume.source.name if volume.source else "") if title is None else title
+        self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
+        self._cursor_is_set = False
+        self._reference = None if reference is None else np.asarray(reference.array > 0)
+        self._reference_voxels = 0 if self._reference is None else int(self._reference.sum())
+        self.anatomical = of_patient(volume.metadata)
+        if plotter is None:
+            require_graphics()
+            plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
+        self.plotter = plotter
+        self._build()
+        self.paint(theme)
+        self.plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
+
+    @staticmethod
+    def layout(geometry: Geometry) -> dict[str, Any]:
+        """Arguments of a `pyvista.Plotter` whose renderers are what the scene of such an image needs."""
+        if geometry.slice_axis is not None:
+            return {"shape": (1, 3), "groups": [(0, [0, 1])], "border": False}
+        return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
+
+    def _build(self) -> None:
+        plotter, upright, grey = self.plotter, Upright.of(self.geometry), grey_values(self.volume)
+        flat = self.geometry.slice_axis
+        places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
+        self.space: SpaceTile | None = None
+        if flat is None:
+            plotter.subplot(0, 0)
+            self.space = SpaceTile(plotter, self.geometry, grey, self.anatomical, self._theme)
+            if self._reference is not None:
+                self.space.show_reference(label_surface(self._reference, self.geometry))
+        self.slice_tiles: dict[str, SliceTile] = {}
+        for plane, place in places.items():
+            plotter.subplot(*place)
+            tile = SliceTile(plotter.renderer, grey, upright, plane, self.anatomical, self._theme)
+            self.slice_tiles[TILES[plane]] = tile
+        plotter.subplot(*((1, 3) if flat is None else (0, 2)))
+        self._chart_renderer = plotter.renderer
+        self._chart_renderer.SetInteractive(False)
+        self._chart = EnergyChart(plotter, self._theme)
+        plotter.subplot(0, 0)
+        self._soft_reference = None if self._reference is None else np.float32(0.5) - self._reference
+        largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
+        self._legend = [Label(largest, color, (0.985, high), top=True) for color, high in _LEGEND]
+        self._note = Label(largest, self._theme.ink, (0.5, 0.015))
+        self._show_slices()
+
+    # -- what is drawn -------------------------------------------------------------------------------------
+
+    def update(self, frame: Frame, history: Sequence[Row] = ()) -> None:
+        """Draw a frame.
+
+        Parameters
+        ----------
+        frame : Frame
+            Of this image.
+        history : sequence of Row, optional
+            The rows up to this frame, for the chart.
+        """
+        self.frame, self._history = frame, history
+        if frame.has_surface and not self._cursor_is_set:
+            self._cursor = np.clip(frame.middle(), 0.0, np.array(self.geometry.shape) - 1.0)
+            self._cursor_is_set = True
+            self._show_slices()
+        self._show_frame()
+        self._chart.update(history)
+
+    def _show_frame(self) -> None:
+        frame = self.frame
+        if frame is None:
+            return
+        if self.space is not None:
+            self.space.show(frame, self._color)
+        for tile in self.slice_tiles.values():
+            tile.draw_contour("surface", slice_of(frame, tile.axis, self._cursor_on(tile)), frame, SURFACE)
+        if self._reference is not None:
+            value = self.dice
+            self._legend[0].text = "surface"
+            self._legend[1].text = "reference" if value is None else f"reference, Dice {value:.3f}"
+        lines = [line for line in (self.title, *self._told(frame)) if line]
+        if self.space is not None:
+            self.space.title.text = "\n".join(lines)
+        else:
+            next(iter(self.slice_tiles.values())).title.text = "   ".join(lines)
+
+    def _told(self, frame: Frame) -> list[str]:
+        """What is written about a frame."""
+        row = frame.row
+        where = f"step {row.step}" + (f", level {row.level} (coarse grid)" if row.level else "")
+        thickness = self.geometry.spacing[self.geometry.slice_axis] if self.geometry.slice_axis is not None else None
+        if thickness is None:
+            return [where, f"volume {_number(row.volume_mm3)} mm3"]
+        return [where, f"area {_number(row.volume_mm3 / thickness)} mm2"]
+
+    @property
+    def theme(self) -> Theme:
+        """The colours in use."""
+        return self._theme
+
+    @property
+    def legend(self) -> tuple[str, ...]:
+        """What is written about the reference: what each colour is, and Dice; empty without one."""
+        return tuple(label.text for label in self._legend if label.text)
+
+    @property
+    def dice(self) -> float | None:
+        """Dice of the surface drawn now and the reference; None without either. Coarse frames count their voxels."""
+        frame = self.frame
+        if self._reference is None or frame is None:
+            return None
+        return frame.dice(self._reference, self._reference_voxels)
+
+    def color_by(self, name: str) -> None:
+        """Colour the surface by a quantity, ``plain``, ``speed``, ``force`` or ``density``.
+
+        A frame that lacks it is drawn plain.
+
+        Raises
+        ------
+        UsageError
+            For another name.
+        """
+        check_known("color", name, COLORS)
+        self._color = name
+        self._show_frame()
+
+    def show_volume(self, on: bool) -> None:
+        """Draw the image itself in 3D, translucent, or not; an image of one slice has no such picture."""
+        if self.space is not None:
+            self.space.show_volume(on)
+
+    def show_planes(self, on: bool) -> None:
+        """Draw the three slices in 3D, or not."""
+        if self.space is not None:
+            self.space.show_planes(on, self._cursor)
+
+    def slices(self, x: float, y: float, z: float) -> None:
+        """Put the cursor, through which the slices go, at a world point, mm (LPS); held to the image."""
+        self.cursor = (x, y, z)
+
+    @property
+    def cursor(self) -> NDArray[np.float64]:
+        """The world point (x, y, z), mm LPS, through which the slices go; may be set."""
+        return self.geometry.index_to_world(self._cursor)
+
+    @cursor.setter
+    def cursor(self, world: ArrayLike) -> None:
+        place = np.asarray(world, float)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise UsageError(f"cursor: {world!r} was given, expected three finite numbers x, y, z in mm")
+        self._cursor = np.clip(self.geometry.world_to_index(place), 0.0, np.array(self.geometry.shape) - 1.0)
+        self._cursor_is_set = True
+        self._show_slices()
+        self._show_frame()
+
+    def step_slice(self, name: str, count: int) -> None:
+        """Go ``count`` slices on in a tile, one of ``slice_tiles``; towards the world's larger coordinate."""
+        tile = self.slice_tiles[name]
+        index = self._cursor.copy()
+        sign = -1 if Upright.of(self.geometry).flips[tile.plane] else 1
+        index[tile.axis] = round(index[tile.axis]) + sign * count
+        self.cursor = self.geometry.index_to_world(index)
+
+    def _show_slices(self) -> None:
+        for tile in self.slice_tiles.values():
+            tile.show(self._cursor)
+            if self._soft_reference is not None:
+                tile.draw_labels("reference", self._soft_reference, REFERENCE)
+        if self.space is not None:
+            self.space.move_planes(self._cursor)
+
+    def _cursor_on(self, tile: SliceTile) -> float:
+        return float(tile.index)
+
+    def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
+        """Draw a ball that is to be the start (world mm), in 3D and where it cuts the slices; None takes it away."""
+        middle = None if center is None else np.asarray(center, float)
+        if self.space is not None:
+            self.space.mark_ball(middle, radius)
+        for tile in self.slice_tiles.values():
+            tile.mark_ball(middle, radius, self.geometry)
+
+    def say(self, text: str) -> None:
+        """Write a line or more at the lower edge of the largest tile, in place of the last: help, warnings."""
+        self._note.text = text
+
+    def paint(self, theme: str) -> None:
+        """Take up a theme.
+
+        Raises
+        ------
+        UsageError
+            For an unknown one.
+        """
+        self._theme = theme_named(theme)
+        for renderer in self.plotter.renderers:
+            renderer.background_color = self._theme.background
+        for tile in (self.space, *self.slice_tiles.values(), self._chart):
+            if tile is not None:
+                tile.paint(self._theme)
+        self._note.paint(self._theme.ink)
+
+    # -- pictures ------------------------------------------------------------------------------------------
+
+    def look_from(self, view: str) -> None:
+        """Look at the whole image from one of `space.VIEWS`: corner, front, back, left, right, top or bottom.
+
+        Raises
+        ------
+        UsageError
+            For another view.
+        """
+        check_known("view", view, VIEWS)
+        if self.space is not None:
+            self.space.look_from(view)
+
+    def orbit(self, degrees: float) -> None:
+        """Turn the camera around the vertical axis."""
+        if self.space is not None:
+            self.space.orbit(degrees)
+
+    def pick(self, x: float, y: float) -> Picked:
+        """What lies under a pixel, counted from the lower left corner of the window."""
+        for name, tile in self.slice_tiles.items():
+            inside = _within(tile.renderer, x, y)
+            if inside is not None:
+                right, up = tile.to_plane(*inside)
+                left, far, bottom, top = tile.extent
+                if left <= right <= far and bottom <= up <= top:
+                    index = tile.from_tile(right, up, self._cursor)
+                    return Picked(name, self.geometry.index_to_world(index))
+                return Picked(name, None)
+        if self.space is not None and _within(self.space.renderer, x, y) is not None:
+            return Picked("space", self.space.pick(x, y))
+        return Picked("energies", None)
+
+    def smooth_edges(self, on: bool) -> None:
+        """Draw edges smoothly (the default), or two to four times faster, where there is no graphics card."""
+        self.plotter.render_window.SetMultiSamples(8 if on else 0)
+
+    def resize(self, width: int, height: int) -> None:
+        """Take another size, pixels."""
+        before = None if self.space is None else self.space.fitted()
+        self.plotter.render_window.SetSize(width, height)
+        if self.space is not None and before is not None:
+            self.space.zoom(before / self.space.fitted())
+
+    def render(self) -> None:
+        """Draw what has changed."""
+        self.plotter.render_window.Render()
+
+    def screenshot(self, path: str | Path | None = None) -> NDArray[np.uint8]:
+        """Render, and return the picture (height, width, 3), uint8; with a path write it there as PNG."""
+        self.render()
+        picture = grabbed(self.plotter.render_window)
+        if path is not None:
+            write_atomically(Path(path), png_bytes(picture))
+        return picture
+
+    def close(self) -> None:
+        """Let everything go."""
+        self.plotter.close()
+
+    def _fit(self) -> None:
+        """Before each picture: what depends on the size of the window and on the camera."""
+        height = int(self.plotter.render_window.GetSize()[1])
+        for tile in (self.space, *self.slice_tiles.values()):
+            if tile is not None:
+                tile.fit(height)
+        for label in (self._note, *self._legend):
+            label.fit(height)
+        self._chart.fit(height)
+
+
+def _number(value: float) -> str:
+    """A measure with four digits, or all before the point, in groups of three."""
+    return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}".replace(",", " ")
+
+
+def _within(renderer: pv.Renderer, x: float, y: float) -> tuple[float, float] | None:
+    """Place of a pixel in a renderer, each from 0 to 1; None outside it."""
+    width, height = renderer.GetRenderWindow().GetSize()
+    left, bottom, right, top = renderer.GetViewport()
+    place = ((x / width - left) / (right - left), (y / height - bottom) / (top - bottom))
+    return place if all(0 <= part < 1 for part in place) else None

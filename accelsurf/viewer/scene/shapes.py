@@ -1,0 +1,157 @@
+"""From a Frame to what VTK draws: the surface in world mm, the contour in a slice; no plotter here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+from scipy import ndimage
+from vtkmodules.vtkFiltersCore import vtkFlyingEdges2D, vtkFlyingEdges3D
+from vtkmodules.vtkRenderingCore import vtkTexture
+
+from accelsurf.grid.geometry import Geometry
+from accelsurf.viewer.core.frame import Frame
+
+#: Standard deviation, voxels, of the Gaussian that turns a label map into something with a smooth surface.
+SMOOTH_LABELS = 0.8
+
+
+def isosurface(frame: Frame, geometry: Geometry, color: str = "plain") -> pv.PolyData:
+    """The surface of a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+    geometry : Geometry
+        Of the image.
+    color : str, optional
+        A quantity of the frame to put on the points; one that it lacks is left out.
+
+    Returns
+    -------
+    pyvista.PolyData
+        In world mm (LPS), closed at the volume's border, with normals, which point outward; empty without a surface.
+    """
+    mesh = closed_surface(frame.psi)
+    if mesh.n_points == 0:
+        return mesh
+    places = np.asarray(mesh.points, float)[:, ::-1]
+    if color in frame.quantities:
+        mesh.point_data[color] = frame.sample(color, places)
+        mesh.set_active_scalars(color)
+    steps = np.array(frame.grid.factors) * frame.step * np.array(geometry.spacing)
+    _to_world(mesh, geometry.index_to_world(frame.to_image(places)), geometry, steps)
+    return mesh
+
+
+def label_surface(labels: NDArray[np.bool_], geometry: Geometry) -> pv.PolyData:
+    """The surface of a label map in world mm (LPS), its voxels' steps smoothed away."""
+    inside = np.argwhere(labels)
+    if not len(inside):
+        return pv.PolyData()
+    low, high = np.maximum(inside.min(axis=0) - 3, 0), np.minimum(inside.max(axis=0) + 4, labels.shape)
+    box = labels[tuple(slice(a, b) for a, b in zip(low, high, strict=True))].astype(np.float32)
+    # Voxels beyond the border count as outside, as in the label map.
+    soft = ndimage.gaussian_filter(box, [SMOOTH_LABELS if n > 1 else 0.0 for n in labels.shape], mode="nearest")
+    mesh = closed_surface(np.float32(0.5) - soft)
+    if mesh.n_points:
+        places = np.asarray(mesh.points, float)[:, ::-1] + low
+        _to_world(mesh, geometry.index_to_world(places), geometry, np.array(geometry.spacing))
+    return mesh
+
+
+def closed_surface(psi: NDArray[np.float32]) -> pv.PolyData:
+    """The zero level by flying edges, points (x, y, z) in voxels of ``psi``, normals along its gradient.
+
+    Where the box cuts the object it is closed half a voxel further out.
+    """
+    if psi.size == 0 or not (psi < 0).any():
+        return pv.PolyData()
+    padded = np.pad(psi, 1, mode="edge")
+    for axis in range(3):
+        for end in (0, -1):
+            side = padded[(slice(None),) * axis + (end,)]
+            np.abs(side, out=side)
+    grid = pv.ImageData(dimensions=padded.shape[::-1], origin=(-1.0, -1.0, -1.0))
+    grid.point_data["psi"] = padded.ravel()
+    filter_ = vtkFlyingEdges3D()
+    filter_.SetInputData(grid)
+    filter_.SetValue(0, 0.0)
+    filter_.ComputeNormalsOn()
+    filter_.ComputeScalarsOff()
+    filter_.Update()
+    mesh = pv.wrap(filter_.GetOutput())
+    if "Normals" in mesh.point_data:
+        mesh.point_data.active_normals_name = "Normals"
+    return mesh
+
+
+def contour(plane: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The zero level in a slice as line segments, (n, 2, 2), each end (row, column) in voxels."""
+    if min(plane.shape) < 2 or not (plane < 0).any() or not (plane >= 0).any():
+        return np.zeros((0, 2, 2))
+    grid = pv.ImageData(dimensions=(plane.shape[1], plane.shape[0], 1))
+    grid.point_data["psi"] = np.ascontiguousarray(plane).ravel()
+    filter_ = vtkFlyingEdges2D()
+    filter_.SetInputData(grid)
+    filter_.SetValue(0, 0.0)
+    filter_.Update()
+    lines = pv.wrap(filter_.GetOutput())
+    if lines.n_cells == 0:
+        return np.zeros((0, 2, 2))
+    ends = np.asarray(lines.lines).reshape(-1, 3)[:, 1:]
+    return np.asarray(lines.points, float)[ends][:, :, 1::-1]
+
+
+def slice_of(frame: Frame, axis: int, index: float) -> NDArray[np.float32] | None:
+    """The plane of psi at an image ``index`` along an array axis, linear between planes; None beside the box."""
+    n = frame.psi.shape[axis]
+    if n == 0:
+        return None
+    ask = np.zeros(3)
+    ask[axis] = index
+    place = float(frame.from_image(ask)[axis])
+    if not -0.5 <= place <= n - 0.5:
+        return None
+    place = min(max(place, 0.0), n - 1.0)
+    low = min(int(place), max(n - 2, 0))
+    share = np.float32(place - low)
+    first = frame.psi.take(low, axis=axis)
+    if share == 0:
+        return np.asarray(first)
+    return np.asarray((1 - share) * first + share * frame.psi.take(low + 1, axis=axis))
+
+
+class GreyTexture:
+    """A picture in grey for a quad; ``texture`` is VTK's."""
+
+    def __init__(self) -> None:
+        self.texture = vtkTexture()
+        self.texture.InterpolateOn()
+        self.texture.SetColorModeToDirectScalars()
+        self.show(np.zeros((2, 2), np.uint8))
+
+    def show(self, rows: NDArray[np.uint8]) -> None:
+        """Take a picture, its first row at the lower edge of the quad."""
+        image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
+        image.point_data["grey"] = np.repeat(rows.reshape(-1, 1), 3, axis=1)
+        self.texture.SetInputData(image)
+
+
+def _to_world(
+    mesh: pv.PolyData, points: NDArray[np.float64], geometry: Geometry, steps: NDArray[np.float64]
+) -> None:
+    """Move points and normals from indices to the world; ``steps`` (hz, hy, hx) is the mm per index."""
+    normals = mesh.point_data.active_normals
+    mesh.points = points.astype(np.float32)
+    # Triangles that do not turn the way of the normals would be lit from behind; a left-handed grid mirrors them.
+    corners = np.asarray(mesh.faces).reshape(-1, 4)
+    if np.linalg.det(geometry.direction) > 0:
+        corners = corners[:, [0, 1, 3, 2]]
+        mesh.faces = corners.ravel()
+    if normals is not None:
+        # A gradient per index becomes one per mm by division.
+        turned = -(np.asarray(normals, float) / steps[::-1]) @ np.asarray(geometry.direction).T
+        turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
+        mesh.point_data["Normals"] = turned.astype(np.float32)
+        mesh.point_data.active_normals_name = "Normals"

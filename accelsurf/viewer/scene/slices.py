@@ -1,0 +1,230 @@
+"""One slice of the image as radiologists hang it, with contours, the cursor's lines, letters and a scale bar."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
+
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, Upright
+from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.scene.colors import CURSOR, MARK, Theme
+from accelsurf.viewer.scene.overlay import Label, ScaleBar
+from accelsurf.viewer.scene.shapes import GreyTexture, contour
+
+#: Part of a tile's width and height that the image may take; the rest is for text.
+FILL = 0.82
+
+
+class SliceTile:
+    """A renderer that shows one slice.
+
+    The renderer's plane is in mm: to the right and up as the slice is hung, its z is the order of drawing.
+
+    Parameters
+    ----------
+    renderer : pyvista.Renderer
+    image : ndarray (nz, ny, nx), uint8
+        Grey values as shown.
+    upright : Upright
+    plane : int
+        0 is axial, 1 coronal, 2 sagittal.
+    anatomical : bool
+        Whether letters may be written.
+    theme : Theme
+    """
+
+    def __init__(
+        self,
+        renderer: pv.Renderer,
+        image: NDArray[np.uint8],
+        upright: Upright,
+        plane: int,
+        anatomical: bool,
+        theme: Theme,
+    ) -> None:
+        self.renderer, self.plane = renderer, plane
+        self._up, self._anatomical, self._theme = upright, anatomical, theme
+        self._image = upright.turn(image)
+        self._vertical, self._horizontal = IN_PLANE[plane]
+        #: Array axis of the volume that this slice cuts.
+        self.axis = upright.order[plane]
+        self._index = -1
+        self._lines: dict[str, pv.Actor] = {}
+        self._texture = GreyTexture()
+        left, right, bottom, top = self.extent
+        middle = (0.5 * (left + right), 0.5 * (bottom + top), 0.0)
+        quad = pv.Plane(center=middle, i_size=right - left, j_size=top - bottom, i_resolution=1, j_resolution=1)
+        self._add(quad, "white").SetTexture(self._texture.texture)
+        camera = renderer.camera
+        camera.parallel_projection = True
+        camera.focal_point, camera.position, camera.up = middle, (middle[0], middle[1], 100.0), (0.0, 1.0, 0.0)
+        camera.clipping_range = (1.0, 200.0)
+        renderer.camera_set = True
+        renderer.SetInteractive(False)
+        self.title = Label(renderer, theme.ink, (0.03, 0.975), top=True)
+        self._bar = ScaleBar(renderer, theme.ink)
+        self._letters = self._write_letters() if anatomical else []
+
+    # -- places --------------------------------------------------------------------------------------------
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom, top of the image in the tile's plane, mm; the outer faces of its border voxels."""
+        sides = []
+        for axis in (self._horizontal, self._vertical):
+            ends = [self._up.coordinate(axis, index) for index in (-0.5, self._image.shape[axis] - 0.5)]
+            sides += ends
+        left, right, low, high = sides
+        return (left, right, -high, -low) if self._down else (left, right, low, high)
+
+    @property
+    def _down(self) -> bool:
+        """Whether the vertical coordinate runs down the picture: front at the top."""
+        return self.plane == 0
+
+    def to_tile(self, indices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Places (..., 2) in the tile, mm, of indices (z, y, x) of the image (..., 3)."""
+        out = np.empty((*indices.shape[:-1], 2))
+        for part, axis in enumerate((self._horizontal, self._vertical)):
+            index = indices[..., self._up.order[axis]]
+            if self._up.flips[axis]:
+                index = self._image.shape[axis] - 1 - index
+            out[..., part] = self._up.first[axis] + index * self._up.spacing[axis]
+        if self._down:
+            out[..., 1] *= -1.0
+        return out
+
+    def from_tile(self, right: float, up: float, cursor: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Index (z, y, x) of a place in the tile, on the slice of the index ``cursor``, held to the image."""
+        out = np.array(cursor, float)
+        for value, axis in ((right, self._horizontal), (-up if self._down else up, self._vertical)):
+            n = self._image.shape[axis]
+            index = np.clip((value - self._up.first[axis]) / self._up.spacing[axis], 0.0, n - 1.0)
+            out[self._up.order[axis]] = n - 1 - index if self._up.flips[axis] else index
+        return out
+
+    def to_plane(self, right: float, up: float) -> tuple[float, float]:
+        """Place in the tile's plane, mm, of a place in its renderer, each from 0 to 1."""
+        width, height = self.renderer.GetSize()
+        mm = 2.0 * self.renderer.camera.parallel_scale / height
+        x, y, _ = self.renderer.camera.focal_point
+        return x + (right - 0.5) * width * mm, y + (up - 0.5) * height * mm
+
+    # -- what it shows -------------------------------------------------------------------------------------
+
+    def show(self, cursor: NDArray[np.float64]) -> None:
+        """Go to the slice nearest to an index (z, y, x) of the image, and draw the cursor's lines."""
+        n = self._image.shape[self.plane]
+        index = int(np.clip(round(float(cursor[self.axis])), 0, n - 1))
+        turned = n - 1 - index if self._up.flips[self.plane] else index
+        if turned != self._index:
+            self._index = turned
+            grey = self._image.take(turned, axis=self.plane)
+            # The texture's first row is at the bottom of the quad.
+            self._texture.show(grey[::-1] if self._down else grey)
+        left, right, bottom, top = self.extent
+        x, y = self.to_tile(np.asarray(cursor, float))
+        cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
+        self.draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
+        name = PLANES[self.plane] if self._anatomical else "Slice"
+        where = self._up.coordinate(self.plane, turned)
+        self.title.text = f"{name}  {self._up.names[self.plane]} = {where:.4g} mm"
+
+    @property
+    def index(self) -> int:
+        """Index of the slice along `axis`."""
+        n = self._image.shape[self.plane]
+        return n - 1 - self._index if self._up.flips[self.plane] else self._index
+
+    def draw_contour(self, name: str, frame_slice: NDArray[np.float32] | None, frame: Frame, color: str) -> None:
+        """Draw the zero level of psi in this slice, from `shapes.slice_of`."""
+        lines = np.zeros((0, 2, 2)) if frame_slice is None else contour(frame_slice)
+        places = np.zeros((len(lines), 2, 3))
+        rows, columns = (axis for axis in range(3) if axis != self.axis)
+        if len(lines):
+            places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
+        self.draw_lines(name, self.to_tile(frame.to_image(places)), color, 2.2)
+
+    def draw_labels(self, name: str, labels: NDArray[np.float32], color: str) -> None:
+        """Draw where a function of the whole image, negative inside, is 0 in this slice."""
+        lines = contour(np.asarray(labels.take(self.index, axis=self.axis)))
+        places = np.zeros((len(lines), 2, 3))
+        rows, columns = (axis for axis in range(3) if axis != self.axis)
+        if len(lines):
+            places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
+        self.draw_lines(name, self.to_tile(places), color, 1.8)
+
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float, geometry: Geometry) -> None:
+        """Draw the circle in which a ball (world mm) cuts this slice; nothing for None or beside it."""
+        lines = np.zeros((0, 2, 2))
+        if center is not None:
+            index = geometry.world_to_index(center)
+            off = (index[self.axis] - self.index) * geometry.spacing[self.axis]
+            if abs(off) < radius:
+                turn = np.linspace(0.0, 2.0 * np.pi, 65)
+                ring = self.to_tile(index) + np.sqrt(radius**2 - off**2) * np.stack([np.cos(turn), np.sin(turn)], -1)
+                lines = np.stack([ring[:-1], ring[1:]], axis=1)
+        self.draw_lines("ball", lines, MARK, 2.2)
+
+    def draw_lines(
+        self, name: str, lines: NDArray[np.float64], color: str, width: float, opacity: float = 1.0
+    ) -> None:
+        """Draw segments (n, 2, 2) in the tile's plane; with none, what has this name goes."""
+        depth = {"cursor": 1.0, "reference": 2.0}.get(name, 3.0)
+        points = np.column_stack([lines.reshape(-1, 2), np.full(2 * len(lines), depth)])
+        mesh = pv.PolyData()
+        if len(lines):
+            cells = np.column_stack([np.full(len(lines), 2), np.arange(2 * len(lines)).reshape(-1, 2)])
+            mesh = pv.PolyData(points, lines=cells.ravel())
+        if name not in self._lines:
+            self._lines[name] = self._add(mesh, color, opacity=opacity)
+            self._lines[name].prop.line_width = width
+        self._lines[name].mapper.SetInputData(mesh)
+        self._lines[name].SetVisibility(len(lines) > 0)
+
+    def fit(self, window_height: int) -> None:
+        """Make the slice as large as its tile allows, the bar as long as that makes it, and text readable."""
+        for label in (self.title, *self._letters):
+            label.fit(window_height)
+        width, height = self.renderer.GetSize()
+        if not width or not height:
+            return
+        left, right, bottom, top = self.extent
+        scale = max(top - bottom, (right - left) * height / width) / FILL
+        self.renderer.camera.parallel_scale = 0.5 * scale
+        if self._letters:
+            self._place_letters((right - left) * height / width / scale, (top - bottom) / scale)
+        self._bar.fit(window_height)
+
+    def paint(self, theme: Theme) -> None:
+        """Take up another theme."""
+        self._theme = theme
+        self.renderer.background_color = theme.background
+        for part in (self.title, self._bar):
+            part.paint(theme.ink)
+
+    def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
+        mapper = vtkPolyDataMapper()
+        mapper.SetInputData(mesh)
+        mapper.ScalarVisibilityOff()
+        actor = pv.Actor(mapper=mapper)
+        actor.prop.color, actor.prop.lighting, actor.prop.opacity = color, False, opacity
+        self.renderer.add_actor(actor, reset_camera=False, render=False)
+        return actor
+
+    def _write_letters(self) -> list[Label]:
+        """The patient's directions at the left, right, upper and lower edge of the image."""
+        left, right = LETTERS[2 - self._horizontal]
+        low, high = LETTERS[2 - self._vertical]
+        top, bottom = (low, high) if self._down else (high, low)
+        return [Label(self.renderer, "white", (0.5, 0.5), text, boxed=True) for text in (left, right, top, bottom)]
+
+    def _place_letters(self, wide: float, high: float) -> None:
+        """Put the letters beside an image that takes these parts of the tile; below the title, above the bar."""
+        right, up = min(0.5 + 0.5 * wide + 0.03, 0.97), min(0.5 + 0.5 * high + 0.025, 0.905)
+        down = max(0.5 - 0.5 * high - 0.025, 0.035)
+        for letter, place in zip(self._letters, ((1 - right, 0.5), (right, 0.5), (0.5, up), (0.5, down)), strict=True):
+            letter.move(*place)

@@ -1,0 +1,310 @@
+"""The tile in 3D: the surface in world mm, the image around it on request, the scale, the directions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
+from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
+
+from accelsurf.grid.geometry import Geometry
+from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.scene.colors import MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
+from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
+from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
+
+#: Voxels along an axis of the image as it is drawn in 3D: more take longer than a person wants to wait.
+MOST_ALONG = 160
+#: Where the camera looks from, as a direction (x, y, z) in LPS, and what is up there; `corner` is where it begins.
+VIEWS = {
+    "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
+    "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+    "back": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    "left": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "right": ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "top": ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
+    "bottom": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+}
+
+
+class SpaceTile:
+    """The renderer that shows the surface.
+
+    Parameters
+    ----------
+    plotter : pyvista.Plotter
+        Its active renderer is the tile's.
+    geometry : Geometry
+        Of the image.
+    grey : ndarray (nz, ny, nx), uint8
+        The image as shown.
+    anatomical : bool
+        Whether directions may be named by letters.
+    theme : Theme
+    """
+
+    def __init__(
+        self, plotter: pv.Plotter, geometry: Geometry, grey: NDArray[np.uint8], anatomical: bool, theme: Theme
+    ) -> None:
+        self.renderer, self._plotter = plotter.renderer, plotter
+        self._geometry, self._grey = geometry, grey
+        self._mesh = pv.PolyData()
+        self._color = "plain"
+        self._surface = self._add(self._mesh, SURFACE)
+        style = self._surface.prop
+        style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
+        #: Edges of the volume; the reference's surface, None without one; both world mm.
+        self.box = _box(geometry)
+        self.reference: pv.PolyData | None = None
+        self._box = self._add(self.box, theme.lines)
+        self._box.prop.lighting, self._box.prop.line_width = False, 1.0
+        self._ball: pv.Actor | None = None
+        self._volume: pv.Volume | None = None
+        self._planes: list[tuple[pv.Actor, GreyTexture]] = []
+        self._planes_on = False
+        self._table = pv.LookupTable()
+        self._scale = _color_scale(self.renderer)
+        self._quantity = Label(self.renderer, theme.ink, (0.5, 0.135))
+        # VTK's own labels come to lie on the colours in a picture that is drawn once.
+        self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
+        self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
+        self._bar = ScaleBar(self.renderer, theme.ink)
+        plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
+        self.look_from()
+
+    # -- the surface ---------------------------------------------------------------------------------------
+
+    def show(self, frame: Frame, color: str) -> None:
+        """Draw the surface of a frame, coloured by a quantity; plain where the frame lacks it."""
+        self._mesh = mesh = isosurface(frame, self._geometry, color)
+        mapper = self._surface.mapper
+        mapper.SetInputData(mesh)
+        self._surface.SetVisibility(mesh.n_points > 0)
+        shaded = color in mesh.point_data
+        mapper.SetScalarVisibility(shaded)
+        self._scale.SetVisibility(shaded)
+        self._quantity.text = SHADES[color].title if shaded else ""
+        if not shaded:
+            for label in self._ends:
+                label.text = ""
+            return
+        shade = SHADES[color]
+        if color != self._color:
+            self._table.apply_cmap(shade.cmap, 256)
+            self._color = color
+        mapper.SetLookupTable(self._table)
+        mapper.SetScalarModeToUsePointData()
+        low, high = color_range(mesh.point_data[color], shade.signed)
+        self._table.scalar_range = low, high
+        for label, value in zip(self._ends, (low, 0.5 * (low + high), high), strict=True):
+            label.text = f"{value:.3g}"
+        mapper.SetUseLookupTableScalarRange(True)
+        self._scale.SetLookupTable(self._table)
+
+    @property
+    def color(self) -> str:
+        """The quantity that colours the surface drawn now, or ``plain``."""
+        return self._color if self._color in self._mesh.point_data else "plain"
+
+    @property
+    def mesh(self) -> pv.PolyData:
+        """The surface drawn now, world mm."""
+        return self._mesh
+
+    def show_reference(self, mesh: pv.PolyData) -> None:
+        """Draw a second surface, translucent."""
+        self.reference = mesh
+        self._add(mesh, REFERENCE, opacity=0.35)
+
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
+        """Draw a translucent ball (world mm); nothing for None."""
+        if self._ball is None:
+            self._ball = self._add(pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32), MARK, opacity=0.55)
+        self._ball.SetVisibility(center is not None)
+        if center is not None:
+            self._ball.position = tuple(center)
+            self._ball.scale = (radius, radius, radius)
+
+    # -- the image -----------------------------------------------------------------------------------------
+
+    def show_volume(self, on: bool) -> None:
+        """Draw the image translucent, bright parts denser, or not."""
+        if on and self._volume is None:
+            self._volume = self._made_volume()
+        if self._volume is not None:
+            self._volume.SetVisibility(on)
+
+    def _made_volume(self) -> pv.Volume:
+        stride = [max(1, -(-n // MOST_ALONG)) for n in self._grey.shape]
+        grey = np.ascontiguousarray(self._grey[tuple(slice(None, None, s) for s in stride)])
+        steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
+        image = pv.ImageData(dimensions=grey.shape[::-1], spacing=steps[::-1])
+        image.point_data["grey"] = grey.ravel()
+        self._plotter.subplot(0, 0)
+        # Nothing below a fifth of the range: noise in the air would hide everything.
+        opacity = np.concatenate([np.zeros(51), np.linspace(0.0, 110.0, 205)]).astype(np.uint8)
+        volume = self._plotter.add_volume(
+            image, scalars="grey", cmap="gray", clim=(0, 255), opacity=opacity, shade=False,
+            opacity_unit_distance=4.0 * max(steps), show_scalar_bar=False, reset_camera=False, render=False,
+        )
+        turn = np.eye(4)
+        turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
+        volume.user_matrix = turn
+        return volume
+
+    def show_planes(self, on: bool, cursor: NDArray[np.float64]) -> None:
+        """Draw the three slices through an index (z, y, x), or not."""
+        self._planes_on = on
+        if on and not self._planes:
+            for _ in range(3):
+                texture = GreyTexture()
+                actor = self._add(pv.Plane(i_resolution=1, j_resolution=1), "white")
+                actor.SetTexture(texture.texture)
+                actor.prop.lighting = False
+                self._planes.append((actor, texture))
+        for actor, _ in self._planes:
+            actor.SetVisibility(on)
+        self.move_planes(cursor)
+
+    def move_planes(self, cursor: NDArray[np.float64]) -> None:
+        """Put the slices through an index (z, y, x)."""
+        if not self._planes_on:
+            return
+        for axis, (actor, texture) in enumerate(self._planes):
+            index = int(np.clip(round(float(cursor[axis])), 0, self._grey.shape[axis] - 1))
+            texture.show(np.asarray(self._grey.take(index, axis=axis)))
+            down, along = (other for other in range(3) if other != axis)
+            # The quad's corners in the order of pyvista.Plane: along the second axis first.
+            corners = np.zeros((4, 3))
+            corners[:, axis] = index
+            corners[:, along] = np.array([0, 1, 0, 1]) * self._grey.shape[along] - 0.5
+            corners[:, down] = np.array([0, 0, 1, 1]) * self._grey.shape[down] - 0.5
+            quad = pv.Plane(i_resolution=1, j_resolution=1)
+            quad.points = self._geometry.index_to_world(corners).astype(np.float32)
+            actor.mapper.SetInputData(quad)
+
+    # -- camera --------------------------------------------------------------------------------------------
+
+    def look_from(self, view: str = "corner") -> None:
+        """Look at the whole image from one of `VIEWS`."""
+        toward, upright = VIEWS[view]
+        camera = self.renderer.camera
+        middle, corners = self._geometry.center_world(), self._geometry.corners_world()
+        reach = float(np.linalg.norm(corners - middle, axis=1).max()) or 1.0
+        camera.parallel_projection = True
+        camera.focal_point = tuple(middle)
+        camera.position = tuple(middle + 4.0 * reach * np.array(toward) / np.linalg.norm(toward))
+        camera.up = upright
+        camera.parallel_scale = self.fitted()
+        self.renderer.camera_set = True
+        self.renderer.ResetCameraClippingRange()
+
+    def orbit(self, degrees: float) -> None:
+        """Turn the camera around the vertical axis."""
+        self.renderer.camera.Azimuth(degrees)
+        self.renderer.ResetCameraClippingRange()
+
+    def fitted(self) -> float:
+        """Half the mm that the tile must be high for the whole image to be seen from where the camera is."""
+        camera = self.renderer.camera
+        toward = np.array(camera.position) - np.array(camera.focal_point)
+        side = np.cross(camera.up, toward)
+        corners = self._geometry.corners_world() - self._geometry.center_world()
+        wide, high = (
+            float(np.abs(corners @ (axis / max(float(np.linalg.norm(axis)), 1e-30))).max())
+            for axis in (side, np.cross(toward, side))
+        )
+        width, height = self.renderer.GetSize()
+        return 1.12 * (max(high, wide * height / width if width else wide) or 1.0)
+
+    def turn(self, degrees: float, up: float) -> None:
+        """Turn the camera around the middle, sideways and up."""
+        camera = self.renderer.camera
+        camera.Azimuth(degrees)
+        camera.Elevation(up)
+        camera.OrthogonalizeViewUp()
+        self.renderer.ResetCameraClippingRange()
+
+    def zoom(self, factor: float) -> None:
+        """Show things larger by a factor; within reason."""
+        camera, reach = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
+        camera.parallel_scale = float(np.clip(camera.parallel_scale / factor, 1e-3 * reach, 10.0 * reach))
+
+    def shift(self, right: float, up: float) -> None:
+        """Shift the picture by pixels."""
+        camera = self.renderer.camera
+        height = self.renderer.GetSize()[1]
+        mm = 2.0 * camera.parallel_scale / max(height, 1)
+        position, focus, upward = (np.array(v) for v in (camera.position, camera.focal_point, camera.up))
+        side = np.cross(focus - position, upward)
+        side /= max(float(np.linalg.norm(side)), 1e-30)
+        upward = np.cross(side, focus - position)
+        upward /= max(float(np.linalg.norm(upward)), 1e-30)
+        way = -mm * (right * side + up * upward)
+        # Never so far that the image is lost.
+        if np.linalg.norm(focus + way - self._geometry.center_world()) < 3.0 * np.linalg.norm(self._geometry.extent_mm):
+            camera.focal_point, camera.position = tuple(focus + way), tuple(position + way)
+            self.renderer.ResetCameraClippingRange()
+
+    def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
+        """Point (x, y, z) of the surface under a pixel of the window; None beside it."""
+        picker = vtkCellPicker()
+        picker.SetTolerance(0.0)
+        picker.PickFromListOn()
+        picker.AddPickList(self._surface)
+        if self._mesh.n_points == 0 or not picker.Pick(x, y, 0.0, self.renderer):
+            return None
+        return np.asarray(picker.GetPickPosition())
+
+    # -- theme and size ------------------------------------------------------------------------------------
+
+    def fit(self, window_height: int) -> None:
+        """Make text readable, and the bar as long as the camera's scale asks for."""
+        self.title.fit(window_height)
+        self._bar.fit(window_height)
+        for label in (self._quantity, *self._ends):
+            label.fit(window_height)
+
+    def paint(self, theme: Theme) -> None:
+        """Take up a theme."""
+        self.renderer.background_color = theme.background
+        for label in (self.title, self._quantity, *self._ends):
+            label.paint(theme.ink)
+        self._bar.paint(theme.ink)
+        self._box.prop.color = theme.lines
+
+    def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
+        mapper = vtkPolyDataMapper()
+        mapper.SetInputData(mesh)
+        mapper.ScalarVisibilityOff()
+        actor = pv.Actor(mapper=mapper)
+        actor.prop.color, actor.prop.opacity = color, opacity
+        self.renderer.add_actor(actor, reset_camera=False, render=False)
+        return actor
+
+
+def _box(geometry: Geometry) -> pv.PolyData:
+    """The edges of the volume, along the outer faces of its border voxels."""
+    ends = [(-0.5, n - 0.5) for n in geometry.shape]
+    corners = np.array([[z, y, x] for z in ends[0] for y in ends[1] for x in ends[2]])
+    edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+    lines = np.array([(2, a, b) for a, b in edges])
+    return pv.PolyData(geometry.index_to_world(corners).astype(np.float32), lines=lines.ravel())
+
+
+def _color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
+    """A horizontal scale of the colours at the lower edge, hidden until something is coloured."""
+    scale = vtkScalarBarActor()
+    scale.SetOrientationToHorizontal()
+    scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+    scale.SetPosition(0.2, 0.1)
+    scale.SetWidth(0.6)
+    scale.SetHeight(0.025)
+    scale.SetBarRatio(1.0)
+    scale.SetNumberOfLabels(0)
+    scale.DrawTickLabelsOff()
+    scale.SetMaximumNumberOfColors(256)
+    scale.VisibilityOff()
+    renderer.AddViewProp(scale)
+    return scale

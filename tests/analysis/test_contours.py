@@ -1,0 +1,150 @@
+"""Contours of images of one slice: where they lie, which way they run, their measures and files."""
+
+import csv
+
+import numpy as np
+import pytest
+import pyvista
+
+from accelsurf.analysis.contours import Contours, extract
+from accelsurf.analysis.surface_mesh import extract as extract_surface
+from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
+from accelsurf.grid.geometry import Geometry
+
+GRID = Geometry((1, 40, 50), (7.0, 1.0, 0.5))
+
+
+def disc(geometry=GRID, centre=(20.0, 12.0), radius=8.0):
+    """Signed distance (mm) to a circle; centre (v, u) mm from the first pixel along the two axes."""
+    v, u = (np.arange(n) * h for n, h in zip(np.squeeze(np.empty(geometry.shape)).shape, geometry.steps, strict=True))
+    psi = np.hypot(v[:, None] - centre[0], u[None, :] - centre[1]) - radius
+    return np.expand_dims(psi, geometry.slice_axis).astype(np.float32)
+
+
+def screen_area(loop):
+    """Twice the signed area, negative for a loop that runs counter-clockwise on the screen, where y runs down."""
+    x, y, _ = loop.T
+    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def test_circle():
+    contours = extract(disc(), GRID)
+    (loop,) = contours.loops
+    assert np.abs(np.hypot(loop[:, 0] - 12.0, loop[:, 1] - 20.0) - 8.0).max() < 0.02
+    assert (loop[:, 2] == 0).all()
+    assert contours.length == pytest.approx(2 * np.pi * 8, rel=2e-3)
+    assert contours.area == pytest.approx(np.pi * 64, rel=3e-3)
+
+
+def test_the_object_lies_to_the_left_on_the_screen():
+    ring = np.maximum(disc(), -disc(radius=3.0))
+    contours = extract(ring, GRID)
+    assert sorted(np.sign([screen_area(loop) for loop in contours.loops])) == [-1, 1]
+    outer = min(contours.loops, key=screen_area)
+    assert abs(screen_area(outer)) > 100  # the outer one runs counter-clockwise, the hole clockwise
+    assert contours.area == pytest.approx(np.pi * (64 - 9), rel=5e-3)
+    assert contours.length == pytest.approx(2 * np.pi * 11, rel=5e-3)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_any_axis_may_be_missing_and_the_grid_may_be_oblique(axis):
+    rng = np.random.default_rng(axis)
+    direction, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    shape, spacing = [40, 50], [1.0, 0.5]
+    shape.insert(axis, 1)
+    spacing.insert(axis, 3.0)
+    geometry = Geometry(tuple(shape), tuple(spacing), (500.0, -900.0, 100.0), direction)
+    contours = extract(disc(geometry), geometry)
+    assert contours.area == pytest.approx(np.pi * 64, rel=3e-3)
+    index = geometry.world_to_index(contours.loops[0])
+    assert np.abs(index[:, axis]).max() < 1e-9
+    v, u = (index[:, a] * spacing[a] for a in range(3) if a != axis)
+    assert np.sum(u * np.roll(v, -1) - np.roll(u, -1) * v) < 0
+
+
+@pytest.mark.parametrize("centre", [(20.0, 0.0), (0.0, 0.0), (39.0, 24.5), (20.0, 12.0)])
+def test_border_the_contour_agrees_with_the_prism_of_the_mesh(centre):
+    psi = disc(centre=centre, radius=9.3)
+    contours, prism = extract(psi, GRID), extract_surface(psi, GRID)
+    assert contours.area * 7.0 == pytest.approx(prism.volume, rel=1e-5)
+    assert contours.length * 7.0 == pytest.approx(prism.area - 2 * contours.area, rel=1e-5)
+    index = GRID.world_to_index(np.concatenate(contours.loops))
+    assert (index[:, 1:] >= -0.5).all() and (index[:, 1:] <= (39.5, 49.5)).all()
+
+
+def test_full_image_is_its_rectangle():
+    contours = extract(np.full((1, 40, 50), -1.0, np.float32), GRID)
+    assert (contours.area, contours.length) == pytest.approx((40 * 25, 2 * (40 + 25)))
+
+
+def test_one_pixel_and_corners_that_touch():
+    psi = np.full((1, 40, 50), 0.4, np.float32)
+    psi[0, 5, 5] = psi[0, 6, 6] = psi[0, 0, 49] = -0.4
+    contours = extract(psi, GRID)
+    assert len(contours.loops) == 3
+    assert all(len(loop) >= 3 and (loop != np.roll(loop, 1, axis=0)).any(axis=1).all() for loop in contours.loops)
+
+
+def test_psi_of_exactly_zero_is_outside():
+    psi = np.full((1, 40, 50), 0.5, np.float32)
+    psi[0, 10:15, 10:15] = 0.0
+    psi[0, 11:14, 11:14] = -0.5
+    contours = extract(psi, GRID)
+    # 3 x 3 pixels inside, each reaching its neighbours' centres: 4 x 2 mm without the corners
+    assert len(contours.loops) == 1 and contours.area == pytest.approx(4.0 * 2.0 - 4 * 0.25, rel=1e-3)
+
+
+def test_what_is_no_contour():
+    with pytest.raises(EmptyResultError, match="no pixel"):
+        extract(np.ones((1, 40, 50), np.float32), GRID)
+    with pytest.raises(InputError, match="one slice expected"):
+        extract(np.ones((2, 40, 50), np.float32), Geometry((2, 40, 50), (1.0, 1.0, 1.0)))
+    with pytest.raises(InputError, match="NaN"):
+        extract(np.full((1, 40, 50), np.nan, np.float32), GRID)
+
+
+# ------------------------------------------------------------------------------------------------------- files
+
+
+@pytest.fixture
+def ring():
+    return extract(np.maximum(disc(), -disc(radius=3.0)), GRID)
+
+
+def test_vtp_has_closed_polylines(ring, tmp_path):
+    ring.write(tmp_path / "a.vtp")
+    mesh = pyvista.read(tmp_path / "a.vtp")
+    assert mesh.n_lines == 2 and mesh.n_points == sum(map(len, ring.loops))
+    np.testing.assert_array_equal(mesh.points, np.concatenate(ring.loops))
+    assert mesh.compute_cell_sizes()["Length"].sum() == pytest.approx(ring.length)
+    assert [mesh.get_cell(i).point_ids[0] == mesh.get_cell(i).point_ids[-1] for i in (0, 1)] == [True, True]
+    assert (mesh.field_data["SPACE"][0], mesh.field_data["UNIT"][0]) == ("LPS", "mm")
+
+
+def test_csv_has_a_row_for_each_point_and_closes(ring, tmp_path):
+    ring.write(tmp_path / "a.csv")
+    ring.write(tmp_path / "ras.csv", "ras")
+    rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    assert list(rows[0]) == ["contour", "x_mm", "y_mm", "z_mm"]
+    for number, loop in enumerate(ring.loops):
+        points = [[float(row[f"{a}_mm"]) for a in "xyz"] for row in rows if row["contour"] == str(number)]
+        np.testing.assert_allclose(points, np.vstack([loop, loop[:1]]), atol=1e-6)
+    first = (tmp_path / "ras.csv").read_text().splitlines()[1].split(",")
+    assert float(first[1]) == -float(rows[0]["x_mm"]) and float(first[3]) == float(rows[0]["z_mm"])
+
+
+def test_files_are_whole_or_not_there(ring, tmp_path):
+    for name, options, words in (("a.ply", (), "contour format '.ply'"), ("a.csv", ("xyz",), "space 'xyz'")):
+        with pytest.raises(UsageError, match=words):
+            ring.write(tmp_path / name, *options)
+    with pytest.raises(OutputError):
+        ring.write(tmp_path / "none" / "a.csv")
+    assert not list(tmp_path.iterdir())
+    ring.write(tmp_path / "A.CSV")
+    ring.write(tmp_path / "b.csv")
+    assert (tmp_path / "A.CSV").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_measures_far_from_the_origin():
+    square = np.array([[0.0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]]) + 1e7
+    assert Contours((square,)).area == pytest.approx(1.0, abs=1e-9)

@@ -1,0 +1,200 @@
+"""What a result says about itself: border, contrast, edges, necks, growth."""
+
+import numpy as np
+import pytest
+
+from accelsurf import cli, io
+from accelsurf.analysis.quality import assess
+from accelsurf.evolution.loop import Stop
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.api import segment
+from tests.report.test_document import row
+
+SHAPE, SPACING = (40, 44, 48), (1.5, 1.0, 0.8)
+DONE = Stop("converged", 9, 1.0, "done")
+
+
+def coordinates(shape=SHAPE):
+    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(shape, SPACING, strict=True)]
+    return np.meshgrid(*axes, indexing="ij")
+
+
+def look(mask, image, ledger=(), stop=DONE):
+    return assess(mask.astype(np.uint8), image.astype(np.float32), SPACING, ledger, stop)
+
+
+def test_a_clean_ball_raises_no_doubt():
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2
+    found = look(mask, mask + np.random.default_rng(1).normal(0, 0.05, SHAPE), [row(0, volume_mm3=5.0), row(1)])
+    assert found.warnings == () and found.parts_beyond_necks == 1 and not found.leaked
+    assert found.border_fraction == 0 and found.contrast == pytest.approx(1, abs=0.05)
+    assert found.no_edge_fraction < 0.02 and found.growth == 2
+    # A dark object has the contrast of the other sign.
+    assert look(mask, 1.0 - mask).contrast == pytest.approx(-1, abs=0.05)
+
+
+def test_the_border_s_share_is_that_of_its_area():
+    z, y, x = coordinates()
+    mask = x < 0  # a block: one face within, five on the border
+    found = look(mask, mask * 1.0)
+    a, b, c = (n * h for n, h in zip(SHAPE, SPACING, strict=True))
+    within = a * b
+    border = within + 2 * (a + b) * c / 2
+    assert found.border_fraction == pytest.approx(border / (border + within), rel=1e-6)
+    assert any("border" in words for words in found.warnings)
+
+
+def test_a_surface_with_no_edge_under_it_is_told():
+    z, y, x = coordinates()
+    r = np.sqrt(z**2 + y**2 + x**2)
+    noise = np.random.default_rng(1).normal(0, 0.05, SHAPE)
+    scan = (r < 9) + noise
+    assert look(r < 9, scan).no_edge_fraction < 0.02
+    wrong = look(r < 15, scan)
+    assert wrong.no_edge_fraction > 0.4 and abs(wrong.contrast) < 0.02
+    assert any("edge" in words for words in wrong.warnings) and any("contrast" in words for words in wrong.warnings)
+    half = look((r < 9) | ((r < 15) & (x > 0)), scan)
+    assert wrong.no_edge_fraction > half.no_edge_fraction > 0.2
+
+
+def test_two_balls_on_a_thin_bridge_are_two_parts():
+    z, y, x = coordinates()
+    balls = [(x - c) ** 2 + y**2 + z**2 < 8**2 for c in (-10, 10)]
+    thin = balls[0] | balls[1] | ((np.abs(y) < 1.2) & (np.abs(z) < 1.2) & (np.abs(x) < 10))
+    thick = balls[0] | balls[1] | ((np.abs(y) < 6) & (np.abs(z) < 6) & (np.abs(x) < 10))
+    assert look(thin, thin * 1.0).parts_beyond_necks == 2
+    assert any("necks: 2 large parts" in words for words in look(thin, thin * 1.0).warnings)
+    assert look(thick, thick * 1.0).parts_beyond_necks == 1
+    # Small side branches are no parts.
+    branch = balls[0] | ((np.abs(y) < 2) & (np.abs(z) < 2) & (x > -10))
+    assert look(branch, branch * 1.0).parts_beyond_necks == 1
+
+
+def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2
+    ledger = [row(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
+    found = look(mask, mask * 1.0, ledger, Stop("max-steps", 60, 6.0, "not converged"))
+    assert found.late_growth == pytest.approx(40 / 218) and any("growth: " in words for words in found.warnings)
+    assert look(mask, mask * 1.0, ledger).warnings == ()
+
+
+def made_for(case):
+    """Voxels, a start and where the object may be: one as it should be, and one for each doubt."""
+    z, y, x = coordinates()
+    r = np.sqrt(z**2 + y**2 + x**2)
+    balls = [np.sqrt((x - c) ** 2 + y**2 + z**2) < 8 for c in (-9.5, 9.5)]
+    cases = {
+        "good": r < 12,
+        "border": x < 0,
+        "necks": balls[0] | balls[1] | ((np.abs(y) < 1.7) & (np.abs(z) < 1.7) & (np.abs(x) < 9)),
+        "edge": r < 16,  # held back by a mask within it
+    }
+    noise = np.random.default_rng(1).normal(0, 0.01, SHAPE)
+    start = "ball:11.6,21.5,19.5,5vox" if case == "necks" else "center"
+    return (cases[case] + noise).astype(np.float32), start, ((r < 8) | (x > 6) if case == "edge" else r < np.inf)
+
+
+@pytest.mark.parametrize("case", ["good", "border", "necks", "edge"])
+def test_the_command_warns_of_each_doubt_and_of_nothing_else(case, tmp_path, capsys):
+    scan, start, allowed = made_for(case)
+    io.write(Volume(scan, Geometry(SHAPE, SPACING)), tmp_path / "scan.nii.gz")
+    io.write(Volume(allowed.astype(np.uint8), Geometry(SHAPE, SPACING)), tmp_path / "mask.nii.gz")
+    words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", start, "--mask", str(tmp_path / "mask.nii.gz")]
+    words += ["--levels", "1", "--quiet"]
+    assert cli.run([*words, "-o", str(tmp_path / "one")]) == 0
+    told = capsys.readouterr().err
+    assert told.count("warning: ") == (case != "good") and (case == "good" or f"warning: {case}: " in told)
+    assert cli.run([*words, "-o", str(tmp_path / "two"), "--strict"]) == (0 if case == "good" else 5)
+    told = capsys.readouterr().err
+    assert told == "" if case == "good" else f"error: scan: {case}: " in told
+    assert (tmp_path / "two" / "scan_seg.nii.gz").exists()
+
+
+def test_nothing_left_and_one_slice():
+    nothing = look(np.zeros(SHAPE, bool), np.random.default_rng(1).normal(size=SHAPE))
+    assert nothing.border_fraction == 0 and nothing.parts_beyond_necks == 0
+    y, x = np.indices((60, 70)) - 30.0
+    disc = x**2 + y**2 < 15**2
+    result = segment(disc * 1.0, start="ball:30,30,0,8vox")
+    assert result.quality.warnings == () and result.quality.contrast > 0.9 and result.quality.border_fraction == 0
+
+
+@pytest.mark.parametrize("shape", [(12, 14, 9), (1, 20, 13)])
+def test_gradients_of_some_voxels_are_those_of_all(shape):
+    from accelsurf.analysis.quality import _gradients
+    from accelsurf.energies.geodesic import gradient_magnitude, smoothed
+
+    image = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    some = np.arange(0, image.size, 3)
+    got = _gradients(smoothed(image, SPACING, 1.2), SPACING, some)
+    np.testing.assert_allclose(got, gradient_magnitude(image, SPACING, 1.2).ravel()[some], rtol=1e-5, atol=1e-6)
+
+
+def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
+    from accelsurf.analysis import quality
+
+    z, y, x = coordinates()
+    r = np.sqrt(z**2 + y**2 + x**2)
+    scan = (r < 9) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
+    half = (r < 9) | ((r < 15) & (x > 0))
+    whole = look(half, scan)
+    monkeypatch.setattr(quality, "ENOUGH", 1 << 12)
+    assert look(half, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.03)
+
+
+def test_slabs_make_no_difference(monkeypatch):
+    from accelsurf.analysis import quality
+
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2
+    scan = mask + np.random.default_rng(1).normal(0, 0.3, SHAPE)
+    whole = look(mask, scan)
+    monkeypatch.setattr(quality, "SLAB", 1)
+    monkeypatch.setattr(quality, "HALOS", 1)
+    assert look(mask, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.01)
+
+
+def test_a_leak_into_tissue_like_the_object_is_told_by_its_values():
+    # An organ, muscle next to it and lung around: learned against all else, the broad background loses muscle too.
+    z, y, x = coordinates()
+    organ = (x + 6) ** 2 + y**2 + z**2 < 10**2
+    muscle = ((x - 8) ** 2 + y**2 + z**2 < 11**2) & ~organ
+    scan = -900.0 + 990 * organ + 960 * muscle + np.random.default_rng(1).normal(0, 8, SHAPE)
+    start = "ball:15,21.5,19.5,6vox"
+    leaked = segment(scan, spacing=SPACING, start=start, energy="likelihood:update=no")
+    assert leaked.labels[muscle].mean() > 0.8 and leaked.quality.unlike_learned > 0.2
+    assert leaked.stop.reason == "converged" and leaked.quality.no_edge_fraction < 0.1  # nothing else tells
+    assert any(words.startswith("values: ") and "leaked" in words for words in leaked.quality.warnings)
+    held = segment(scan, spacing=SPACING, start=start, preset="ct-organ")
+    assert held.labels[muscle].mean() < 0.15 and held.quality.unlike_learned < 0.05
+    assert not any(words.startswith("values: ") for words in held.quality.warnings)
+    # What was not learned cannot be unlike.
+    assert segment(scan, spacing=SPACING, start=start, max_steps=5).quality.unlike_learned is None
+
+
+def test_learned_values_are_those_before_presmoothing():
+    z, y, x = coordinates()
+    scan = 100.0 * (z**2 + y**2 + x**2 < 12**2) + np.random.default_rng(1).normal(0, 10, SHAPE)
+    words = {"spacing": SPACING, "start": "ball:23.5,21.5,19.5,6vox", "max_steps": 1}
+    words["energy"] = "threshold:learned,learned"
+    bounds = [segment(scan, presmooth=sigma, **words).terms[0] for sigma in (0, "1vox")]
+    assert [term["HI"] - term["LO"] for term in bounds] == pytest.approx([50, 50], rel=0.06)
+    half = segment(scan, **{**words, "energy": "threshold:half:20,"}).terms[0]["LO"]
+    assert half == pytest.approx(60, abs=0.5)
+
+
+def test_it_takes_less_memory_than_the_solver():
+    # As much as the image of the solver, 16 bytes for a voxel, in what Python and numpy count.
+    import tracemalloc
+
+    ax = np.arange(160, dtype=np.float32) - 79.5
+    inside = (ax[:, None, None] ** 2 + ax[:, None] ** 2 + ax**2 < 70**2).astype(np.uint8)
+    image = inside.astype(np.float32)
+    tracemalloc.start()
+    assess(inside, image, (1.0, 1.0, 1.0), [], DONE, (0.5, 1.5))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 16 * inside.size

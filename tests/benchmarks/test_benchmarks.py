@@ -1,0 +1,217 @@
+"""The benchmarks beside the peers: what they count, the search's rule, RESULTS.md from JSON. Tiny sizes."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization.object_starts import ObjectStart
+from benchmarks import benchmark
+from benchmarks.peers import objects, programs, render, scans, segment
+from benchmarks.peers.advance import grow, sparse_field
+from benchmarks.peers.clock import Clock
+from benchmarks.peers.measure import (
+    MissingError,
+    Options,
+    Trial,
+    best,
+    goal,
+    in_turn,
+    machine,
+    ranked,
+    repeats_for,
+    run_process,
+    search,
+    table,
+)
+from benchmarks.peers.memory import fitted
+from benchmarks.peers.work import ball, noisy_cube, radius_error, scan
+
+
+@pytest.fixture(autouse=True)
+def environment_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The benchmarks set variables of the process."""
+    monkeypatch.setattr("os.environ", os.environ.copy())
+
+
+def trial(name: str, dice: float, seconds: float) -> Trial:
+    return Trial({"name": name}, dice, seconds)
+
+
+def test_the_best_setting_is_the_fastest_of_those_as_good_as_the_highest() -> None:
+    trials = [trial("slow", 0.991, 9.0), trial("fast", 0.9895, 2.0), trial("poor", 0.9885, 0.1)]
+    assert best(trials).settings["name"] == "fast"
+    assert [t.settings["name"] for t in ranked(trials)] == ["fast", "slow", "poor"]
+
+
+def test_the_search_tries_the_grid_then_refines_its_best() -> None:
+    asked: list[dict[str, Any]] = []
+
+    def run(settings: dict[str, Any]) -> float:
+        asked.append(settings)
+        return settings["sigma"] * 0.1 + settings["iterations"] * 0.01
+
+    coarse = [{"sigma": 1.0, "iterations": 10}, {"sigma": 2.0, "iterations": 10}]
+    trials = search(run, coarse, {"iterations": (0.5, 1.0, 2.0)})
+    assert asked == [*coarse, {"sigma": 2.0, "iterations": 5}, {"sigma": 2.0, "iterations": 20}]
+    assert best(trials).settings == {"sigma": 2.0, "iterations": 20} and isinstance(asked[-1]["iterations"], int)
+
+
+def test_a_search_that_runs_out_of_time_says_what_it_left_out() -> None:
+    told: list[str] = []
+    assert len(search(lambda settings: 0.5, [{"a": 1}, {"a": 2}, {"a": 3}], limit_s=-1.0, told=told.append)) == 1
+    assert told == ["search stopped after -1 s, 2 settings not tried"]
+
+
+def test_long_runs_are_timed_once_more_and_hopeless_ones_twice() -> None:
+    options = Options(repeats=5)
+    assert [repeats_for(trial("", 0.9, s), options) for s in (1.0, 61.0)] == [5, 1]
+    assert repeats_for(trial("", 0.5, 1.0), options, hopeless=True) == 2
+
+
+def test_programs_take_turns() -> None:
+    order: list[str] = []
+    times = in_turn({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, {"a": 3, "b": 2})
+    assert order == ["a", "b", "a", "b", "a"] and len(times["b"].seconds) == 2
+
+
+def test_a_peer_that_is_not_installed_is_skipped_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = programs.Peer("gone", "no_such_module_here", "no-such", programs.c3d, [])
+    monkeypatch.setattr(segment, "PEERS", {"gone": absent})
+    options = Options()
+    assert segment.available(options) == [] and segment.available(options) == []
+    assert options.messages == ["gone: skipped, no-such is not installed (pip install no-such)"]
+
+
+def test_march_without_scikit_fmm_says_so_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    from benchmarks.peers import march
+
+    monkeypatch.setattr(march.importlib.util, "find_spec", lambda name: None)
+    options = Options(quick=True, repeats=1)
+    result = march.march(options)
+    assert "scikit-fmm" in options.messages[0] and result["goals"][0]["measured"] is None
+    assert render.verdict(result["goals"][0]) == "not measured" and result["band_cells"] > 1000
+
+
+@pytest.mark.parametrize("name", ["SimpleITK ThresholdSegmentation", "scikit-image morphological_chan_vese"])
+def test_peers_find_a_clean_cube(name: str) -> None:
+    image, truth, _, start = noisy_cube(24)
+    peer = programs.PEERS[name]
+    labels = peer.run(truth.astype(np.float32), start, (1.0, 0.0), peer.scaled({**peer.coarse[0], "sigma": 0.5}, 48))
+    assert labels.shape == image.shape and 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.95
+
+
+def test_peers_find_two_touching_balls_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    # One setting each, so that nothing hangs on how many fit into the time.
+    name = "scikit-image morphological_chan_vese"
+    one = replace(programs.PEERS[name], coarse=programs.PEERS[name].coarse[:1], fine={})
+    monkeypatch.setattr(scans, "PEERS", {name: one})
+    monkeypatch.setattr(objects, "WATERSHEDS", [{"sigma": 1.0, "flooded": "value", "where": 0.4}])
+    z, y, x = np.indices((24, 24, 36)) - np.array([11.5, 11.5, 11.5])[:, None, None, None]
+    truth = np.where(z**2 + y**2 + x**2 < 8**2, 3, 0) + np.where(z**2 + y**2 + (x - 15) ** 2 < 7**2, 5, 0)
+    image = Volume.from_array((truth > 0) * 100.0, 1.0)
+    psi = [np.sqrt(z**2 + y**2 + (x - at) ** 2) - 3 for at in (0, 15)]
+    starts = [ObjectStart(own, (0, 0, 0), np.float32(one)) for own, one in zip((3, 5), psi, strict=True)]
+    found = objects.compare_on_objects(image, truth, starts, scans.best_window(image.array, truth > 0), 60.0)
+    assert found["best"]["scikit-image watershed"]["dice"] > 0.95
+    assert found["best"]["SimpleITK watershed"]["dice"] > 0.95
+    assert found["best"]["scikit-image morphological_chan_vese, shared out"]["dice"] > 0.9
+    assert objects.mean_dice(np.where(truth == 3, 5, 3), truth) == 0.0
+
+
+def test_radius_is_read_alike_from_every_result() -> None:
+    exact = radius_error(ball(32, 10.0), 10.0)
+    assert exact["volume_error"] < 0.03 and exact["rms_error"] < 0.03
+    assert radius_error(ball(32, 10.5), 10.0)["volume_error"] == pytest.approx(0.5, abs=0.03)
+    assert radius_error(grow(ball(32, 8.0), 2.0), 10.0)["rms_error"] < 0.1
+    assert radius_error(sparse_field("ThresholdSegmentation", ball(32, 8.0), 12), 10.0)["volume_error"] < 0.5
+
+
+def test_the_clock_counts_kernels_and_stages() -> None:
+    from accelsurf.levelset import LevelSet, Workers
+
+    workers = Workers(1)
+    clock = Clock(workers)
+    LevelSet(ball(16, 5.0), (1.0, 1.0, 1.0), 3.0, workers)
+    assert clock.parallel > 0 and len(clock.kernels) >= 1
+    clock.reset()
+    assert clock.parallel == 0
+
+
+def test_memory_is_split_into_voxels_and_band() -> None:
+    lines = [
+        {"side": n, "hold_bytes": 1e6, "run_bytes": 3e6 + 10.0 * n**3 + 50.0 * 7 * n**2, "band_cells": 7 * n**2}
+        for n in (64, 128, 256)
+    ]
+    assert fitted(lines) == pytest.approx((10.0, 50.0, 2e6), rel=1e-6)
+
+
+def test_a_missing_scan_is_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ACCELSURF_VOLUMES", raising=False)
+    for folder in (None, tmp_path):
+        with pytest.raises(MissingError, match="niivue"):
+            scan(folder, "mri_brain256.nii.gz")
+    assert benchmark.main(["segment-real", "--quick", "--results", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_process_that_fails_is_told_by_its_last_line() -> None:
+    import sys
+
+    with pytest.raises(MissingError, match="ended with 3: sorry"):
+        run_process([sys.executable, "-c", "import sys; print('sorry'); sys.exit(3)"], 1)
+
+
+def result_of(measured: float | None, **more: Any) -> dict[str, Any]:
+    return {
+        "machine": machine(), "work": "a test", "quick": False,
+        "goals": [goal("times faster", 10.0, measured), goal("seconds", 3.0, 4.5, "<=", "s")],
+        "tables": [table("All", ("program", "Dice"), [("one", 0.98765), ("two", None)])],
+        "pairs": [{"pair": "one / two", "ratio": 2.345}], "messages": ["two: skipped"], "bars": [["one", 1.0]], **more,
+    }
+
+
+def test_results_are_rendered_from_json_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    folder.mkdir()
+    for name, measured in (("advance", 12.0), ("march", 4.0)):
+        result = result_of(measured)
+        result["picture"] = render.picture(folder, name, result)
+        render.json_path(folder, name).write_text(json.dumps(result))
+    notes = tmp_path / "notes.toml"
+    notes.write_text('march = "What is counted."\n')
+    text = render.render(folder, tmp_path / "RESULTS.md", notes).read_text()
+    assert "| [march](#march) | a test | times faster: 10x | 4x | no, 2.5 times too little |" in text
+    assert "|  |  | seconds: at most 3 s | 4.5 s | no, 1.5 times too much |" in text
+    assert "| 12x | yes |" in text and "What is counted." in text and "* two: skipped" in text
+    assert "| one | 0.9877 |" in text and "| two | - |" in text and "| one / two | 2.35 |" in text
+    assert "Not run: segment-noise" in text and "![march](results/benchmark_march.png)" in text
+    assert text.index("## march") < text.index("## advance")
+    assert (folder / "benchmark_march.png").stat().st_size > 1000
+
+
+def test_short_of_a_difference_is_told_as_a_difference() -> None:
+    assert render.verdict(goal("Dice less the best", 0.0, -0.0312, unit="")) == "no, short by 0.0312"
+    assert render.verdict(goal("x", 1.0, None)) == "not measured"
+
+
+def test_the_command_writes_json_with_machine_and_raw_times(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert benchmark.main(["advance", "--quick", "--results", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "benchmark_advance.json").read_text())
+    assert result["machine"]["cores"] >= 1 and result["machine"]["packages"]["numpy"] == np.__version__
+    assert len(result["programs"]["accelsurf"]["seconds"]) == 1 and result["quick"]
+    assert (tmp_path / "RESULTS.md").is_file() and (tmp_path / "benchmark_advance.png").is_file()
+    with pytest.raises(SystemExit):
+        benchmark.main(["no-such"])
+    assert "no such benchmark" in capsys.readouterr().err

@@ -1,0 +1,280 @@
+"""The geodesic energy: its force is the derivative of its value, on exact fields and through a whole segmentation."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from accelsurf import cli, io
+from accelsurf.analysis.metrics import dice
+from accelsurf.energies import Geodesic, edge_contrast, edge_indicator
+from accelsurf.energies.geodesic import gradient_magnitude
+from accelsurf.errors import InputError
+from accelsurf.grid.volume import Volume
+from accelsurf.levelset import LevelSet
+from accelsurf.segmentation.api import segment
+from accelsurf.segmentation.solver_setup import make_energy
+from accelsurf.settings.run_config import RunConfig
+
+#: Grids (shape, spacing): nearly isotropic, thick slices, a single slice.
+GRIDS = {
+    "3D": ((40, 44, 42), (1.0, 0.9, 1.1)),
+    "thick slices": ((26, 44, 48), (2.0, 1.0, 0.9)),
+    "one slice": ((1, 96, 100), (3.0, 0.5, 0.45)),
+}
+
+
+def coordinates(grid):
+    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(*GRIDS[grid], strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"))
+
+
+def smooth_field(grid, seed, width=5.0):
+    """A random field, smooth over ``width`` mm, of size 1."""
+    shape, spacing = GRIDS[grid]
+    field = gaussian_filter(np.random.default_rng(seed).normal(size=shape), [width / h for h in spacing], mode="wrap")
+    return field / np.abs(field).max()
+
+
+def price(grid):
+    """A phi between 0.3 and 1.7 that varies over a few voxels, so that its slope weighs as much as the curvature."""
+    return 1.0 + 0.7 * smooth_field(grid, 1, 3.0)
+
+
+def value(energy, psi, grid):
+    surface = LevelSet(psi, GRIDS[grid][1], 4.0)
+    energy.start(surface)
+    part, area = surface.cut()
+    return energy.value(surface, part, area), surface, area
+
+
+def works(energy, grid, seed, step=0.6):
+    """Of a smooth perturbation eta: dU measured by differences, and f eta dA (n,) at the voxels that are cut.
+
+    Steps of most of a voxel: the area is summed over voxels that the surface cuts each by a plane of its own, which
+    makes it jitter by a thousandth as the surface crosses the grid; over a twentieth of a voxel that is all one sees.
+    """
+    z, y, x = coordinates(grid)
+    psi = np.sqrt(z**2 + y**2 + x**2) - 13.0 - smooth_field(grid, 7)
+    eta = 0.6 + smooth_field(grid, seed)
+    distance = value(energy, psi, grid)[1].psi.copy()
+    up, down = (value(energy, distance - sign * step * eta, grid)[0] for sign in (1, -1))
+    _, surface, area = value(energy, distance, grid)
+    front = surface.front()
+    force = energy.force(surface, front, surface.curvature(front))
+    return (up - down) / (2 * step), force * eta.ravel()[surface.band.cells] * area
+
+
+class WrongAdvection(Geodesic):
+    """f = phi H - grad phi . n: the sign that the equation has for an inward normal."""
+
+    def force(self, surface, front, curvature):
+        without_slope = Geodesic.force(self, surface, front, np.zeros_like(curvature))
+        return super().force(surface, front, curvature) - 2.0 * without_slope
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize(
+    "options", [{}, {"balloon": -0.5}, {"alpha": 0.8, "balloon": 0.3}], ids=["plain", "balloon", "area"]
+)
+def test_the_force_is_the_derivative_of_the_discrete_energy(grid, options, seed):
+    """dU/d(epsilon) under a smooth normal perturbation eta (outward) is +int f eta dA, within 2 %."""
+    measured, work = works(Geodesic(price(grid), **options), grid, seed)
+    print(f"\n{grid} {options}: off by {(measured - work.sum()) / np.abs(work).sum():+.3%}")
+    assert abs(measured - work.sum()) <= 0.02 * np.abs(work).sum()
+    # Far from cancelling, so that a wrong factor could not pass.
+    assert abs(work.sum()) > 0.2 * np.abs(work).sum()
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+def test_the_wrong_sign_of_the_advection_is_no_derivative(grid):
+    measured, work = works(WrongAdvection(price(grid)), grid, 2)
+    assert abs(measured - work.sum()) > 0.06 * np.abs(work).sum()
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+def test_force_on_a_sphere_in_a_field_with_a_constant_slope(grid):
+    """phi = 1 + 0.02 x.e: f = phi (d-1)/r + 0.02 e.n + c phi, on the whole front."""
+    points, radius, slope, balloon = coordinates(grid), 12.3, 0.02, -0.1
+    way = np.array([0.48, 0.6, 0.64]) if GRIDS[grid][0][0] > 1 else np.array([0.0, 0.6, 0.8])
+    phi = 1.0 + slope * np.tensordot(way, points, axes=1)
+    distance = np.sqrt((points**2).sum(axis=0))
+
+    def worst(kind):
+        energy = kind(phi, balloon=balloon)
+        surface = value(energy, distance - radius, grid)[1]
+        front = surface.front()
+        at = points.reshape(3, -1)[:, surface.band.cells[front]]
+        n = at / np.linalg.norm(at, axis=0)
+        true = (1.0 + slope * radius * way @ n) * (bends / radius + balloon) + slope * way @ n
+        return np.abs(energy.force(surface, front, surface.curvature(front))[front] - true).max()
+
+    bends = sum(n > 1 for n in GRIDS[grid][0]) - 1
+    print(f"\n{grid}: force off by {worst(Geodesic):.5f} of at most {bends / radius:.3f}")
+    assert worst(Geodesic) < 0.003
+    assert worst(WrongAdvection) > 1.9 * slope * 0.8
+
+
+def test_value_of_a_ball_in_a_known_field():
+    """phi = 1 + b r^2: U = 4 pi r^2 phi(r) + c int phi, alpha adds its area."""
+    z, y, x = coordinates("3D")
+    radius, bend = 12.3, 0.004
+    square = z**2 + y**2 + x**2
+    area, price_there = 4 * np.pi * radius**2, 1 + bend * radius**2
+    inside = 4 / 3 * np.pi * radius**3 + bend * 4 / 5 * np.pi * radius**5
+    for alpha, balloon in ((0.0, 0.0), (0.5, 0.0), (0.5, -0.2)):
+        energy = Geodesic(1 + bend * square, alpha, balloon)
+        got = value(energy, np.sqrt(square) - radius, "3D")[0]
+        assert got == pytest.approx(area * (price_there + alpha) + balloon * inside, rel=0.005)
+
+
+def test_alpha_bounds_the_factor_of_the_curvature():
+    phi = price("3D")
+    assert Geodesic(phi, alpha=0.25).alpha == pytest.approx(phi.max() + 0.25)
+
+
+# -------------------------------------------------------------------------------------------------- the indicator
+
+
+def test_gradients_are_per_mm_at_any_scale():
+    """Of a ramp: exact inside, whatever the spacings, also for a Gaussian far narrower than a voxel."""
+    z, y, x = np.meshgrid(np.arange(12) * 3.0, np.arange(30) * 1.0, np.arange(40) * 0.5, indexing="ij")
+    for scale in (0.3, 1.0):
+        got = gradient_magnitude(0.2 * z - 0.1 * y + 0.05 * x, (3.0, 1.0, 0.5), scale)
+        np.testing.assert_allclose(got[2:-2, 5:-5, 9:-9], np.sqrt(0.04 + 0.01 + 0.0025), rtol=1e-4)
+
+
+def test_a_single_slice_has_no_slope_across():
+    image = np.random.default_rng(1).normal(size=(1, 20, 22))
+    one = gradient_magnitude(image, (5.0, 1.0, 0.8), 1.5)
+    many = gradient_magnitude(np.repeat(image, 9, axis=0), (5.0, 1.0, 0.8), 1.5)
+    np.testing.assert_allclose(one[0], many[4], rtol=1e-5)
+
+
+def test_an_edge_looks_alike_along_every_axis_by_default():
+    """A step at the middle of thick slices and one across them: phi as low, as broad in mm."""
+    spacing = (3.0, 1.0, 1.0)
+    low = []
+    for axis, n in ((0, 16), (1, 48)):
+        image = np.zeros((16, 48, 48))
+        image[tuple(slice(n // 2, None) if a == axis else slice(None) for a in range(3))] = 1.0
+        gradient = gradient_magnitude(image, spacing, 3.0)
+        low.append(gradient.max())
+        np.testing.assert_array_equal(
+            edge_indicator(image, spacing), edge_indicator(image, spacing, 3.0, edge_contrast(gradient))
+        )
+    assert low[0] == pytest.approx(low[1], rel=0.25)
+
+
+def test_phi_is_half_at_the_contrast():
+    z, y, x = np.indices((8, 8, 60)) * 1.0
+    phi = edge_indicator(0.01 * x**2 / 2, (1, 1, 1), scale=1.0, contrast=0.3)
+    assert phi[4, 4, 30] == pytest.approx(0.5, abs=0.01)
+    assert phi[4, 4, 15] == pytest.approx(0.8, abs=0.01)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.2, 0.4])
+def test_automatic_contrast_tells_the_edge_from_noise(noise):
+    image, truth, radius = ball(noise)
+    phi = edge_indicator(image, (1, 1, 1))
+    on, off = np.abs(radius - 12.3) < 0.5, np.abs(radius - 12.3) > 4
+    assert np.median(phi[on]) < 0.25 and np.median(phi[off]) > 0.75
+
+
+def test_an_image_without_edges_is_refused():
+    with pytest.raises(InputError, match="no edge"):
+        edge_indicator(np.full((8, 8, 8), 3.0), (1, 1, 1))
+
+
+def test_a_tiny_object_has_an_edge():
+    """Fewer voxels than the percentile leaves out."""
+    image = np.zeros((40, 40, 40))
+    image[20, 20, 20] = 1
+    assert edge_indicator(image, (1, 1, 1)).min() < 0.1
+
+
+# ---------------------------------------------------------------------------------------------- whole segmentations
+
+
+def ball(noise, shape=(40, 42, 44), spacing=(1.0, 1.0, 1.0)):
+    """A ball of radius 12.3 mm and contrast 1, antialiased, in noise of that sigma: image, truth, distance from it."""
+    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(shape, spacing, strict=True)]
+    z, y, x = np.meshgrid(*axes, indexing="ij")
+    radius = np.sqrt(z**2 + (y - 0.7) ** 2 + (x + 0.4) ** 2)
+    image = np.clip(12.8 - radius, 0, 1) + np.random.default_rng(3).normal(0, noise, radius.shape)
+    return image, radius < 12.3, radius
+
+
+STARTS = {
+    "around": {"start": "ball:22,20,20,17.5vox"},
+    "inside": {"start": "ball:23,19,21,7vox", "balloon": -0.4},
+}
+
+
+@pytest.mark.parametrize("flow", ["gradient", "constant-density"])
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("noise", [0.0, 0.4], ids=["clean", "noisy"])
+def test_a_ball_from_around_it_and_from_inside(noise, start, flow):
+    """The area alone pulls a start around the ball onto it; from inside it takes a balloon beyond 2/r of the start."""
+    image, truth, _ = ball(noise)
+    result = segment(image, energy="geodesic", flow=flow, **STARTS[start])
+    print(f"\n{start} {noise} {flow}: Dice {dice(result.labels, truth):.4f}, {result.stop.steps} steps")
+    assert result.stop.reason == "converged" and result.components == 1
+    assert dice(result.labels, truth) > 0.97
+    assert result.ledger[-1].potential < result.ledger[0].potential
+    assert result.energy == "geodesic"
+
+
+@pytest.mark.parametrize("flow", ["gradient", "constant-density"])
+def test_thick_slices_and_a_single_one(flow):
+    spacing = (2.0, 1.0, 1.0)
+    image, truth, _ = ball(0.0, (22, 42, 44), spacing)
+    options = {"energy": "geodesic", "flow": flow}
+    result = segment(image, spacing=spacing, start="ball:22,20,10,17.5vox", edge_scale=1.0, **options)
+    assert dice(result.labels, truth) > 0.97
+    y, x = np.indices((48, 52))
+    circle = np.hypot(y - 23, x - 26)
+    flat = segment(np.clip(15.5 - circle, 0, 1), start="ball:27,24,0,21vox", **options)
+    assert dice(flat.labels[0], circle < 15) > 0.97
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.5])
+def test_the_minimum_lies_inside_of_the_edge_by_the_square_of_the_scale(scale):
+    """Smoothing moves the edge of a ball inward by s^2/r, the area's pull on the surface in the well as much again."""
+    image, _, _ = ball(0.0)
+    result = segment(image, energy="geodesic", start="ball:22,20,20,17.5vox", edge_scale=scale)
+    radius = (result.volume_mm3 / (4 / 3 * np.pi)) ** (1 / 3)
+    assert 12.3 - radius == pytest.approx(2 * scale**2 / 12.3, abs=0.06)
+
+
+def test_the_configuration_reaches_the_energy():
+    image = ball(0.2)[0].astype(np.float32)
+    config = RunConfig(energy="geodesic", smoothness=0.3, edge_scale=2.0, edge_contrast=0.05, balloon=-0.2)
+    energy = make_energy(config, image, (1.0, 1.0, 1.0))
+    assert isinstance(energy, Geodesic) and energy.balloon == -0.2
+    phi = edge_indicator(image, (1, 1, 1), 2.0, 0.05)
+    np.testing.assert_array_equal(energy.sums.image, phi.ravel())
+    assert energy.alpha == pytest.approx(phi.max() + 0.3)
+    auto = make_energy(RunConfig(energy="geodesic"), image, (1.0, 1.0, 1.0))
+    np.testing.assert_array_equal(auto.sums.image, edge_indicator(image, (1, 1, 1)).ravel())
+
+
+def test_smoothness_keeps_the_surface_off_noise():
+    image, _, _ = ball(0.4)
+    rough, smooth = (
+        segment(image, energy="geodesic", flow="gradient", start="ball:22,20,20,17.5vox", smoothness=a)
+        for a in (0.0, 0.2)
+    )
+    assert smooth.area_mm2 < 0.99 * rough.area_mm2
+
+
+def test_from_the_command_line(tmp_path):
+    image, truth, _ = ball(0.0)
+    io.write(Volume.from_array(image.astype(np.float32)), tmp_path / "ball.nii.gz")
+    words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path / "out", "--quiet", "--energy", "geodesic"]
+    assert cli.run([str(w) for w in (*words, "--start", "ball:22,20,20,17.5vox")]) == 0
+    report = json.loads((tmp_path / "out" / "ball_report.json").read_text())
+    assert report["energy"]["name"] == report["config"]["energy"] == "geodesic"
+    assert dice(io.read_labels(tmp_path / "out" / "ball_seg.nii.gz").array > 0, truth) > 0.97

@@ -1,0 +1,153 @@
+"""Presets: settings under those given, each explained, and each doing its work on a phantom of its modality."""
+
+import json
+from typing import get_args
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from accelsurf import cli
+from accelsurf.analysis.metrics import dice
+from accelsurf.errors import UsageError
+from accelsurf.segmentation.api import segment
+from accelsurf.settings.presets import PRESETS, PresetName
+from accelsurf.settings.run_config import RunConfig
+
+
+def run(*words):
+    return cli.run([str(word) for word in words])
+
+
+@pytest.mark.parametrize("name", get_args(PresetName))
+def test_every_preset_says_what_each_value_means_and_where_it_was_tried(name):
+    preset = PRESETS[name]
+    assert set(preset.reasons) == set(preset.settings) and all(len(why) > 5 for why in preset.reasons.values())
+    assert preset.tried and all(len(outcome) > 5 for outcome in preset.tried.values())
+    config = RunConfig(preset=name, start="ball:0,0,0,5")
+    for key, value in preset.settings.items():
+        assert key == "start" or getattr(config, key) == value
+    # A value that is the default says so much, but no setting may be one that means nothing.
+    assert config.unused() == []
+
+
+def test_values_beside_a_preset_win_wherever_they_come_from(tmp_path, capsys):
+    assert RunConfig(preset="ct-organ", presmooth=0.5).presmooth == 0.5
+    assert RunConfig(preset="ct-organ", presmooth=0.0).presmooth == 0.0  # also where it is the default
+    file = tmp_path / "run.toml"
+    file.write_text('preset = "ct-organ"\nsmoothness = 0.7\n')
+    config = RunConfig.from_toml(file)
+    assert (config.smoothness, config.presmooth) == (0.7, PRESETS["ct-organ"].settings["presmooth"])
+    # On the command line a preset stands for options: over the file, under the options.
+    assert run("segment", "--config", file, "--preset", "ct-vessel", "--presmooth", "0.3", "--dump-config") == 0
+    dumped = capsys.readouterr().out
+    (tmp_path / "dumped.toml").write_text(dumped)
+    again = RunConfig.from_toml(tmp_path / "dumped.toml")
+    assert again.preset == "ct-vessel" and again.presmooth == 0.3
+    assert again.smoothness == PRESETS["ct-vessel"].settings["smoothness"]
+
+
+def test_a_preset_replaces_the_values_of_another_but_not_those_that_were_set():
+    config = RunConfig(preset="ct-organ", tolerance=0.3).replace(preset="mr-brain")
+    assert config == RunConfig(preset="mr-brain", tolerance=0.3)
+    assert config.replace(preset=None) == RunConfig(tolerance=0.3)
+    assert RunConfig(preset="ct-organ").replace(presmooth=1.0).preset == "ct-organ"
+
+
+def test_a_preset_that_is_none_is_one_clear_line():
+    with pytest.raises(UsageError, match="preset: ct-bones was given, expected ct-bone, ct-vessel"):
+        RunConfig(preset="ct-bones")
+    with pytest.raises(UsageError, match="preset"):
+        RunConfig(preset=3)
+
+
+def test_info_lists_them(capsys):
+    assert run("info") == 0
+    shown = capsys.readouterr().out
+    for name, preset in PRESETS.items():
+        assert name in shown and all(why in shown for why in preset.reasons.values())
+    assert run("info", "--json") == 0
+    assert set(json.loads(capsys.readouterr().out)["presets"]) == set(PRESETS)
+
+
+# ------------------------------------------------------------------------------------------------ on phantoms
+
+SHAPE, SPACING = (30, 44, 48), (2.0, 1.0, 0.8)
+
+
+def grid():
+    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(SHAPE, SPACING, strict=True)]
+    return np.meshgrid(*axes, indexing="ij")
+
+
+def noisy(values, noise, seed=1):
+    """Values blurred by a scanner of 0.7 mm resolution, with noise."""
+    blurred = ndimage.gaussian_filter(values.astype(np.float32), [0.7 / h for h in SPACING])
+    return blurred + np.random.default_rng(seed).normal(0, noise, SHAPE).astype(np.float32)
+
+
+def found(preset, image, *starts):
+    result = segment(image, spacing=SPACING, preset=preset, **({"start": starts} if starts else {}))
+    assert result.stop.reason == "converged" and result.config.preset == preset
+    return result.labels
+
+
+def test_bone_between_soft_tissue_with_contrast_agent():
+    z, y, x = grid()
+    body = x**2 + y**2 + (0.6 * z) ** 2 < 17**2
+    bone = ((x + 6) ** 2 + y**2 < 4**2) & body
+    vessel = ((x - 6) ** 2 + y**2 < 4**2) & body
+    image = noisy(-1000.0 + 1050 * body + 650 * bone + 100 * vessel, 15)
+    assert dice(found("ct-bone", image), bone) > 0.9
+
+
+@pytest.mark.parametrize("lumen", [160, 400])
+def test_vessel_of_any_phase_beside_bone(lumen):
+    z, y, x = grid()
+    vessel = (x - 4 * np.sin(z / 12)) ** 2 + y**2 < 4**2
+    bone = (x - 4 * np.sin(z / 12) + 11) ** 2 + y**2 < 6**2
+    image = noisy(50.0 + (lumen - 50) * vessel + 850 * bone, 15)
+    assert dice(found("ct-vessel", image, "ball:24,22,15,3vox"), vessel) > 0.9
+
+
+@pytest.mark.parametrize("value", [60, 110])
+def test_organ_beside_muscle_and_fat(value):
+    z, y, x = grid()
+    organ = (x + 3) ** 2 + y**2 + z**2 < 15**2
+    muscle = ((x - 15) ** 2 + y**2 + z**2 < 5**2) & ~organ
+    image = noisy(-100.0 + (100 + value) * organ + 130 * muscle, 15)
+    labels = found("ct-organ", image, "ball:20,22,15,8vox")
+    # Within the edge by no more than three millimetres, less than two voxels across slices, and not beyond.
+    assert labels[(x + 3) ** 2 + y**2 + z**2 < 12**2].all() and not labels[~organ].any()
+    small = segment(image, spacing=SPACING, preset="ct-organ", start="ball:20,22,15,8vox", presmooth=1.0)
+    assert dice(small.labels, organ) > 0.85 and not small.labels[muscle].any()
+
+
+def test_brain_on_zeros_with_dim_remains_of_the_stripping():
+    z, y, x = grid()
+    r = np.sqrt(x**2 + y**2 + z**2)
+    image = np.where(r < 15, noisy(90.0 * (r < 15), 6), 0) + 30.0 * ((r >= 15) & (r < 17))
+    assert dice(found("mr-brain", image, "center"), r < 15) > 0.95
+
+
+def test_ventricles_in_tissue():
+    z, y, x = grid()
+    brain = x**2 + y**2 + (0.6 * z) ** 2 < 17**2
+    fluid = ((np.abs(x) - 5) ** 2 + (y / 2) ** 2 + (z / 2) ** 2 < 3.5**2) & brain
+    image = noisy(95.0 * brain - 65 * fluid, 6)
+    assert dice(found("mr-ventricle", image, "ball:17,22,15,3.5vox", "ball:30,22,15,3.5vox"), fluid) > 0.78
+
+
+def test_cord_of_two_tissues_in_bright_fluid():
+    z, y, x = grid()
+    r = np.hypot(x, y)
+    values = np.select([r < 2, r < 5, r < 8], [300.0, 240.0, 500.0], 150.0)
+    places = [f"ball:23.5,21.5,{k},2.5vox" for k in (4, 14, 24)]
+    assert dice(found("mr-cord", noisy(values, 20), *places), r < 5) > 0.9
+
+
+def test_nuclei_of_uneven_brightness():
+    z, y, x = grid()
+    nuclei = [(x - a) ** 2 + y**2 + z**2 < 6**2 for a in (-10, 8)]
+    image = noisy(10.0 + 60 * nuclei[0] + 25 * nuclei[1], 6)
+    assert dice(found("fluorescence-nucleus", image), nuclei[0] | nuclei[1]) > 0.85

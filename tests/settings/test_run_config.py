@@ -1,0 +1,211 @@
+"""RunConfig: one validated object, TOML in and out without loss, errors that name the key."""
+
+import json
+
+import pytest
+from pydantic import ValidationError
+
+from accelsurf.errors import UsageError
+from accelsurf.settings.run_config import RunConfig, expected
+
+ODD = RunConfig(
+    preset="ct-bone",
+    energy="0.5*geodesic:scale=1 + threshold:-1e-3,20",
+    flow="gradient",
+    start=("ball:-1.5,2,3,4", 'label:a "quoted"\\ name\x7f é\n.nii.gz'),
+    mask="mask.nii",
+    roi="0,0,0,9,9,9vox",
+    foreground=("ball:1,2,3,4",),
+    background=("label:b.nii",),
+    channel=("second.nii",),
+    max_volume=1e5,
+    smoothness=0.1 + 0.2,
+    balance=1.25,
+    presmooth=1e-7,
+    edge_scale=0.7,
+    edge_contrast=0.3,
+    balloon=-0.2,
+    k=2.25,
+    t0=0.5,
+    lam=1e22,
+    rho=3,
+    gravity=1.5,
+    diffusion=1 / 3,
+    noise=0.1,
+    noise_length=3,
+    noise_time=9,
+    sobolev_length=4,
+    blend=0.5,
+    friction=2.5,
+    restart="off",
+    cfl=0.9,
+    max_steps=7,
+    tolerance=0.3,
+    levels=2,
+    percentile=70,
+    epsilon=0.75,
+    half_width=6,
+    mesh="stl,vtp",
+    mesh_space="ras",
+    save_sdf=True,
+    format="mha",
+    seed=2**40,
+    reproducible=True,
+    threads=2,
+    edit=["step=3 smoothness=0.25 add='ball:1,2,3,4'", {"step": 1, "flow": "momentum", "cfl": 1 / 3}],
+)
+
+
+#: What cannot be given beside a start, levels and edits.
+SEVERAL = RunConfig(objects="seeds \"a\".csv@2,5-9")
+
+
+@pytest.mark.parametrize("config", [RunConfig(), ODD, SEVERAL], ids=["defaults", "all changed", "several objects"])
+def test_toml_round_trip_is_exact(config, tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(config.to_toml(), encoding="utf-8")
+    assert RunConfig.from_toml(path) == config
+
+
+def test_odd_config_changes_every_field():
+    # Otherwise the round trip above could lose a field without anyone noticing.
+    same = [name for name in RunConfig.model_fields if getattr(ODD, name) == getattr(RunConfig(), name)]
+    assert same == ["objects"] and SEVERAL.objects != RunConfig().objects
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("cfl", 3, "greater than 0 and at most 1"),
+        ("cfl", 0, "greater than 0"),
+        ("k", 0, "greater than 0"),
+        ("k", True, "a number"),
+        ("k", float("nan"), "a number"),
+        ("lam", float("inf"), "a number"),
+        ("smoothness", -0.1, "at least 0"),
+        ("smoothness", "rough", "rough was given"),
+        ("presmooth", -1, "at least 0"),
+        ("balance", 0, "greater than 0"),
+        ("rho", -1, "greater than 0"),
+        ("diffusion", -1, "at least 0, auto or free"),
+        ("friction", 0, "or t"),
+        ("friction", "x", "or t"),
+        ("restart", "never", "auto or off"),
+        ("flow", "sobolov", "gradient, sobolev or momentum"),
+        ("max_volume", 0, "greater than 0"),
+        ("mask", 5, "a text"),
+        ("start", (), "one text"),
+        ("start", 5, "one text"),
+        ("max_steps", -1, "a whole number at least 0"),
+        ("max_steps", 2.5, "a whole number"),
+        ("percentile", 101, "at most 100"),
+        ("tolerance", 0, "greater than 0"),
+        ("half_width", 2, "at least 3 and at most 32 or auto"),
+        ("gravity", -1, "at least 0"),
+        ("noise", -0.1, "at least 0"),
+        ("noise_length", 0, "greater than 0, or auto"),
+        ("noise_time", 0, "greater than 0, or auto"),
+        ("t0", -1, "at least 0, or auto"),
+        ("sobolev_length", 0, "greater than 0, or auto"),
+        ("blend", 1, "less than 1"),
+        ("edge_scale", 0, "greater than 0, or auto"),
+        ("edge_contrast", 0, "greater than 0, or auto"),
+        ("balloon", "up", "a number"),
+        ("reproducible", "maybe", "true or false"),
+        ("epsilon", 3, "at most 2.5"),
+        ("mesh", "ply,glb", "ply, stl, obj, vtp, csv or auto"),
+        ("mesh", "", "ply, stl, obj, vtp"),
+        ("mesh_space", "xyz", "lps or ras"),
+        ("save_sdf", "maybe", "true or false"),
+        ("format", "jpg", "nii.gz, nii, nrrd, mha, mhd, png or tif"),
+        ("seed", -1, "at least 0"),
+        ("threads", 0, "at least 1"),
+    ],
+)
+def test_bad_value_is_one_clear_line(key, value, words):
+    with pytest.raises(UsageError) as caught:
+        RunConfig(**{key: value})
+    message = str(caught.value)
+    assert message.startswith(f"{key}: ") and " was given, expected " in message and words in message
+    assert "\n" not in message
+    assert caught.value.hint == " ".join((RunConfig.model_fields[key].description or "").split())
+
+
+def test_text_values_are_read_as_the_command_line_gives_them():
+    config = RunConfig(cfl="0.25", max_steps="12", friction="0.5", diffusion="2", mesh="PLY, stl,ply", start="center")
+    assert (config.cfl, config.max_steps, config.friction, config.diffusion) == (0.25, 12, 0.5, 2.0)
+    assert config.mesh == ("ply", "stl") and config.start == ("center",)
+
+
+@pytest.mark.parametrize(("key", "near"), [("smothness", "smoothness"), ("max-steps", "max_steps"), ("Flow", "flow")])
+def test_unknown_key_names_the_nearest(key, near, tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(f'"{key}" = 1\n')
+    with pytest.raises(UsageError, match="no such setting") as caught:
+        RunConfig.from_toml(path)
+    assert f"did you mean {near}?" in caught.value.hint
+
+
+def test_unknown_key_without_a_near_one_lists_all():
+    with pytest.raises(UsageError) as caught:
+        RunConfig(zzz=1)
+    assert "did you mean" not in caught.value.hint
+    assert all(name in caught.value.hint for name in RunConfig.model_fields)
+
+
+def test_unreadable_files_are_usage_errors(tmp_path):
+    with pytest.raises(UsageError, match="cannot be read"):
+        RunConfig.from_toml(tmp_path / "absent.toml")
+    with pytest.raises(UsageError, match="cannot be read"):
+        RunConfig.from_toml(tmp_path)
+    broken = tmp_path / "broken.toml"
+    broken.write_text("k = = 2\n")
+    with pytest.raises(UsageError, match="not a TOML file.*line 1"):
+        RunConfig.from_toml(broken)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UsageError, match="not a TOML file"):
+        RunConfig.from_toml(binary)
+
+
+def test_frozen_and_replace():
+    config = RunConfig()
+    with pytest.raises(ValidationError, match="frozen"):
+        config.cfl = 0.1  # type: ignore[misc]
+    assert config.replace(cfl=0.1).cfl == 0.1 and config.cfl == 0.5
+    with pytest.raises(UsageError, match="cfl"):
+        config.replace(cfl=-1)
+
+
+def test_schema_describes_every_field_with_its_unit():
+    schema = RunConfig.json_schema()
+    json.dumps(schema)
+    assert set(schema["properties"]) == set(RunConfig.model_fields)
+    assert all(entry["description"].endswith(".") for entry in schema["properties"].values())
+    lengths = ("smoothness", "presmooth", "diffusion")
+    assert all("mm" in schema["properties"][name]["description"] for name in lengths)
+    assert all("voxels" in schema["properties"][name]["description"] for name in ("cfl", "half_width"))
+
+
+@pytest.mark.parametrize("name", list(RunConfig.model_fields))
+def test_expected_has_words_for_every_field(name):
+    assert len(expected(name)) > 5
+
+
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [({"noise": 0.5, "reproducible": True}, "seed"), ({"k": 1, "t0": 0}, "t0"), ({"k": 0.5, "t0": 0}, "t0")],
+)
+def test_values_that_do_not_go_together_are_one_clear_line(values, key):
+    with pytest.raises(UsageError) as caught:
+        RunConfig(**values)
+    message = str(caught.value)
+    assert message.startswith(f"{key}: ") and " given, expected " in message and "\n" not in message
+    assert RunConfig(**{**values, key: 3}) is not None
+
+
+def test_settings_that_do_nothing_are_named():
+    assert RunConfig().unused() == []
+    assert RunConfig(flow="gradient", k=3, diffusion=1, balance=2).unused() == ["k"]
+    assert RunConfig(gravity=1, blend=0.5, balloon=1).unused() == ["gravity", "blend", "balloon"]
+    assert RunConfig(energy="geodesic", flow="momentum", blend=0.5, balloon=1, epsilon=0).unused() == ["epsilon"]

@@ -1,0 +1,393 @@
+"""The page: served to whoever has the token and to nobody else, whatever is sent; driven by a real browser."""
+
+import asyncio
+import os
+import random
+import re
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from accelsurf import cli, io
+from tests.support import viewing
+
+aiohttp = pytest.importorskip("aiohttp", reason='trame is missing: pip install "accelsurf[viewer]"')
+msgpack = pytest.importorskip("msgpack", reason='trame is missing: pip install "accelsurf[viewer]"')
+pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
+
+
+@pytest.fixture(scope="module", autouse=True)
+def graphics():
+    viewing.needs_graphics()
+
+
+class Served:
+    """`accelsurf view --browser` in a process of its own."""
+
+    def __init__(self, folder, *options):
+        self.image, self.results = folder / "ball.nii.gz", folder / "results"
+        volume, center = viewing.ball_image()
+        noise = np.random.default_rng(1).normal(0, 20, volume.array.shape)
+        io.write(volume.with_array((volume.array + noise).astype(np.float32)), self.image)
+        start = "ball:" + ",".join(f"{v:g}" for v in (*center, 5.0))
+        command = [sys.executable, "-m", "accelsurf", "view", str(self.image), "--browser", "--no-open"]
+        command += ["--start", start, "--threads", "1", "--result", str(self.results), *options]
+        env = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
+        self.log = open(folder / "log", "w+")
+        self.process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=self.log, text=True)
+        self.address = self.process.stdout.readline().strip()
+        assert self.address.startswith("http://"), self.told()
+        parts = urlsplit(self.address)
+        self.port, self.token = parts.port, parts.query.removeprefix("secret=")
+        self.origin = f"http://127.0.0.1:{self.port}"
+
+    def told(self):
+        return Path(self.log.name).read_text()
+
+    def close(self):
+        self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(30)
+        finally:
+            self.process.kill()
+            self.process.wait()
+            self.process.stdout.close()
+            self.log.close()
+        return self.process.returncode
+
+    def memory_mb(self):
+        return int(re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{self.process.pid}/status").read_text())[1]) / 1024
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    server = Served(tmp_path_factory.mktemp("served"))
+    yield server
+    assert server.process.poll() is None, server.told()
+    assert server.close() == 0, server.told()
+    assert "Traceback" not in server.told()
+
+
+def packed(call):
+    body = msgpack.packb(call)
+    return struct.pack("<III", 7, 0, len(body)) + body
+
+
+def call_of(method, *args, number=1):
+    return {"wslink": "1.0", "id": f"rpc:test:{number}", "method": method, "args": list(args), "kwargs": {}}
+
+
+def hello(token):
+    return packed({**call_of("wslink.hello", {"secret": token}), "id": "system:test:0"})
+
+
+async def _talk(served, messages, headers=None):
+    """Send messages; return the answers of the next moments, unpacked."""
+    answers = []
+    async with aiohttp.ClientSession() as client:
+        async with client.ws_connect(f"{served.origin}/ws", headers=headers or {}, max_msg_size=0) as ws:
+            for message in messages:
+                if ws.closed:
+                    break
+                await (ws.send_str(message) if isinstance(message, str) else ws.send_bytes(message))
+            ends = time.monotonic() + 0.4
+            while time.monotonic() < ends:
+                try:
+                    answer = await ws.receive(timeout=0.2)
+                except TimeoutError:
+                    continue
+                if answer.type != aiohttp.WSMsgType.BINARY:
+                    break
+                answers.append(msgpack.unpackb(answer.data[12:], strict_map_key=False))
+    return answers
+
+
+def talk(served, *messages, headers=None):
+    return asyncio.run(_talk(served, messages, headers))
+
+
+def get(served, path, headers=None):
+    async def fetch():
+        async with aiohttp.ClientSession() as client:
+            from yarl import URL
+
+            url = URL(served.origin + path, encoded=True)
+            async with client.get(url, headers=headers or {}, allow_redirects=False) as answer:
+                return answer.status, await answer.read(), dict(answer.headers)
+
+    return asyncio.run(fetch())
+
+
+def state(served):
+    answers = talk(served, hello(served.token), packed(call_of("trame.state.get")))
+    return next(a["result"]["state"] for a in answers if isinstance(a.get("result"), dict) and "state" in a["result"])
+
+
+def ask(served, *request):
+    return talk(served, hello(served.token), packed(call_of("trame.trigger", "ask", list(request), {})))
+
+
+def test_who_has_the_token_is_answered(served):
+    now = state(served)
+    assert now["step"] == 0 and now["flow"] == "constant-density" and now["title"] == "ball.nii.gz"
+    ask(served, "step")
+    assert state(served)["step"] == 1
+    ask(served, "restart")
+    assert state(served)["step"] == 0
+
+
+@pytest.mark.parametrize("token", ["", "wrong", "wslink-secret", None, 7, ["a"], {"a": 1}, b"\xff", "x" * 10_000])
+def test_a_wrong_token_gets_nothing(served, token):
+    step = call_of("trame.trigger", "ask", ["step"], {})
+    answers = talk(served, hello(token), packed(step), packed(call_of("trame.state.get")))
+    assert all("error" in answer for answer in answers), answers
+    assert served.token not in str(answers)
+    assert all("error" in answer for answer in talk(served, packed(step)))
+    assert state(served)["step"] == 0
+
+
+def deep(levels):
+    return b"\x91" * levels + b"\xc0"
+
+
+def broken():
+    """Messages that no page sends."""
+    rng = random.Random(5)
+    yield from (b"", b"\x00", b"\x00" * 11, b"\x00" * 12, "text", "x" * 100_000)
+    yield struct.pack("<III", 1, 0, 2**32 - 1) + b"\x81"  # four gigabytes are said to come
+    yield struct.pack("<III", 1, 2**32 - 1, 2**31) + b"\x81"
+    yield struct.pack("<III", 1, 0, 5) + b"\xc1" * 5
+    body = deep(5000)
+    yield struct.pack("<III", 1, 0, len(body)) + body
+    yield from (rng.randbytes(rng.randrange(1, 200)) for _ in range(20))
+    for call in (
+        None, 1, [], {}, {"id": "a"}, {"id": 3, "method": "x"}, {"id": "a", "method": []}, {"id": "a", "method": {}},
+        {"id": "a", "method": "trame.trigger", "args": {}}, {"id": "a", "method": "trame.trigger", "args": []},
+        {"id": "a", "method": "trame.trigger", "args": [[], [], {}]},
+        call_of("trame.trigger", "nothing", [], {}), call_of("application.exit"), call_of("trame.force.push", "a"),
+        call_of("trame.error.client", "x" * 5000), call_of("viewport.image.push", {"size": [10**9, 10**9]}),
+        call_of("trame.trigger", "ask", "text", {}), call_of("trame.trigger", "ask", ["size", 10**9, 10**9], {"a": 1}),
+        call_of("trame.trigger", "shown", [1e308, -1], {}), call_of("trame.trigger", "ask", [["deep"] * 100] * 20, {}),
+        call_of("trame.trigger", "ask", ["save", "../../x"], {}), call_of("trame.trigger", "ask", ["x" * 20_000], {}),
+        call_of("trame.state.update", [{"key": "picture", "value": "javascript:alert(1)"}]),
+        call_of("trame.state.update", [{"key": "trame__template_main", "value": "<h1>mine</h1>"}]),
+        call_of("trame.lifecycle.update", "server_bind"), call_of("wslink.hello", {"secret": "x"}),
+    ):  # fmt: skip
+        yield packed(call)
+
+
+def test_broken_messages_do_not_hurt(served):
+    before = served.memory_mb()
+    for message in broken():
+        for known in (False, True):
+            talk(served, *([hello(served.token)] if known else []), message)
+    now = state(served)
+    assert now["step"] == 0 and "mine" not in now["trame__template_main"] and now["picture"][:5] in ("data:", "")
+    assert served.process.poll() is None
+    assert served.memory_mb() < before + 300
+    ask(served, "step")
+    assert state(served)["step"] == 1
+    ask(served, "restart")
+    assert not served.results.exists()
+
+
+def test_files_are_handed_out_by_name_and_token_alone(served):
+    ask(served, "step")
+    ask(served, "save", "labels", "run")
+    for _ in range(50):
+        names = [file["name"] for file in state(served)["files"]]
+        if names:
+            break
+        time.sleep(0.2)
+    assert names == ["ball_seg.nii.gz", "run.toml"]
+    status, body, headers = get(served, f"/files/run.toml?secret={served.token}")
+    assert status == 200 and body == (served.results / "run.toml").read_bytes()
+    assert headers["Content-Disposition"] == 'attachment; filename="run.toml"'
+    for wrong in ("", "?secret=", "?secret=wrong", "?token=" + served.token):
+        assert get(served, "/files/run.toml" + wrong)[0] == 403
+    (served.results / "other.txt").write_text("not saved by the session")
+    for path in (
+        "other.txt", "..%2Flog", "%2e%2e/log", "../log", "..%5Clog", "%2Fetc%2Fpasswd", "run.toml%00", "", "%ff",
+        "a" * 5000,
+    ):  # fmt: skip
+        status, body, _ = get(served, f"/files/{path}?secret={served.token}")
+        assert status in (400, 403, 404, 405) and b"root:" not in body and b"not saved" not in body, path
+    ask(served, "restart")
+
+
+def test_nothing_but_the_page_is_served(served):
+    up = "..%2f" * 12
+    for path in ("/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", f"/assets/{up}etc/passwd", "/.git/config"):
+        status, body, _ = get(served, path)
+        assert status in (302, 400, 403, 404) and b"root:" not in body, path
+    status, body, headers = get(served, "/index.html")
+    assert status == 200 and served.token.encode() not in body
+    assert "default-src 'self'" in headers["Content-Security-Policy"] and headers["Referrer-Policy"] == "no-referrer"
+
+
+def test_other_sites_and_other_machines_are_refused(served):
+    assert get(served, "/index.html", {"Host": "evil.example:80"})[0] == 403
+    assert get(served, "/index.html", {"Host": f"localhost:{served.port}"})[0] == 200
+    assert get(served, "/index.html", {"Origin": "http://evil.example"})[0] == 403
+    with pytest.raises(aiohttp.WSServerHandshakeError):
+        talk(served, hello(served.token), headers={"Origin": "http://evil.example"})
+    # Another address of this machine is not listened on.
+    with pytest.raises(OSError), socket.create_connection(("127.0.0.2", served.port), timeout=5):
+        pass
+
+
+def test_a_host_must_be_asked_for_and_warns(tmp_path):
+    server = Served(tmp_path, "--host", "0.0.0.0")
+    try:
+        with socket.create_connection(("127.0.0.2", server.port), timeout=10):
+            pass
+    finally:
+        assert server.close() == 0, server.told()
+    assert "warning: --host 0.0.0.0" in server.told()
+
+
+def test_options_of_the_page_are_refused_for_a_window(tmp_path, capsys):
+    for option in (["--host", "0.0.0.0"], ["--port", "80"], ["--no-open"]):
+        assert cli.run(["view", str(tmp_path / "a.nii"), *option]) == 2
+        assert "with --browser only" in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_is_one_line(tmp_path, served):
+    command = [sys.executable, "-m", "accelsurf", "view", str(served.image), "--browser", "--no-open"]
+    done = subprocess.run([*command, "--port", str(served.port)], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 7 and len(done.stderr.splitlines()) == 2, done.stderr
+    assert f"127.0.0.1:{served.port}: cannot be listened on" in done.stderr
+
+
+def test_without_trame_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
+    volume, center = viewing.ball_image()
+    io.write(volume, tmp_path / "ball.nii.gz")
+    monkeypatch.setitem(sys.modules, "trame.app", None)
+    start = "ball:" + ",".join(f"{v:g}" for v in (*center, 5.0))
+    assert cli.run(["view", str(tmp_path / "ball.nii.gz"), "--browser", "--start", start]) == 2
+    error = capsys.readouterr().err
+    assert "trame is not installed" in error and 'pip install "accelsurf[viewer]"' in error
+
+
+# -- driven by a real browser -------------------------------------------------------------------------------
+
+
+@contextmanager
+def driven(folder):
+    """Chromium without a screen, downloading into a folder."""
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is missing: pip install selenium")
+    from selenium.webdriver.chrome.service import Service
+
+    viewing.needs_chromium()
+    driver = shutil.which("chromedriver")
+    if driver is None:
+        pytest.skip("no chromedriver: apt install chromium-driver")
+    options = webdriver.ChromeOptions()
+    for flag in (*viewing.CHROMIUM_FLAGS, "--window-size=1280,863", f"--user-data-dir={folder / 'profile'}"):
+        options.add_argument(flag)
+    options.add_experimental_option("prefs", {"download.default_directory": str(folder / "downloads")})
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    browser = webdriver.Chrome(options=options, service=Service(driver))
+    try:
+        yield browser
+    finally:
+        browser.quit()
+
+
+def until(what, seconds=40):
+    """Wait until something is true; return it."""
+    ends = time.monotonic() + seconds
+    while time.monotonic() < ends:
+        if found := what():
+            return found
+        time.sleep(0.1)
+    raise AssertionError(f"not within {seconds} s")
+
+
+def test_load_run_pause_back_slide_save_download(tmp_path):
+    server = Served(tmp_path)
+    try:
+        with driven(tmp_path) as browser:
+            _drive(browser, server, tmp_path)
+    finally:
+        assert server.close() == 0, server.told()
+    # What was steered in the page is the same run from the command line, byte for byte.
+    again = tmp_path / "again"
+    config = server.results / "run.toml"
+    assert cli.run(["segment", str(server.image), "--config", str(config), "-o", str(again), "--quiet"]) == 0
+    assert (again / "ball_seg.nii.gz").read_bytes() == (server.results / "ball_seg.nii.gz").read_bytes()
+
+
+def _drive(browser, server, folder):
+    def element(name):
+        return browser.find_element("id", name)
+
+    def slide(name, value):
+        browser.execute_script(
+            "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('change'))", element(name), value
+        )
+
+    def step():
+        return int(element("step").text.split()[1])
+
+    def picture():
+        return element("picture").get_attribute("src")
+
+    browser.get(server.address)
+    first = until(lambda: browser.find_elements("id", "picture") and picture())
+    element("run").click()
+    until(lambda: step() > 3)
+    element("run").click()
+    until(lambda: element("state").text in ("paused", "converged"))
+    reached = step()
+    assert until(lambda: picture() != first)
+    slide("back", 2)
+    until(lambda: step() == 2)
+    slide("smoothness", 0.3)
+    until(lambda: server_says(element, "smoothness", "0.3"))
+    element("single").click()
+    until(lambda: step() == 3)
+    before = picture()
+    from selenium.webdriver import ActionChains
+
+    chains = ActionChains(browser)
+    chains.move_to_element_with_offset(element("picture"), -200, 0).click_and_hold().move_by_offset(60, 10).release()
+    chains.perform()
+    until(lambda: picture() != before)
+    browser.find_element("css selector", "#theme option[value=light]").click()
+    until(lambda: "light" in browser.find_element("css selector", ".page").get_attribute("class"))
+    browser.find_element("css selector", "#color option[value=speed]").click()
+    time.sleep(1.0)
+    shot = folder / "page.png"
+    browser.save_screenshot(str(shot))
+    with Image.open(shot) as opened:
+        assert np.asarray(opened.convert("L")).std() > 20
+    assert reached > 3
+    element("save").click()
+    link = until(lambda: browser.find_elements("link text", "ball_seg.nii.gz"))[0]
+    link.click()
+    saved = folder / "downloads" / "ball_seg.nii.gz"
+    until(saved.exists)
+    assert saved.read_bytes() == (server.results / "ball_seg.nii.gz").read_bytes()
+    # Nothing came from elsewhere.
+    loaded = browser.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
+    assert loaded and all(name.startswith((server.origin, "data:")) for name in loaded), loaded
+    severe = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    # trame asks a launcher first, which is not there.
+    assert not [message for message in severe if "/paraview/" not in message], severe
+
+
+def server_says(element, name, value):
+    label = element(name).find_element("xpath", "..")
+    return value in label.text

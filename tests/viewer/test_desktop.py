@@ -1,0 +1,326 @@
+"""The window, driven for real: Xvfb for a screen, xdotool for mouse and keys. Skipped where they are not installed."""
+
+import ctypes.util
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelsurf import io
+from accelsurf.cli import run as command
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.api import segment
+from accelsurf.settings.run_config import RunConfig
+
+MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
+MISSING += [name for name in ("PySide6", "pyvistaqt") if importlib.util.find_spec(name) is None]
+MISSING += [f"lib{name}" for name in ("xcb-cursor", "EGL") if ctypes.util.find_library(name) is None]
+ROOT = Path(__file__).parents[2]
+
+needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)} (see scripts/test --all)")
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+
+@pytest.fixture(scope="module")
+def screen():
+    """A screen of its own, 1280 x 720."""
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x720x24", "-noreset", "-nolisten", "tcp"],
+        pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    with os.fdopen(read) as line:
+        number = line.readline().strip()
+    env = {**os.environ, "DISPLAY": f":{number}"}
+    end = time.monotonic() + 30
+    while subprocess.run(["xdotool", "getmouselocation"], env=env, capture_output=True).returncode:
+        if time.monotonic() > end:
+            pytest.fail(f"Xvfb does not answer on display {number!r}")
+        time.sleep(0.2)
+    yield f":{number}"
+    server.terminate()
+    server.wait(20)
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    z, y, x = np.indices((40, 48, 48))
+    image = ((z - 20) ** 2 + (y - 24) ** 2 + (x - 24) ** 2 < 15**2) * 100.0
+    path = tmp_path_factory.mktemp("scan") / "scan.nii.gz"
+    io.write(Volume.from_array((image + np.random.default_rng(0).normal(0, 30, image.shape)).astype(np.float32)), path)
+    return path
+
+
+class Person:
+    """Hands on mouse and keys, and eyes on what the window tells."""
+
+    def __init__(self, screen, scan, folder, **options):
+        self.env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": "1"}
+        self.told, self.folder = folder / "told.json", folder
+        words = [f"{key}={value}" for key, value in options.items()]
+        self.process = subprocess.Popen(
+            [sys.executable, str(ROOT / "tests" / "support" / "desktop_driver.py"), str(scan), str(self.told), *words],
+            env=self.env, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )
+        self.until(lambda now: now["drawn"] is not None, 180)
+        # What a window manager does, which this screen has not.
+        self.do("search", "--sync", "--onlyvisible", "--name", "accelsurf - scan", "windowfocus", "--sync")
+        self.do("mousemove", "700", "690")
+
+    def do(self, *words):
+        subprocess.run(["xdotool", *words], env=self.env, check=True, timeout=60, capture_output=True)
+
+    def key(self, *names):
+        self.do("key", *names)
+
+    def click(self, name):
+        now = self.now()
+        x, y = now["buttons"].get(name, now["tiles"].get(name))[:2]
+        self.do("mousemove", str(x), str(y), "click", "1")
+
+    def drag(self, *places):
+        """Press at the first place, move over the others, let go."""
+        (x, y), *rest = [(round(a), round(b)) for a, b in places]
+        self.do("mousemove", str(x), str(y), "sleep", "0.1", "mousedown", "1", "sleep", "0.1")
+        for x, y in rest:
+            self.do("mousemove", str(x), str(y), "sleep", "0.15")
+        self.do("mouseup", "1")
+
+    def slide(self, name, share):
+        """Draw a slider from its left end to a share of its length."""
+        x, y, width = self.now()["buttons"][name]
+        self.drag((x + 7, y), (x + 0.5 * share * width, y), (x + 7 + share * (width - 14), y))
+
+    def now(self):
+        return json.loads(self.told.read_text())
+
+    def until(self, condition, seconds=60.0):
+        end, now = time.monotonic() + seconds, None
+        while time.monotonic() < end:
+            if self.told.exists():
+                now = self.now()
+                if condition(now):
+                    return now
+            if self.process.poll() is not None:
+                pytest.fail(f"the window is gone: {self.process.communicate()[0][-3000:]}")
+            time.sleep(0.03)
+        pytest.fail(f"never: {json.dumps(now)[:3000]}")
+
+    def picture(self, path):
+        """A picture of the whole screen."""
+        code = (
+            "import sys; from PySide6.QtWidgets import QApplication; app = QApplication([]); "
+            "app.primaryScreen().grabWindow(0).save(sys.argv[1])"
+        )
+        subprocess.run([sys.executable, "-c", code, str(path)], env=self.env, check=True, timeout=60)
+
+    def leave(self):
+        self.key("ctrl+q")
+        out, _ = self.process.communicate(timeout=60)
+        assert self.process.returncode == 0 and "closed" in out, out
+        assert "Traceback" not in out, out
+
+
+@pytest.fixture
+def person(screen, scan, tmp_path):
+    made = Person(screen, scan, tmp_path, start="ball:24,24,20,6", result=tmp_path / "out")
+    yield made
+    if made.process.poll() is None:
+        made.process.kill()
+        made.process.wait()
+
+
+@needs_screen
+def test_run_pause_step_back_slide_save(person, scan, tmp_path):
+    person.key("space")
+    person.until(lambda now: now["running"] and now["step"] > 3 and now["play"] == "Pause")
+    person.key("space")
+    paused = person.until(lambda now: not now["running"] and now["drawn"][0] == now["step"])
+    assert paused["play"] == "Run" and f"step {paused['step']}" in paused["title"] and "paused" in paused["title"]
+    person.key("Right")
+    on = person.until(lambda now: now["drawn"][0] == paused["step"] + 1)
+    person.click("back")
+    person.until(lambda now: now["drawn"][0] == paused["step"])
+    person.key("Left")
+    back = person.until(lambda now: now["drawn"][0] == paused["step"] - 1)
+    assert max(back["kept"]) == on["step"]
+    # The slider over kept steps.
+    x, y, width = person.now()["buttons"]["timeline"]
+    at = back["kept"].index(back["step"]) / (len(back["kept"]) - 1)
+    person.drag((x + 7 + at * (width - 14), y), (x + width // 3, y), (x + 7, y))
+    person.until(lambda now: now["drawn"][0] == 0)
+    person.drag((x + 7, y), (x + width // 2, y), (x + 8 + width // 2, y))
+    middle = person.until(lambda now: 0 < now["drawn"][0] < on["step"] and now["drawn"][0] == now["step"])
+    assert middle["edits"] == []
+    # A slider of the panel.
+    person.slide("smoothness", 0.5)
+    moved = person.until(lambda now: now["edits"])
+    (edit,) = moved["edits"]
+    assert edit["step"] == middle["step"] and 0.5 < edit["smoothness"] < 2.5
+    assert moved["settings"]["smoothness"] == edit["smoothness"]
+    person.key("Right", "Right", "Right")
+    person.until(lambda now: now["drawn"][0] == middle["step"] + 3)
+    person.click("save")
+    person.until(lambda now: "saved in" in now["message"], 120)
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == [
+        "run.toml", "scan_preview.png", "scan_report.json", "scan_seg.nii.gz", "scan_surface.ply", "scan_trace.csv",
+        "scan_view.png",
+    ]
+    person.leave()
+    config = RunConfig.from_toml(tmp_path / "out/run.toml")
+    assert config.edit[0].settings == {"smoothness": edit["smoothness"]} and config.max_steps == middle["step"] + 3
+    again = segment(io.read(scan), config=config)
+    assert again.labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()
+
+
+@needs_screen
+def test_balls_points_brushes_undo(person):
+    tiles = person.now()["tiles"]
+    x, y = tiles["axial"]
+    before = person.now()
+    person.key("b")
+    person.drag((x - 60, y), (x - 20, y + 10), (x + 12, y + 8))
+    ball = person.until(lambda now: now["start"] != before["start"] and now["drawn"][1] != before["drawn"][1])
+    assert len(ball["start"]) == 1 and ball["start"][0].startswith("ball:") and ball["step"] == 0
+    person.key("p")
+    person.drag((x + 20, y))
+    person.until(lambda now: len(now["start"]) == 1 and now["start"] != ball["start"])
+    person.drag((x - 25, y - 10))
+    points = person.until(lambda now: len(now["start"]) == 2)
+    person.key("ctrl+z")
+    person.until(lambda now: len(now["start"]) == 1)
+    person.key("ctrl+z", "ctrl+z")
+    person.until(lambda now: now["start"] == before["start"])
+    assert points["step"] == 0
+    person.click("grow")
+    person.drag((x + 30, y), (x + 40, y), (x + 50, y))
+    grown = person.until(lambda now: len(now["edits"]) >= 2 and now["drawn"][1] > before["drawn"][1] * 1.05)
+    assert all("add" in edit for edit in grown["edits"])
+    person.key("k")
+    x, y = tiles["space"]
+    person.drag((x, y), (x + 3, y))
+    person.until(lambda now: any("remove" in edit for edit in now["edits"]))
+    count = len(person.now()["edits"])
+    person.key("ctrl+z")
+    person.until(lambda now: len(now["edits"]) == count - 1)
+    person.key("v")
+    x, y = tiles["coronal"]
+    cursor = person.now()["cursor"]
+    person.drag((x, y), (x + 15, y - 10))
+    moved = person.until(lambda now: now["cursor"] != cursor)
+    person.do("mousemove", str(x), str(y), "click", "4", "click", "4")
+    person.until(lambda now: now["cursor"][1] != moved["cursor"][1])
+    person.leave()
+
+
+@needs_screen
+def test_looks_help_and_errors(person, tmp_path):
+    person.picture(tmp_path / "dark.png")
+    person.key("F1")
+    person.until(lambda now: now["help"])
+    person.key("Escape")
+    person.until(lambda now: not now["help"])
+    person.key("Right", "c")
+    person.until(lambda now: now["color"] == "speed")
+    person.key("t", "o", "l")
+    person.until(lambda now: now["theme"] == "light")
+    person.picture(tmp_path / "light.png")
+    import matplotlib.image
+
+    dark, light = (matplotlib.image.imread(tmp_path / f"{name}.png")[..., :3] for name in ("dark", "light"))
+    assert dark.shape == (720, 1280, 3) and dark.mean() < 0.35 < 0.6 < light.mean()
+    # What others have in the folder is not replaced, and the window goes on.
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/run.toml").write_text("precious")
+    person.key("ctrl+s")
+    person.until(lambda now: now["message"].startswith("Error") and "exists already" in now["message"])
+    assert (tmp_path / "out/run.toml").read_text() == "precious"
+    person.key("space")
+    person.until(lambda now: now["stop"] == "converged", 120)
+    person.leave()
+
+
+@needs_screen
+def test_closing_while_it_runs_is_prompt(person):
+    person.key("space")
+    person.until(lambda now: now["step"] > 2)
+    began = time.monotonic()
+    person.leave()
+    assert time.monotonic() - began < 15
+
+
+@needs_screen
+def test_the_command_opens_the_same_window(screen, scan, tmp_path):
+    env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
+    words = [
+        "view", str(scan), "--start", "ball:24,24,20,6", "--result", str(tmp_path / "out"), "--flow", "gradient",
+    ]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "accelsurf", *words], env=env, cwd=ROOT, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True,
+    )
+
+    def xdotool(*words):
+        return subprocess.run(["xdotool", *words], env=env, capture_output=True, text=True, timeout=60).stdout.split()
+
+    def window(title):
+        end = time.monotonic() + 120
+        while time.monotonic() < end and process.poll() is None:
+            if found := xdotool("search", "--onlyvisible", "--name", title):
+                return found[-1]
+            time.sleep(0.1)
+        process.kill()
+        pytest.fail(f"no window {title}: {process.communicate()[0]}")
+
+    xdotool("windowfocus", "--sync", window("accelsurf - scan - step 0 - paused"))
+    xdotool("key", "Right", "Right")
+    window("accelsurf - scan - step 2 - paused")
+    xdotool("key", "ctrl+s")
+    end = time.monotonic() + 60
+    while not (tmp_path / "out/scan_view.png").exists() and time.monotonic() < end:
+        time.sleep(0.1)
+    xdotool("key", "ctrl+q")
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, out
+    assert RunConfig.from_toml(tmp_path / "out/run.toml").flow == "gradient"
+
+
+def test_without_a_screen_it_is_one_line(scan, monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("accelsurf.viewer.frontends.display.PACKAGES", ("json",))
+    assert command(["view", str(scan)]) == 8
+    error = capsys.readouterr().err.splitlines()
+    assert len(error) == 2 and "no screen was found" in error[0] and error[1].startswith("hint: ")
+
+
+def test_without_the_packages_it_is_one_line(scan, monkeypatch, capsys):
+    monkeypatch.setattr("accelsurf.viewer.frontends.display.PACKAGES", ("json", "no_such_package"))
+    assert command(["view", str(scan)]) == 8
+    error = capsys.readouterr().err
+    assert "needs no_such_package" in error and 'pip install "accelsurf[viewer]"' in error
+
+
+@pytest.mark.skipif(importlib.util.find_spec("PySide6") is None, reason="not installed: PySide6")
+def test_a_screen_that_is_gone_is_one_line(scan, monkeypatch, capsys):
+    monkeypatch.setenv("DISPLAY", ":4242")
+    monkeypatch.setenv("QT_QPA_PLATFORM", "xcb")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert command(["view", str(scan)]) == 8
+    error = capsys.readouterr().err.splitlines()
+    assert len(error) == 2 and error[0].startswith("error: ")
+
+
+def test_bad_settings_are_told_before_a_window_is_opened(scan, capsys):
+    assert command(["view", str(scan), "--smoothness", "-1"]) == 2
+    assert "smoothness: -1 was given" in capsys.readouterr().err
+    assert command(["view"]) == 2

@@ -1,0 +1,245 @@
+"""Movies: the frames decode, differ, and show the surface grow; repeated from a result folder; nothing half written."""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from accelsurf import cli, io
+from accelsurf.errors import InputError, UsageError
+from accelsurf.segmentation.run import Run
+from accelsurf.viewer.frontends import movie_file as films
+from accelsurf.viewer.scene.scene import Scene
+from tests.support import viewing
+
+START = "ball:{},{},{},5"
+needs_ffmpeg = pytest.mark.skipif(
+    importlib.util.find_spec("imageio_ffmpeg") is None, reason='no mp4 encoder: pip install "accelsurf[viewer]"'
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def graphics():
+    viewing.needs_graphics()
+
+
+@pytest.fixture
+def image(tmp_path):
+    """A ball in a file, and the options that start in it and end soon."""
+    volume, center = viewing.ball_image()
+    path = tmp_path / "ball.nii.gz"
+    io.write(volume, path)
+    start = START.format(*(f"{v:g}" for v in center))
+    return path, ["--start", start, "--threads", "1", "--max-steps", "25", "--levels", "1"]
+
+
+def decoded(path):
+    """Frames of a movie (n, height, width, 3)."""
+    if path.suffix == ".mp4":
+        import imageio_ffmpeg
+
+        ppm = ["-f", "image2pipe", "-c:v", "ppm", "-"]
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-i", str(path), *ppm]
+        data = subprocess.run(command, capture_output=True, check=True).stdout
+        width, height = (int(v) for v in data.split(b"\n", 2)[1].split())
+        header = len(f"P6\n{width} {height}\n255\n")
+        raw = np.frombuffer(data, np.uint8).reshape(-1, header + 3 * width * height)
+        return list(raw[:, header:].reshape(-1, height, width, 3))
+    with Image.open(path) as opened:
+        return [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(opened)]
+
+
+def surface_pixels(frame):
+    """How many pixels of the tile in 3D are of the surface's orange."""
+    left = frame[:, : frame.shape[1] // 2].astype(int)
+    return int(((left[..., 0] > 90) & (left[..., 0] > left[..., 2] + 60)).sum())
+
+
+@pytest.mark.parametrize("suffix", [pytest.param(".mp4", marks=needs_ffmpeg), ".gif", ".webp"])
+def test_frames_differ_and_the_surface_grows(image, tmp_path, suffix, capsys):
+    path, options = image
+    out = tmp_path / f"evolution{suffix}"
+    size = ["--size", "480x270", "--orbit", "0", "--hold", "0.2", "--every", "3", "--fps", "10"]
+    assert cli.run(["movie", str(path), "-o", str(out), *options, *size]) == 0
+    assert "frames" in capsys.readouterr().out
+    frames = decoded(out)
+    assert {frame.shape for frame in frames} == {(270, 480, 3)}
+    assert len(frames) >= 9
+    for one, other in zip(frames[:4], frames[1:5], strict=True):
+        assert (np.abs(one.astype(int) - other) > 24).sum() > 50
+    grown = [surface_pixels(frame) for frame in frames]
+    assert grown[-1] > 1.8 * grown[0] > 100, grown
+    assert grown[:5] == sorted(grown[:5]), grown  # later momentum may carry it too far and back
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.nii.gz", out.name]
+
+
+def test_the_camera_turns(image, tmp_path):
+    path, options = image
+    pictures = {}
+    for orbit in ("0", "90"):
+        out = tmp_path / f"{orbit}.gif"
+        look = ["--size", "320x180", "--orbit", orbit, "--hold", "0.5", "--every", "1000", "--fps", "10"]
+        look += ["--view", "front"]
+        assert cli.run(["movie", str(path), "-o", str(out), *options, *look, "--quiet"]) == 0
+        pictures[orbit] = decoded(out)
+    # Pillow leaves out frames in which nothing changed, and shows the last one longer.
+    assert len(pictures["90"]) > len(pictures["0"]) >= 2
+    assert (pictures["90"][-1] != pictures["90"][-2]).any()
+
+
+def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
+    path, options = image
+    look = ["--theme", "light", "--color", "force", "--size", "640x360", "--volume", "--planes"]
+    out = tmp_path / "last.png"
+    assert cli.run(["movie", str(path), "--preview", "-o", str(out), *options, *look]) == 0
+    assert "picture" in capsys.readouterr().out
+    with Image.open(out) as picture:
+        assert picture.size == (640, 360)
+        assert np.median(np.asarray(picture)) == 255
+
+
+def test_a_result_folder_is_run_again_with_its_settings(image, tmp_path, capsys):
+    path, options = image
+    results = tmp_path / "out"
+    assert cli.run(["segment", str(path), "-o", str(results), "--smoothness", "0.3", *options]) == 0
+    source, config = films.run_of_folder(results)
+    assert (source, config.smoothness, config.max_steps, config.levels) == (path, 0.3, 25, 1)
+    look = ["--size", "320x180", "--hold", "0", "--every", "5"]
+    again, live = tmp_path / "again.gif", tmp_path / "live.gif"
+    assert cli.run(["movie", str(results), "-o", str(again), *look]) == 0
+    assert cli.run(["movie", str(path), "-o", str(live), "--smoothness", "0.3", *options, *look]) == 0
+    assert again.read_bytes() == live.read_bytes()
+    capsys.readouterr()
+    assert cli.run(["movie", str(results), "-o", str(tmp_path / "b.gif"), "--cfl", "0.4"]) == 2
+    assert "--cfl was given for a folder of results" in capsys.readouterr().err
+    path.write_bytes(path.read_bytes() + b" ")
+    with pytest.raises(InputError, match="has changed"):
+        films.run_of_folder(results)
+    path.unlink()
+    with pytest.raises(InputError, match="not there any more"):
+        films.run_of_folder(results)
+
+
+def test_edits_are_made_again_too(image, tmp_path):
+    path, options = image
+    results = tmp_path / "out"
+    edit = ["--edit", "step=5 smoothness=0.5", "--edit", "step=9 flow=gradient"]
+    assert cli.run(["segment", str(path), "-o", str(results), "--quiet", *options, *edit]) == 0
+    told = json.loads((results / "ball_report.json").read_text())
+    volume = io.read(path)
+    scene = Scene(volume, size=(320, 180))
+    try:
+        films.run_to_last(Run(volume, films.run_of_folder(results)[1]), scene)
+        assert scene.frame.row.volume_mm3 == told["volume_mm3"]
+        assert scene.frame.row.step == told["stop"]["steps"]
+    finally:
+        scene.close()
+
+
+def test_folders_that_tell_of_no_run_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no report"):
+        films.run_of_folder(tmp_path)
+    report = tmp_path / "a_report.json"
+    for text in ("", "[]", '{"config": null, "input": null}', '{"config": 3, "input": {"path": "a", "sha256": null}}'):
+        report.write_text(text)
+        with pytest.raises(InputError, match="not the report of a run"):
+            films.run_of_folder(tmp_path)
+    report.write_text(json.dumps({"config": {"energy": "custom: Mine"}, "input": {"path": "a", "sha256": None}}))
+    with pytest.raises(InputError, match="one of your own"):
+        films.run_of_folder(tmp_path)
+    (tmp_path / "b_report.json").write_text("{}")
+    with pytest.raises(InputError, match="2 reports"):
+        films.run_of_folder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (["-o", "a.avi"], "a.avi: .avi was given, expected .mp4, .gif, .webp"),
+        (["-o", "a"], "no suffix was given"),
+        (["-o", "a.png"], "expected .mp4, .gif, .webp"),
+        (["-o", "a.gif", "--preview"], "expected .png with --preview"),
+        (["-o", "a.gif", "--size", "big"], "size: big was given"),
+        (["-o", "a.gif", "--size", "10x10"], "size: 10x10 was given"),
+        (["-o", "a.gif", "--size", "99999x9999"], "size: 99999x9999 was given"),
+        pytest.param(["-o", "a.mp4", "--size", "321x180"], "expected even numbers for mp4"),
+        (["-o", "a.gif", "--fps", "0"], "fps: 0 was given"),
+        (["-o", "a.gif", "--fps", "nan"], "fps: nan was given"),
+        (["-o", "a.gif", "--every", "0"], "every: 0 was given"),
+        (["-o", "a.gif", "--hold", "-1"], "hold: -1 was given"),
+        (["-o", "a.gif", "--start", "nowhere"], "start"),
+        ([], "-o FILE, the movie, is missing"),
+    ],
+)
+def test_bad_options_cost_one_line_and_no_file(image, tmp_path, capsys, monkeypatch, given, told):
+    path, _ = image
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["movie", str(path), *given]) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("error:") == 1 and len(error.splitlines()) <= 2
+    assert [p.name for p in tmp_path.iterdir()] == ["ball.nii.gz"]
+
+
+def test_what_exists_is_kept_unless_told(image, tmp_path, capsys):
+    path, options = image
+    out = tmp_path / "a.gif"
+    out.write_bytes(b"mine")
+    assert cli.run(["movie", str(path), "-o", str(out), *options]) == 7
+    assert "exists already" in capsys.readouterr().err and out.read_bytes() == b"mine"
+    look = ["--size", "320x180", "--every", "1000", "--hold", "0", "--overwrite", "--quiet"]
+    assert cli.run(["movie", str(path), "-o", str(out), *options, *look]) == 0
+    assert out.read_bytes()[:3] == b"GIF"
+
+
+def test_nothing_is_left_when_a_frame_fails(tmp_path):
+    def frames():
+        yield np.zeros((180, 320, 3), np.uint8)
+        raise InputError("the disc turned to stone")
+
+    for name in ("a.gif", "a.webp", *(["a.mp4"] if importlib.util.find_spec("imageio_ffmpeg") else [])):
+        with pytest.raises(InputError, match="stone"):
+            films.write(tmp_path / name, frames(), films.Film(size=(320, 180)))
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_mp4_without_its_encoder_is_one_line(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(UsageError, match="imageio-ffmpeg is not installed") as caught:
+        films.check_target(tmp_path / "a.mp4", (320, 180))
+    assert "accelsurf[viewer]" in caught.value.hint
+    films.check_target(tmp_path / "a.gif", (320, 180))
+
+
+# -- without a screen ---------------------------------------------------------------------------------------
+
+
+def alone(arguments, **environment):
+    """Run the command line in a process without a screen."""
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")} | environment
+    command = [sys.executable, "-m", "accelsurf", *map(str, arguments)]
+    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=240)
+
+
+def test_pictures_need_no_screen(image, tmp_path):
+    path, options = image
+    out = tmp_path / "a.png"
+    done = alone(["movie", path, "--preview", "-o", out, *options])
+    assert done.returncode == 0, done.stderr
+    assert out.is_file() and done.stderr == ""  # no word of VTK's about the screen that it did not find
+
+
+def test_without_any_driver_one_line_says_what_is_missing(image, tmp_path):
+    path, options = image
+    nowhere = str(tmp_path / "nowhere")
+    none = {"__EGL_VENDOR_LIBRARY_DIRS": nowhere, "LIBGL_DRIVERS_PATH": nowhere}
+    done = alone(["movie", path, "--preview", "-o", tmp_path / "a.png", *options], **none)
+    if done.returncode == 0:
+        pytest.skip("this machine draws without EGL: it has OSMesa, or a driver elsewhere")
+    assert done.returncode == 8 and len(done.stderr.splitlines()) == 2, done.stderr
+    assert "neither a screen nor EGL nor OSMesa" in done.stderr and "apt install libosmesa6" in done.stderr
+    assert not (tmp_path / "a.png").exists()

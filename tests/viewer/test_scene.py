@@ -1,0 +1,299 @@
+"""The scene: what it draws lies where it should, in mm, on oblique, left-handed, anisotropic and coarse grids."""
+
+import numpy as np
+import pytest
+
+from accelsurf import Volume
+from accelsurf.analysis.surface_mesh import extract
+from accelsurf.errors import InputError, UsageError
+from accelsurf.viewer.scene import colors, shapes
+from accelsurf.viewer.scene.scene import Scene
+from tests.support import viewing
+
+DIRECTIONS = {"straight": np.eye(3), "left-handed, oblique": viewing.TURN, "axes swapped": np.eye(3)[[2, 0, 1]]}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def graphics():
+    viewing.needs_graphics()
+
+
+@pytest.fixture
+def scene_of():
+    made = []
+
+    def make(*args, **options):
+        made.append(Scene(*args, **options))
+        return made[-1]
+
+    yield make
+    for scene in made:
+        scene.close()
+
+
+# -- shapes: no plotter -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DIRECTIONS)
+@pytest.mark.parametrize("levels", [1, 2])
+def test_the_surface_lies_in_the_world(name, levels):
+    volume, center = viewing.ball_image((48, 52, 56), direction=DIRECTIONS[name], radius=16.0)
+    frames, _ = viewing.run_frames(volume, center, levels=levels, max_steps=60)
+    assert {frame.row.level for frame in frames} == set(range(levels))
+    for frame in frames[-1], frames[2]:
+        mesh = shapes.isosurface(frame, volume.geometry)
+        radii = np.linalg.norm(mesh.points - center, axis=1)
+        assert radii.std() < 0.35, (frame.row.level, radii.std())
+        outward = (mesh.points - center) / radii[:, None]
+        normals = np.asarray(mesh.point_data.active_normals)
+        assert np.median((normals * outward).sum(axis=1)) > 0.97
+    radii = np.linalg.norm(shapes.isosurface(frames[-1], volume.geometry).points - center, axis=1)
+    assert abs(radii.mean() - 16.0) < 0.5
+
+
+def test_the_surface_is_that_of_the_mesh_that_is_saved():
+    volume, center = viewing.ball_image(direction=viewing.TURN)
+    frames, _ = viewing.run_frames(volume, center, levels=1)
+    psi = np.full(volume.geometry.shape, 9.0, np.float32)
+    frame = frames[-1]
+    psi[tuple(slice(o, o + n) for o, n in zip(frame.offset, frame.psi.shape, strict=True))] = frame.psi
+    saved = extract(psi, volume.geometry)
+    mesh = shapes.isosurface(frame, volume.geometry)
+    assert np.allclose(mesh.bounds[::2], saved.bounds[0], atol=1e-3)
+    assert np.allclose(mesh.bounds[1::2], saved.bounds[1], atol=1e-3)
+    assert mesh.area == pytest.approx(saved.area, rel=0.01)
+
+
+def test_an_object_cut_by_the_border_is_closed():
+    z, y, x = np.indices((12, 14, 16)).astype(np.float32)
+    mesh = shapes.closed_surface(np.sqrt((z - 1) ** 2 + (y - 7) ** 2 + (x - 8) ** 2) - 5)
+    assert mesh.n_open_edges == 0 and mesh.volume > 0
+    assert mesh.bounds[4] == pytest.approx(-0.5, abs=0.01)
+
+
+def test_colours_on_the_surface_are_the_quantity():
+    volume, center = viewing.ball_image()
+    frames, _ = viewing.run_frames(volume, center, levels=1)
+    mesh = shapes.isosurface(frames[3], volume.geometry, "speed")
+    cells, values = frames[3].quantities["speed"]
+    near = np.abs(np.asarray(mesh["speed"]))
+    assert near.max() > 0 and near.max() <= np.abs(values).max() * 1.0001
+    assert "density" not in shapes.isosurface(frames[3], volume.geometry, "density").point_data
+
+
+def test_contours_lie_on_the_circle():
+    y, x = np.indices((30, 40)).astype(np.float32)
+    lines = shapes.contour(np.sqrt((y - 12) ** 2 + (x - 20) ** 2) - 8)
+    assert np.allclose(np.linalg.norm(lines.reshape(-1, 2) - (12, 20), axis=1), 8, atol=0.05)
+    assert len(shapes.contour(np.ones((5, 5), np.float32))) == 0
+
+
+def test_color_ranges_are_round_and_hold_the_values():
+    assert colors.color_range(np.zeros(3, np.float32), True) == (-1.0, 1.0)
+    assert colors.color_range(np.array([np.nan, 7.0], np.float32), False) == (0.0, 10.0)
+
+
+# -- the scene ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DIRECTIONS)
+def test_slices_cut_where_the_cursor_is(scene_of, name):
+    """A single bright voxel is seen where its world position is, in each slice, whatever the grid's directions."""
+    volume, _ = viewing.ball_image(direction=DIRECTIONS[name])
+    voxel = (5, 30, 12)
+    array = np.zeros(volume.array.shape, np.float32)
+    array[voxel] = 1.0
+    scene = scene_of(Volume(array, volume.geometry), size=(800, 450))
+    world = volume.geometry.index_to_world(voxel)
+    scene.slices(*world)
+    assert np.allclose(scene.cursor, world)
+    picture = scene.screenshot()
+    height, width = picture.shape[:2]
+    for tile in scene.slice_tiles.values():
+        right, up = tile.to_tile(np.array(voxel, float))
+        left, bottom, far, top = tile.renderer.GetViewport()
+        mm = 2 * tile.renderer.camera.parallel_scale / ((top - bottom) * height)
+        x = (left + far) / 2 * width + (right - tile.renderer.camera.focal_point[0]) / mm
+        y = (bottom + top) / 2 * height + (up - tile.renderer.camera.focal_point[1]) / mm
+        assert picture[height - 1 - round(y), round(x)].max() > 100
+        picked = scene.pick(x, y)
+        assert np.linalg.norm(picked.world - world) < 1.0
+    scene.slices(*volume.geometry.index_to_world((12, 12, 30)))
+    assert (scene.screenshot() != picture).any()
+
+
+def test_slices_hang_as_radiologists_hang_them(scene_of):
+    """The patient's left (+x) is at the right, front (-y) at the top of an axial slice, head (+z) of the others."""
+    volume, _ = viewing.ball_image(direction=np.diag([-1.0, -1.0, -1.0]))
+    tiles = scene_of(volume).slice_tiles
+    origin = volume.geometry.center_world()
+    for name, vector, wanted in (
+        ("axial", (1, 0, 0), (1, 0)), ("axial", (0, -1, 0), (0, 1)), ("coronal", (1, 0, 0), (1, 0)),
+        ("coronal", (0, 0, 1), (0, 1)), ("sagittal", (0, 1, 0), (1, 0)), ("sagittal", (0, 0, 1), (0, 1)),
+    ):  # fmt: skip
+        ends = [volume.geometry.world_to_index(origin + k * np.array(vector)) for k in (0.0, 1.0)]
+        assert np.allclose(tiles[name].to_tile(ends[1]) - tiles[name].to_tile(ends[0]), wanted), (name, vector)
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_pictures_show_the_run(scene_of, theme):
+    volume, center = viewing.ball_image()
+    frames, ledger = viewing.run_frames(volume, center)
+    scene = scene_of(volume, theme=theme, reference=volume.with_array(volume.array > 0), size=(960, 540))
+    empty = scene.screenshot()
+    assert empty.shape == (540, 960, 3)
+    seen = [empty]
+    for number in (0, 3, len(frames) - 1):
+        scene.update(frames[number], ledger[: number + 1])
+        seen.append(scene.screenshot())
+        assert all((seen[-1] != other).any() for other in seen[:-1])
+    assert scene.dice > 0.97
+    assert abs(int(np.median(seen[-1])) - (20 if theme == "dark" else 255)) < 30
+    # The same frame gives the same picture.
+    assert np.array_equal(seen[-1], scene.screenshot())
+    for name in ("speed", "force"):
+        scene.color_by(name)
+        colored = scene.screenshot()
+        assert (colored != seen[-1]).mean() > 0.002
+        seen.append(colored)
+    assert (seen[-1] != seen[-2]).any()
+    scene.color_by("density")  # this flow has none: plain, and no scale of colours
+    assert np.array_equal(scene.screenshot(), seen[4 - 1])
+
+
+def test_dice_of_coarse_frames_is_near(scene_of):
+    volume, center = viewing.ball_image((48, 52, 56), radius=16.0)
+    frames, _ = viewing.run_frames(volume, center, levels=2, max_steps=60)
+    truth = volume.with_array(volume.array > 0)
+    scene = scene_of(volume, reference=truth)
+    coarse = [frame for frame in frames if frame.row.level == 1][-1]
+    scene.update(coarse)
+    assert scene.dice > 0.93
+    scene.update(frames[-1])
+    labels = np.zeros(volume.array.shape, bool)
+    frame = frames[-1]
+    labels[tuple(slice(o, o + n) for o, n in zip(frame.offset, frame.psi.shape, strict=True))] = frame.psi < 0
+    common = (labels & (truth.array > 0)).sum()
+    assert scene.dice == pytest.approx(2 * common / (labels.sum() + truth.array.sum()), abs=1e-12)
+
+
+def test_what_may_be_switched_changes_the_picture(scene_of):
+    volume, center = viewing.ball_image()
+    frames, ledger = viewing.run_frames(volume, center)
+    scene = scene_of(volume, size=(640, 360))
+    scene.update(frames[-1], ledger)
+    plain = scene.screenshot()
+    for switch in (scene.show_volume, scene.show_planes):
+        switch(True)
+        assert (scene.screenshot() != plain).mean() > 0.002, switch.__name__
+        switch(False)
+        assert np.array_equal(scene.screenshot(), plain)
+    scene.mark_ball(center, 9.0)
+    assert (scene.screenshot() != plain).any()
+    scene.mark_ball(None)
+    assert np.array_equal(scene.screenshot(), plain)
+    scene.say("space: run or pause")
+    assert (scene.screenshot() != plain).any()
+    scene.say("")
+    scene.orbit(30.0)
+    turned = scene.screenshot()
+    assert (turned != plain).any()
+    scene.orbit(-30.0)
+    assert (scene.screenshot() != plain).mean() < 0.002  # but for rounding
+    scene.paint("light")
+    assert np.median(scene.screenshot()) == 255
+
+
+def test_picking_the_surface_gives_a_point_on_it(scene_of):
+    volume, center = viewing.ball_image()
+    frames, _ = viewing.run_frames(volume, center)
+    scene = scene_of(volume, size=(800, 450))
+    scene.update(frames[-1])
+    scene.render()
+    scene.space.renderer.SetWorldPoint(*center, 1.0)
+    scene.space.renderer.WorldToDisplay()
+    x, y, _ = scene.space.renderer.GetDisplayPoint()
+    picked = scene.pick(x, y)
+    assert picked.tile == "space" and abs(np.linalg.norm(picked.world - center) - 11) < 0.6
+    assert scene.pick(2, 440).world is None  # beside it
+    assert scene.pick(790, 10).tile == "energies"
+
+
+def test_a_stepped_slice_is_the_next_one(scene_of):
+    volume, _ = viewing.ball_image(direction=viewing.TURN)
+    scene = scene_of(volume)
+    for name, tile in scene.slice_tiles.items():
+        before = tile.index
+        scene.step_slice(name, 2)
+        assert abs(tile.index - before) == 2
+        scene.step_slice(name, -1000)
+        assert tile.index in (0, volume.array.shape[tile.axis] - 1)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_one_slice_is_a_scene_too(scene_of, axis):
+    shape = [40, 44, 48]
+    shape[axis] = 1
+    where = np.indices(shape) - (np.array(shape).reshape(3, 1, 1, 1) - 1) / 2
+    image = (np.linalg.norm(where, axis=0) < 12).astype(np.float32)
+    volume = Volume.from_array(image, (1.0, 1.0, 1.0))
+    frames, ledger = viewing.run_frames(volume, volume.geometry.center_world(), levels=1)
+    scene = scene_of(volume, size=(800, 450), reference=volume)
+    assert scene.space is None and len(scene.slice_tiles) == 1
+    empty = scene.screenshot()
+    scene.update(frames[-1], ledger)
+    assert (scene.screenshot() != empty).mean() > 0.01
+    assert scene.dice > 0.97
+    scene.show_volume(True)
+    scene.color_by("speed")
+    assert scene.pick(200, 225).world is not None
+
+
+def test_no_surface_and_no_history_are_drawn(scene_of):
+    volume, center = viewing.ball_image()
+    frames, ledger = viewing.run_frames(volume, center, smoothness=60, max_steps=150, levels=1)
+    assert not frames[-1].has_surface
+    scene = scene_of(volume)
+    scene.update(frames[0], ledger[:1])
+    there = scene.screenshot()
+    scene.update(frames[-1], ledger)
+    assert (scene.screenshot() != there).any()
+
+
+def test_bad_input_is_told(scene_of):
+    volume, _ = viewing.ball_image()
+    with pytest.raises(UsageError, match="theme: pink"):
+        scene_of(volume, theme="pink")
+    other, _ = viewing.ball_image(spacing=(1.0, 1.0, 1.0))
+    with pytest.raises(InputError, match="not on the image's grid"):
+        scene_of(volume, reference=other)
+    scene = scene_of(volume)
+    with pytest.raises(UsageError, match="color: rainbow"):
+        scene.color_by("rainbow")
+    for bad in (np.nan, np.inf):
+        with pytest.raises(UsageError, match="cursor"):
+            scene.slices(0, 0, bad)
+    scene.slices(1e12, -1e12, 0)  # held to the image
+    assert np.isfinite(scene.cursor).all()
+
+
+def test_screenshots_are_files_too(scene_of, tmp_path):
+    from matplotlib import image
+
+    volume, _ = viewing.ball_image()
+    scene = scene_of(volume, size=(400, 300))
+    picture = scene.screenshot(tmp_path / "a.png")
+    assert np.array_equal((image.imread(tmp_path / "a.png") * 255).round().astype(np.uint8)[..., :3], picture)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+
+
+@pytest.mark.parametrize("name", DIRECTIONS)
+def test_triangles_face_the_way_of_their_normals(name):
+    volume, center = viewing.ball_image(direction=DIRECTIONS[name])
+    frames, _ = viewing.run_frames(volume, center, levels=1, max_steps=3)
+    for mesh in (
+        shapes.isosurface(frames[-1], volume.geometry), shapes.label_surface(volume.array > 0, volume.geometry)
+    ):
+        a, b, c = (np.asarray(mesh.points)[corner] for corner in np.asarray(mesh.faces).reshape(-1, 4)[:, 1:].T)
+        outward = (np.cross(b - a, c - a) * (a - center)).sum(axis=1)
+        assert (outward > 0).mean() > 0.999
