@@ -183,7 +183,7 @@ def _trace(history) -> str:
 
 
 def _history(result) -> Any:
-    return getattr(result, "history", None) or result.ledger
+    return getattr(result, "history", None) or result.history
 
 
 def fingerprint(result: Any) -> dict[str, str]:

@@ -99,9 +99,9 @@ def describe(name: str, config: RunConfig, results: dict[str, tuple[Result, floa
                 "dice": dice(result.labels, truth),
                 "steps": result.stop.steps,
                 "stop": result.stop.reason,
-                "energy": result.ledger[-1].potential,
+                "energy": result.history[-1].potential,
                 "area_mm2": result.area_mm2,
-                "band_updates": sum(row.band_cells for row in result.ledger),
+                "band_updates": sum(row.band_cells for row in result.history),
                 "seconds": seconds,
             }
             for start, (result, seconds) in results.items()

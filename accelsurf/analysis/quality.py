@@ -12,19 +12,19 @@ from scipy import ndimage
 from accelsurf.energies.geodesic import largest_spacing, smoothed
 
 if TYPE_CHECKING:
-    from accelsurf.evolution.loop import Row, Stop
+    from accelsurf.evolution.loop import StepRecord, Stop
 
 #: What makes a warning: more of the surface than this on the border or without an edge; less contrast than this, in
 #: parts of the image's range; more growth than this in the last steps.
-MOST_ON_BORDER, MOST_WITHOUT_EDGE, LEAST_CONTRAST, MOST_GROWTH, LAST_STEPS = 0.2, 0.4, 0.05, 0.02, 20
+MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS = 0.2, 0.4, 0.05, 0.02, 20
 #: More of the object unlike what it was learned from. A Gaussian has 1.2 % beyond the bounds; of the good results of
 #: docs/real-scans.md at most 3 % was, of those that leaked 19 % and more.
-MOST_UNLIKE = 0.1
+MAX_UNLIKE = 0.1
 #: A gradient is no edge unless it is above this percentile of those in the object's own depth, so many voxels from its
 #: surface, and above this part of the image's range over the scale that gradients are seen at.
 USUAL_PERCENTILE, DEEP, FLAT = 75.0, 3, 0.005
 #: Parts of the object with this share of its volume that hang together by less than two voxels to either side.
-LARGE_PART, NECK, MOST_PARTS = 0.05, 2, 200
+LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
 #: So many of the object's own voxels are enough to know their gradients.
 ENOUGH = 1 << 18
 #: Voxels of a slab that is worked on at once, and slices of it for each of those around it that it needs besides.
@@ -74,7 +74,7 @@ def assess(
     labels: NDArray[np.uint8],
     image: NDArray[np.float32],
     spacing: tuple[float, float, float],
-    ledger: Sequence[Row],
+    history: Sequence[StepRecord],
     stop: Stop,
     learned: tuple[float, float] | None = None,
 ) -> Quality:
@@ -88,15 +88,15 @@ def assess(
         As energies saw it, 0 and 1 at its percentiles.
     spacing : (hz, hy, hx)
         mm.
-    ledger : sequence of Row
+    history : sequence of Row
     stop : Stop
     learned : (float, float), optional
         Values between which those of the object should lie, as models learned from the start have it.
     """
     inside = labels > 0
     border, contrast = _faces(inside, image, spacing)
-    own = [row for row in ledger if row.level == 0]
-    first, last = (ledger[0].volume_mm3, ledger[-1].volume_mm3) if ledger else (0.0, 0.0)
+    own = [row for row in history if row.level == 0]
+    first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = own[-LAST_STEPS - 1].volume_mm3 if len(own) > LAST_STEPS else (own[0].volume_mm3 if own else 0.0)
     found = Quality(
         border_fraction=border,
@@ -116,25 +116,25 @@ def _doubts(found: Quality, stop: Stop) -> list[str]:
     doubts = []
     if found.leaked:
         doubts.append(f"leak: {stop.message}")
-    if found.unlike_learned is not None and found.unlike_learned > MOST_UNLIKE:
+    if found.unlike_learned is not None and found.unlike_learned > MAX_UNLIKE:
         doubts.append(
             f"values: {found.unlike_learned:.0%} of the object is unlike what it was learned from: it may have leaked, "
             "or what it was learned from is not typical"
         )
-    if found.border_fraction > MOST_ON_BORDER:
+    if found.border_fraction > MAX_ON_BORDER:
         doubts.append(f"border: {found.border_fraction:.0%} of the surface lies on the volume's border")
     # An object may be brighter than one neighbour and darker than another: then there are edges.
-    if abs(found.contrast) < LEAST_CONTRAST and found.no_edge_fraction > MOST_WITHOUT_EDGE:
+    if abs(found.contrast) < MIN_CONTRAST and found.no_edge_fraction > MAX_WITHOUT_EDGE:
         doubts.append(
             f"contrast: inside and outside hardly differ at the surface ({found.contrast:.3f} of the image's range)"
         )
-    if found.no_edge_fraction > MOST_WITHOUT_EDGE:
+    if found.no_edge_fraction > MAX_WITHOUT_EDGE:
         doubts.append(f"edge: under {found.no_edge_fraction:.0%} of the surface the image has no edge")
     if found.parts_beyond_necks > 1:
         doubts.append(
             f"necks: {found.parts_beyond_necks} large parts hang together by less than four voxels only; has it leaked?"
         )
-    if abs(found.late_growth) > MOST_GROWTH and stop.reason != "converged":
+    if abs(found.late_growth) > MAX_GROWTH and stop.reason != "converged":
         doubts.append(f"growth: the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps")
     return doubts
 
@@ -248,7 +248,7 @@ def _parts(inside: NDArray[np.bool_]) -> int:
     # So many parts at most are large; as bytes they need a quarter of the memory.
     sizes = np.bincount(cores.ravel(), minlength=count + 1)
     sizes[0] = 0
-    order = np.argsort(-sizes, kind="stable")[: min(count, MOST_PARTS)]
+    order = np.argsort(-sizes, kind="stable")[: min(count, MAX_PARTS)]
     name = np.zeros(count + 1, np.uint8)
     name[order] = np.arange(1, len(order) + 1)
     reach = name[cores]

@@ -76,7 +76,7 @@ class Case:
         self._began = time.perf_counter()
 
     @property
-    def one_slice(self) -> bool:
+    def is_2d(self) -> bool:
         """Whether the image that was read has one slice."""
         return self.volume is not None and self.volume.geometry.slice_axis is not None
 
@@ -91,7 +91,7 @@ class Case:
 
     def names(self, config: RunConfig) -> dict[str, str]:
         """Return the last part of every output's name by its kind; before the image is read, all that there may be."""
-        return outputs.names(config, self.label_format(config), None if self.volume is None else self.one_slice)
+        return outputs.names(config, self.label_format(config), None if self.volume is None else self.is_2d)
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
         """Return every output of the run by kind, the report last; before the image is read, all that there may be."""

@@ -84,15 +84,15 @@ def writers(
             add(names["sdf"], "sdf", lambda path: io.write(result.labels_volume().with_array(result.psi), path))
     rows = document.describe_objects(result)
     add("objects.csv", "objects", lambda path: _write(path, document.objects_csv(rows)))
-    ledgers = {own: one.ledger for own, one in result.objects.items()}
-    add(names["trace"], "trace", lambda path: _write(path, document.objects_trace_csv(ledgers)))
+    histories = {own: one.history for own, one in result.objects.items()}
+    add(names["trace"], "trace", lambda path: _write(path, document.objects_trace_csv(histories)))
     add(names["preview"], "preview", lambda path: write_bytes(path, preview.preview_png(picture)))
     return out
 
 
 def _mesh_writer(case: Case, one: Any, config: RunConfig) -> Writer:
     def write(path: Path) -> None:
-        (one.contours if case.one_slice else one.surface).write(path, config.mesh_space)
+        (one.contours if case.is_2d else one.surface).write(path, config.mesh_space)
 
     return write
 
@@ -137,7 +137,7 @@ def summary(case: Case, result: ObjectsResult) -> list[str]:
         f"{case.name}: {result.stop.message}; up to {result.stop.steps} steps, {case.seconds['total']:.1f} s",
         f"volume {result.volume_mm3:.6g} mm3, area {result.area_mm2:.6g} mm2 in all",
     ]
-    if case.one_slice:
+    if case.is_2d:
         lines[1] = f"area {result.enclosed_mm2:.6g} mm2, length {result.length_mm:.6g} mm in all"
     seen: dict[str, list[str]] = {}
     for output in case.outputs:

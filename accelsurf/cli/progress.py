@@ -14,7 +14,7 @@ from accelsurf.cli.options import Display
 from accelsurf.report.document import to_json
 
 if TYPE_CHECKING:
-    from accelsurf.evolution.loop import Row
+    from accelsurf.evolution.loop import StepRecord
 
 
 #: What the bar says until the first step: the one place where a run may seem to hang.
@@ -64,7 +64,7 @@ class Watcher:
         self.interrupted = True
         print("interrupted: ending this step and writing what was reached (once more: give up)", file=sys.stderr)
 
-    def on_step(self, row: Row, own: int | None = None) -> bool:
+    def on_step(self, row: StepRecord, own: int | None = None) -> bool:
         """Show one step, of the object ``own`` if there are several.
 
         Returns

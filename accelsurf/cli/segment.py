@@ -85,9 +85,9 @@ def _tell(case: Case) -> None:  # type: ignore[name-defined]  # noqa: F821
     if any(output["kind"] in ("surface", "contour") for output in case.outputs):
         parts = f"{result.components} component{'' if result.components == 1 else 's'}"
         sizes = f"volume {result.volume_mm3:.6g} mm3, area {result.area_mm2:.6g} mm2"
-        if case.one_slice:
+        if case.is_2d:
             sizes = f"area {result.enclosed_mm2:.6g} mm2, length {result.length_mm:.6g} mm"
-        border = f", touches the {'image' if case.one_slice else 'volume'}'s border" if result.touches_border else ""
+        border = f", touches the {'image' if case.is_2d else 'volume'}'s border" if result.touches_border else ""
         print(f"{sizes}, {parts}{border}")
     for output in case.outputs:
         print(f"  {output['kind']:8} {output['path']}")

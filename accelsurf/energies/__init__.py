@@ -11,10 +11,10 @@ from accelsurf.energies.front_samples import normals_at_front, points_at_front, 
 from accelsurf.energies.geodesic import Geodesic, edge_contrast, edge_indicator
 from accelsurf.energies.likelihood import Gaussian, GaussianLikelihood, HistogramLikelihood, Parzen, gaussian_of
 from accelsurf.energies.local_region import LocalRegion
-from accelsurf.energies.protocol import Energy, ImageEnergy, RegionSums, Sums
+from accelsurf.energies.protocol import Energy, ImageEnergy, RegionMoments, RegionSums
 from accelsurf.energies.region_field import RegionField
 from accelsurf.energies.threshold import Threshold
-from accelsurf.energies.user_energy import Checked
+from accelsurf.energies.user_energy import CheckedEnergy
 from accelsurf.energies.weighted_sum import Area, Balloon, WeightedSum
 
 __all__ = [
@@ -22,7 +22,7 @@ __all__ = [
     "AreaTerm",
     "Balloon",
     "ChanVese",
-    "Checked",
+    "CheckedEnergy",
     "Energy",
     "Gaussian",
     "GaussianLikelihood",
@@ -33,7 +33,7 @@ __all__ = [
     "Parzen",
     "RegionField",
     "RegionSums",
-    "Sums",
+    "RegionMoments",
     "Threshold",
     "WeightedSum",
     "edge_contrast",

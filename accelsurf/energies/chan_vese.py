@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.protocol import ImageEnergy, Interface, Sums
+from accelsurf.energies.protocol import ImageEnergy, Interface, RegionMoments
 from accelsurf.levelset import LevelSet
 
 
@@ -42,12 +42,12 @@ class ChanVese(ImageEnergy):
         self._weights = (2.0 * balance / (1.0 + balance), 2.0 / (1.0 + balance))
         self._area = AreaTerm(alpha)
         self._fixed = means
-        self._all = self.sums.everything()
+        self._all = self.sums.whole_image()
         self.means = means or (0.0, 0.0)
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also sets `means` for the next `force`."""
-        inside = self.sums.inside(surface, self._interface.part(surface, part))
+        inside = self.sums.inside(surface, self._interface.fraction(surface, fraction))
         energy = 0.0
         means = []
         for i, sums in enumerate((inside, self._outside(inside))):
@@ -57,8 +57,8 @@ class ChanVese(ImageEnergy):
         self.means = (means[0], means[1])
         return energy * surface.voxel_volume + self._area.value(area)
 
-    def _outside(self, inside: Sums) -> Sums:
-        return Sums(*(a - b for a, b in zip(self._all, inside, strict=True)))
+    def _outside(self, inside: RegionMoments) -> RegionMoments:
+        return RegionMoments(*(a - b for a, b in zip(self._all, inside, strict=True)))
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""

@@ -46,12 +46,12 @@ class Geodesic(ImageEnergy):
         self._area = AreaTerm(alpha)
         self.balloon = float(balloon)
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface: phi at the foot of each voxel that the surface cuts, times the area in it."""
         phi = sample_at_front(self.sums.image, surface, area > 0)
         energy = dot(phi, area) + self._area.value(area)
         if self.balloon:
-            energy += self.balloon * self.sums.inside(surface, part).total * surface.voxel_volume
+            energy += self.balloon * self.sums.inside(surface, fraction).total * surface.voxel_volume
         return energy
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:

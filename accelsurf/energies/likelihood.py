@@ -9,13 +9,13 @@ import numpy as np
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front
-from accelsurf.energies.protocol import ImageEnergy, Interface, RegionSums, Sums
+from accelsurf.energies.protocol import ImageEnergy, Interface, RegionMoments, RegionSums
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
 from accelsurf.levelset import Change, LevelSet, dot
 
 #: Least standard deviation of a Gaussian, as part of the image's range: a region of one value has none of its own.
-LEAST_DEVIATION = 0.01
+MIN_DEVIATION = 0.01
 #: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side.
 BINS, END_PERCENTILES, MARGIN = 64, (0.5, 99.5), 0.05
 #: Width (sigma) of Parzen's window, bins; and the part of every value that any region may have: no value decides alone.
@@ -57,15 +57,15 @@ class GaussianLikelihood(ImageEnergy):
         super().__init__(image, alpha)
         self._interface = Interface(float(epsilon))
         self._area = AreaTerm(alpha)
-        self._all = self.sums.everything()
+        self._all = self.sums.whole_image()
         self._least = least_variance(image)
         self._fixed = models
         self.models = models or (Gaussian(0.0, 1.0), Gaussian(0.0, 1.0))
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also sets `models` for the next `force`."""
-        inside = self.sums.inside(surface, self._interface.part(surface, part))
-        outside = Sums(*(a - b for a, b in zip(self._all, inside, strict=True)))
+        inside = self.sums.inside(surface, self._interface.fraction(surface, fraction))
+        outside = RegionMoments(*(a - b for a, b in zip(self._all, inside, strict=True)))
         models, energy = [], 0.0
         for i, sums in enumerate((inside, outside)):
             model = self._fixed[i] if self._fixed else _gaussian(sums, self._least)
@@ -88,7 +88,7 @@ class GaussianLikelihood(ImageEnergy):
 
 def least_variance(image: np.ndarray) -> float:
     """Smallest variance that a region of an image is given."""
-    return float((LEAST_DEVIATION * (float(np.max(image)) - float(np.min(image)))) ** 2) or 1.0
+    return float((MIN_DEVIATION * (float(np.max(image)) - float(np.min(image)))) ** 2) or 1.0
 
 
 def gaussian_of(values: np.ndarray, least: float) -> Gaussian:
@@ -105,7 +105,7 @@ def gaussian_of(values: np.ndarray, least: float) -> Gaussian:
     return Gaussian(float(sample.mean()), max(float(sample.var()), least))
 
 
-def _gaussian(sums: Sums, least: float) -> Gaussian:
+def _gaussian(sums: RegionMoments, least: float) -> Gaussian:
     if not sums.voxels > 0:
         return Gaussian(0.0, least)
     mean = sums.total / sums.voxels
@@ -228,22 +228,22 @@ class HistogramLikelihood:
         left, entered = (self.sums.image[cells] for cells in (change.left_inside, change.entered_inside))
         self._beyond_band = self._beyond_band + self._parzen.histogram(left) - self._parzen.histogram(entered)
 
-    def kept(self) -> np.ndarray:
+    def state(self) -> np.ndarray:
         """What it carries from step to step; not to be changed."""
         return self._beyond_band
 
-    def resume(self, surface: LevelSet, kept: np.ndarray) -> None:
-        """Go on, on this surface, from what was ``kept`` on it."""
+    def restore(self, surface: LevelSet, kept: np.ndarray) -> None:
+        """Go on, on this surface, from what was ``state`` on it."""
         self._beyond_band = kept
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the densities for the next `force`."""
         band = surface.workers.sums(
             histogram.weighted_histogram,
             surface.size,
             BINS,
             surface.band.cells,
-            self._interface.part(surface, part),
+            self._interface.fraction(surface, fraction),
             self.sums.image,
             self._parzen.scale,
         )

@@ -15,9 +15,9 @@ from accelsurf.levelset import Change, LevelSet
 #: Half width of the tent along each axis that has the variance of a ball of radius 1.
 TENT = math.sqrt(6.0 / 5.0)
 #: Nodes per half width of the tent, where they are not closer than two voxels.
-MOST_REACH, FEWEST_REACH = 4, 2
+MAX_REACH, FEWEST_REACH = 4, 2
 #: A window with no more than this part on one side of the surface has nothing to say.
-LEAST_PART = 1e-6
+MIN_PART = 1e-6
 #: Voxels of the whole volume that are summed at once, for the sake of memory.
 SLAB = 1 << 20
 
@@ -67,12 +67,12 @@ class LocalRegion:
         where = surface.dense, self._image, surface.grid, self._nodes
         surface.workers.alone(windows.splat_inside, *where, self._inside[0], self._inside[1])
 
-    def kept(self) -> np.ndarray:
+    def state(self) -> np.ndarray:
         """What it carries from step to step; not to be changed."""
         return self._inside.copy()
 
-    def resume(self, surface: LevelSet, kept: np.ndarray) -> None:
-        """Go on, on this surface, from what was ``kept`` on it."""
+    def restore(self, surface: LevelSet, kept: np.ndarray) -> None:
+        """Go on, on this surface, from what was ``state`` on it."""
         self._lay_out(surface)
         self._inside = kept.copy()
 
@@ -102,10 +102,10 @@ class LocalRegion:
         for cells, sign in ((change.left_inside, 1.0), (change.entered_inside, -1.0)):
             self._splat(surface, cells, np.full(cells.size, sign), self._inside)
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the means for the next `force`."""
         inside = self._inside.copy()
-        self._splat(surface, surface.band.cells, self._interface.part(surface, part), inside)
+        self._splat(surface, surface.band.cells, self._interface.fraction(surface, fraction), inside)
         # Windows that the surface can cut, and the nodes that they are made of.
         cut, made_of = self._box(surface, 1), self._box(surface, 2)
         within = tuple(slice(c.start - m.start, c.stop - m.start) for c, m in zip(cut, made_of, strict=True))
@@ -114,7 +114,7 @@ class LocalRegion:
         n, total = (np.ascontiguousarray(field[cut]) for field in self._windows)
         means = np.empty((3, n.size))
         surface.workers.run(
-            windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), LEAST_PART, *means
+            windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), MIN_PART, *means
         )
         self._means = [self._smooth(surface, field.reshape(n.shape)).ravel() for field in means[:2]]
         before = [b - s.start for b, s in zip(self._nodes[6:], cut, strict=True)]
@@ -178,7 +178,7 @@ def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
     if n == 1:
         return 1, 1.0, 0.0, 1
     half = TENT * radius
-    reach = 1 if half < 2.0 else min(MOST_REACH, max(FEWEST_REACH, int(half / 2.0)))
+    reach = 1 if half < 2.0 else min(MAX_REACH, max(FEWEST_REACH, int(half / 2.0)))
     distance = max(half / reach, 1.0)
     number = math.ceil((n - 1) / distance) + 1 + 2 * (reach - 1)
     return number, distance, 0.5 * (number - 1 - (n - 1) / distance), reach

@@ -20,8 +20,8 @@ class Energy(Protocol):
     The loop calls `start` once; then, in each step, `value`, `force` and, with the surface moved, `follow`. What
     `value` found out about the surface may be kept for the `force` that comes after it.
 
-    An energy that carries something from step to step may have two more methods, as `ImageEnergy` has: ``kept()``
-    returns it (and must not change it later), ``resume(surface, kept)`` takes it back. Where they are missing, a run
+    An energy that carries something from step to step may have two more methods, as `ImageEnergy` has: ``state()``
+    returns it (and must not change it later), ``restore(surface, state)`` takes it back. Where they are missing, a run
     that goes back to a state calls `start` there.
 
     Attributes
@@ -44,8 +44,8 @@ class Energy(Protocol):
         """Take up what the last redistancing changed, in O(band)."""
         ...
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
-        """U for the present surface; ``part`` and ``area`` (n,) are `LevelSet.cut`'s."""
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
+        """U for the present surface; ``fraction`` and ``area`` (n,) are `LevelSet.fraction_and_area`'s."""
         ...
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
@@ -53,7 +53,7 @@ class Energy(Protocol):
         ...
 
 
-class Sums(NamedTuple):
+class RegionMoments(NamedTuple):
     """Sums over voxels, each by the share of it that counts: of 1, of the image, of its square."""
 
     voxels: float
@@ -102,25 +102,25 @@ class RegionSums:
             self._beyond_band + self._plain_sums(change.left_inside) - self._plain_sums(change.entered_inside)
         )
 
-    def kept(self) -> np.ndarray:
+    def state(self) -> np.ndarray:
         """The sums beyond the band, which depend on the way here in their last digits."""
         return self._beyond_band
 
-    def resume(self, kept: np.ndarray) -> None:
+    def restore(self, kept: np.ndarray) -> None:
         """Take them back."""
         self._beyond_band = kept
 
-    def inside(self, surface: LevelSet, part: np.ndarray) -> Sums:
+    def inside(self, surface: LevelSet, fraction: np.ndarray) -> RegionMoments:
         """Sums over the inside of the surface, voxels cut by it counted in part."""
         band = surface.workers.sums(
-            region.weighted_sums, surface.size, 3, surface.band.cells, part, self.image
+            region.weighted_sums, surface.size, 3, surface.band.cells, fraction, self.image
         )
-        return Sums(*(float(v) for v in self._beyond_band + band))
+        return RegionMoments(*(float(v) for v in self._beyond_band + band))
 
-    def everything(self) -> Sums:
+    def whole_image(self) -> RegionMoments:
         """Sums over the whole volume."""
         sums = [self._plain_sums(slice(i, i + 1024 * BLOCK)) for i in range(0, self.image.size, 1024 * BLOCK)]
-        return Sums(*(float(v) for v in np.sum(sums, axis=0)))
+        return RegionMoments(*(float(v) for v in np.sum(sums, axis=0)))
 
     def _plain_sums(self, cells: NDArray[np.int64] | slice) -> np.ndarray:
         values = self.image[cells].astype(np.float64)
@@ -142,8 +142,8 @@ class ImageEnergy(ABC):
     Attributes
     ----------
     sums : RegionSums
-        ``sums.inside(surface, part)`` are the sums over the inside, in voxels: times ``surface.voxel_volume`` they are
-        integrals. ``sums.image`` is the image, raveled, ready for `sample_at_front`.
+        ``sums.inside(surface, fraction)`` are the sums over the inside, in voxels: times ``surface.voxel_volume`` they
+        are integrals. ``sums.image`` is the image, raveled, ready for `sample_at_front`.
     alpha : float
         As given. A subclass whose force has more than alpha times the curvature raises it, see `Energy`.
     """
@@ -160,16 +160,16 @@ class ImageEnergy(ABC):
         """Take up the cells that entered or left the band."""
         self.sums.follow(change)
 
-    def kept(self) -> Any:
+    def state(self) -> Any:
         """What is carried from step to step; a subclass that carries more than the sums extends both methods."""
-        return self.sums.kept()
+        return self.sums.state()
 
-    def resume(self, surface: LevelSet, kept: Any) -> None:
-        """Go on, on this surface, from what was ``kept`` on it."""
-        self.sums.resume(kept)
+    def restore(self, surface: LevelSet, kept: Any) -> None:
+        """Go on, on this surface, from what was ``state`` on it."""
+        self.sums.restore(kept)
 
     @abstractmethod
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U for the present surface."""
 
     @abstractmethod
@@ -187,13 +187,13 @@ class Interface(NamedTuple):
 
     epsilon: float = 0.0
 
-    def part(self, surface: LevelSet, cut: np.ndarray) -> np.ndarray:
-        """Share (n,) of each band voxel that counts as inside; ``cut`` are the sharp ones."""
+    def fraction(self, surface: LevelSet, cut: np.ndarray) -> np.ndarray:
+        """Share (n,) of each band voxel that counts as inside; ``fraction_and_area`` are the sharp ones."""
         if self.epsilon == 0:
             return cut
-        part = np.empty(surface.size)
-        surface.workers.run(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, part)
-        return part
+        fraction = np.empty(surface.size)
+        surface.workers.run(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction)
+        return fraction
 
     def force(
         self,
@@ -222,7 +222,7 @@ class Interface(NamedTuple):
         return out
 
 
-class Restrained:
+class ConstrainedEnergy:
     """Base of an energy whose force is held back in places; all else is the energy's own.
 
     A subclass gives `force`, as `Energy` says it.
@@ -249,6 +249,6 @@ class Restrained:
         """Take up what changed."""
         self._energy.follow(surface, change)
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
-        return self._energy.value(surface, part, area)
+        return self._energy.value(surface, fraction, area)

@@ -27,9 +27,9 @@ class RegionField(ImageEnergy):
         super().__init__(field, alpha)
         self._area = AreaTerm(alpha)
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
-        return self.sums.inside(surface, part).total * surface.voxel_volume + self._area.value(area)
+        return self.sums.inside(surface, fraction).total * surface.voxel_volume + self._area.value(area)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """The field at each front cell's closest surface point, plus alpha H."""

@@ -59,8 +59,8 @@ class Threshold(RegionField):
 
 def soft_edge(values: float, low: float | None, high: float | None) -> float:
     """Width of the edges of a window, in the image's unit, where none is given; ``values``: range of the image's."""
-    part = SOFT_RANGE * float(values)
-    return part if low is None or high is None else min(part, SOFT_WINDOW * (high - low))
+    fraction = SOFT_RANGE * float(values)
+    return fraction if low is None or high is None else min(fraction, SOFT_WINDOW * (high - low))
 
 
 def threshold_field(image: np.ndarray, low: float, high: float, soft: float) -> np.ndarray:
@@ -75,11 +75,11 @@ def threshold_field(image: np.ndarray, low: float, high: float, soft: float) -> 
     values = np.ascontiguousarray(image, np.float32).reshape(-1)
     out = np.empty(values.size, np.float32)
     for begin in range(0, values.size, _SLAB):
-        part = slice(begin, begin + _SLAB)
-        share = np.ones(values[part].size, np.float32)
+        fraction = slice(begin, begin + _SLAB)
+        share = np.ones(values[fraction].size, np.float32)
         if low > -math.inf:
-            share *= 0.5 + 0.5 * np.tanh((values[part] - np.float32(low)) / np.float32(soft))
+            share *= 0.5 + 0.5 * np.tanh((values[fraction] - np.float32(low)) / np.float32(soft))
         if high < math.inf:
-            share *= 0.5 + 0.5 * np.tanh((np.float32(high) - values[part]) / np.float32(soft))
-        out[part] = 1.0 - 2.0 * share
+            share *= 0.5 + 0.5 * np.tanh((np.float32(high) - values[fraction]) / np.float32(soft))
+        out[fraction] = 1.0 - 2.0 * share
     return out.reshape(np.shape(image))

@@ -14,7 +14,7 @@ from accelsurf.levelset import Change, LevelSet
 METHODS = ("start", "follow", "value", "force")
 
 
-class Checked:
+class CheckedEnergy:
     """An energy that behaves as the one given, but whose value and force are looked at before they are used.
 
     Parameters
@@ -69,18 +69,18 @@ class Checked:
         """Take up what changed."""
         self._energy.follow(surface, change)
 
-    def kept(self) -> Any:
+    def state(self) -> Any:
         """What the energy carries from step to step, if it can say so."""
-        return self._energy.kept() if hasattr(self._energy, "kept") else None
+        return self._energy.state() if hasattr(self._energy, "state") else None
 
-    def resume(self, surface: LevelSet, kept: Any) -> None:
+    def restore(self, surface: LevelSet, kept: Any) -> None:
         """Go on from what was kept, or from full sums."""
-        if hasattr(self._energy, "resume"):
-            self._energy.resume(surface, kept)
+        if hasattr(self._energy, "restore"):
+            self._energy.restore(surface, kept)
         else:
             self._energy.start(surface)
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; NaN and infinity pass, they end the run as ``diverged``.
 
         Raises
@@ -88,7 +88,7 @@ class Checked:
         InputError
             When it is not one number.
         """
-        value = self._energy.value(surface, part, area)
+        value = self._energy.value(surface, fraction, area)
         if not _is_number(value):
             raise InputError(f"{self._kind}.value returned {_what(value)}, expected one number", "return float(...)")
         return float(value)

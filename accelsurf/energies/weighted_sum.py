@@ -40,21 +40,21 @@ class WeightedSum:
         for _, energy in self._terms:
             energy.follow(surface, change)
 
-    def kept(self) -> list[Any]:
+    def state(self) -> list[Any]:
         """What the terms carry from step to step, in their order; None for those that carry nothing."""
-        return [energy.kept() if hasattr(energy, "kept") else None for _, energy in self._terms]
+        return [energy.state() if hasattr(energy, "state") else None for _, energy in self._terms]
 
-    def resume(self, surface: LevelSet, kept: list[Any]) -> None:
-        """Go on, on this surface, from what was ``kept`` on it."""
+    def restore(self, surface: LevelSet, kept: list[Any]) -> None:
+        """Go on, on this surface, from what was ``state`` on it."""
         for (_, energy), what in zip(self._terms, kept, strict=True):
-            if hasattr(energy, "resume"):
-                energy.resume(surface, what)
+            if hasattr(energy, "restore"):
+                energy.restore(surface, what)
             else:
                 energy.start(surface)
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
-        return sum(weight * energy.value(surface, part, area) for weight, energy in self._terms)
+        return sum(weight * energy.value(surface, fraction, area) for weight, energy in self._terms)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front."""
@@ -75,9 +75,9 @@ class Balloon:
     def follow(self, surface: LevelSet, change: Change) -> None:
         """Nothing to take up."""
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """Volume, mm3."""
-        return surface.volume(part)
+        return surface.volume(fraction)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """1 at the front."""
@@ -95,7 +95,7 @@ class Area:
     def follow(self, surface: LevelSet, change: Change) -> None:
         """Nothing to take up."""
 
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """Area, mm2."""
         return float(area.sum())
 

@@ -11,16 +11,16 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from accelsurf.energies import Energy
-from accelsurf.flows import Account, Flow, Limits, Move, Now
+from accelsurf.flows import EnergyRates, Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.protocol import voxel_rates
 from accelsurf.grid.pyramid import Level
-from accelsurf.levelset import KeptSurface, LevelSet, Snapshot, keep, restore
+from accelsurf.levelset import LevelSet, Snapshot, SurfaceState, checkpoint_surface, restore_surface
 from accelsurf.levelset.transfer import transfer_fields
 
 StopReason = Literal["converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked"]
 
 
-class Row(NamedTuple):
+class StepRecord(NamedTuple):
     """One line of the trace: the state at the beginning of a step and the move that followed.
 
     Attributes
@@ -28,7 +28,7 @@ class Row(NamedTuple):
     step : int
     level : int
         Grid that the step was made on: 0 is the image's own, 1 the next coarser one; see `accelsurf.grid.pyramid`.
-    t, dt, travel_dt : float
+    t, dt, cfl_dt : float
         Flow time, the step's length, and the length that the surface's way alone would allow: where dt is less, waves,
         diffusion, noise or density bound it. Both are 0 in the last row, which only records the final state.
     potential, kinetic, mass_potential, weight : float
@@ -65,7 +65,7 @@ class Row(NamedTuple):
     level: int
     t: float
     dt: float
-    travel_dt: float
+    cfl_dt: float
     potential: float
     kinetic: float
     mass_potential: float
@@ -99,7 +99,7 @@ class Stop(NamedTuple):
     message: str
 
 
-class Felt(NamedTuple):
+class StepFields(NamedTuple):
     """What acted in a step, per cell of the band that it began on: raveled ``cells`` (n,) in raster order, ``force``
     (n,), which counts at the front, and ``speed`` (n,), mm per unit time; along N, so that above 0 shrinks.
     """
@@ -110,13 +110,13 @@ class Felt(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What the loop yields: the ledger's row, the surface as it is now, and what moved it there last on this grid
+    """What the loop yields: the history's row, the surface as it is now, and what moved it there last on this grid
     (look, do not touch); the latter is None where no step was made on the grid.
     """
 
-    row: Row
+    row: StepRecord
     surface: LevelSet
-    felt: Felt | None = None
+    step_fields: StepFields | None = None
 
 
 #: Mean motion in a step, voxels, of a surface that stands still: details finer than the grid pull it to and fro.
@@ -133,7 +133,7 @@ class StopRule(NamedTuple):
     window before (what it moved there and back does not count), and no more than the share ``far`` of it further than
     `levelset.FAR`: a small part may still be on its way where all else rests. The kinetic energy is below ``kinetic``
     of w times the potential won so far, or the last step moved the surface by less than `STILL` voxels: a start that is
-    the end wins nothing. Short steps are no rest: where they are shorter than the share `SHORT` of `Row.travel_dt`, the
+    the end wins nothing. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`, the
     window is so many times longer.
     """
 
@@ -145,14 +145,14 @@ class StopRule(NamedTuple):
 
 class Restart(NamedTuple):
     """When momentum is set to zero: the potential rises, ``travel`` voxels after the start or the last restart,
-    and not within ``rest`` steps of it.
+    and not within ``zero_momentum`` steps of it.
     """
 
     travel: float = 3.0
     rest: int = 5
 
 
-class Books:
+class EnergyBudget:
     """Adds up, from the accounts of the steps, what has become of the energy; in the units of U.
 
     Rates are known at the times of the rows, kicks happen around them: both are summed by the trapezoidal rule.
@@ -165,18 +165,18 @@ class Books:
 
     def __init__(self) -> None:
         self._friction = self._smoothing = self._noise = 0.0
-        self._last, self._last_dt = Account(), 0.0
+        self._last, self._last_dt = EnergyRates(), 0.0
 
-    def lose(self, energy: float) -> None:
+    def record_loss(self, energy: float) -> None:
         """A restart has taken the kinetic energy (as T/w)."""
         self._smoothing += energy - 0.5 * (self._last.smoothing - self._last.noise)
         self._last = self._last._replace(friction=0.0, smoothing=0.0, noise=0.0)
 
-    def drop(self, energy: float) -> None:
+    def record_jump(self, energy: float) -> None:
         """E became less by ``energy`` at once: another grid, other settings, or another surface."""
         self._smoothing += energy
 
-    def enter(self, now: Account, dt: float) -> dict[str, Any]:
+    def record_step(self, now: EnergyRates, dt: float) -> dict[str, Any]:
         """The columns of a row that begins with ``now`` and lasts ``dt``."""
         last = self._last
         self._friction += 0.5 * self._last_dt * (last.friction + now.friction)
@@ -197,25 +197,25 @@ class Books:
 
 
 class Kept(NamedTuple):
-    """An `Evolution` between two steps, put aside; see `Evolution.keep`.
+    """An `Evolution` between two steps, put aside; see `Evolution.checkpoint`.
 
-    ``ledger`` so far; ``surface``; ``flow`` and ``energy``, what they remember; ``scalars`` and ``books`` of the loop.
+    ``history`` so far; ``surface``; ``flow`` and ``energy``, what they remember; ``scalars`` and ``books`` of the loop.
     """
 
-    ledger: tuple[Row, ...]
-    surface: KeptSurface
+    history: tuple[StepRecord, ...]
+    surface: SurfaceState
     flow: dict[str, Any]
     energy: Any
     scalars: dict[str, Any]
-    books: Books
+    books: EnergyBudget
 
     @property
     def nbytes(self) -> int:
         """Memory that it takes at most; rows are not counted, and what states may share is."""
         fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
-        before, felt = self.scalars["_snapshot"], self.scalars["_felt"]
-        shared = (12 * before.psi.size if before else 0) + (16 * felt.speed.size if felt else 0)
-        return self.surface.nbytes + fields + 8 * len(self.ledger) + shared
+        before, step_fields = self.scalars["_snapshot"], self.scalars["_step_fields"]
+        shared = (12 * before.psi.size if before else 0) + (16 * step_fields.speed.size if step_fields else 0)
+        return self.surface.nbytes + fields + 8 * len(self.history) + shared
 
 
 class Evolution:
@@ -235,16 +235,16 @@ class Evolution:
     rule : StopRule or None
         None runs to ``max_steps``.
     level : int
-        The grid's level, for the ledger. A level above 0 leaves no last row without a step: the surface goes on to
+        The grid's level, for the history. A level above 0 leaves no last row without a step: the surface goes on to
         the next level, whose first row has its state.
     before : Evolution, optional
-        The evolution on the coarser level that this one goes on from: ledger, time and account are continued.
+        The evolution on the coarser level that this one goes on from: history, time and account are continued.
     fields : list of ndarray (n,), optional
         The fields of ``flow``, as ``before`` left it, on this band; without them the flow starts at rest.
 
     Attributes
     ----------
-    ledger : list of Row
+    history : list of Row
         Every step so far.
     stop : Stop or None
         Set when the iteration has ended.
@@ -259,7 +259,7 @@ class Evolution:
         surface: LevelSet,
         energy: Energy,
         flow: Flow,
-        limits: Limits | None = None,
+        limits: StepLimits | None = None,
         max_steps: int = 1000,
         restart: Restart | None = None,
         rule: StopRule | None = None,
@@ -268,19 +268,19 @@ class Evolution:
         fields: list[np.ndarray] | None = None,
     ) -> None:
         self.surface, self.energy, self.flow = surface, energy, flow
-        self.limits = limits or Limits()
+        self.limits = limits or StepLimits()
         self.max_steps = max_steps
         self.restart = restart
         self.rule = rule
         self.level = level
-        self.ledger: list[Row] = []
+        self.history: list[StepRecord] = []
         self.stop: Stop | None = None
         self._asked = False
         self._time = 0.0
         self._potential = 0.0
         self._snapshot: Snapshot | None = None
-        self._felt: Felt | None = None
-        self._books = Books()
+        self._step_fields: StepFields | None = None
+        self._budget = EnergyBudget()
         self._fields = fields
         self._begun = False
         self._edits = 0
@@ -288,11 +288,11 @@ class Evolution:
         # there counts: near the end, where this level begins, there is little left to win.
         self._won_before, self._potential_before = 0.0, math.nan
         if before is not None:
-            self.ledger, self._time, self._won_before = before.ledger, before._time, before._won
+            self.history, self._time, self._won_before = before.history, before._time, before._won
             self._edits = before._edits
             if fields is not None:
-                self._books, self._potential_before = before._books, before._potential
-        self._first = self._seen = len(self.ledger)
+                self._budget, self._potential_before = before._budget, before._potential
+        self._first = self._seen = len(self.history)
 
     def _goes_on(self) -> bool:
         """Whether this level has ended, and the next one begins where it did."""
@@ -304,11 +304,11 @@ class Evolution:
 
     def hand_over(self) -> None:
         """Look at the surface as it is, so that an evolution on another grid can go on from here."""
-        self._potential = self.energy.value(self.surface, *self.surface.cut())
+        self._potential = self.energy.value(self.surface, *self.surface.fraction_and_area())
 
-    def rest(self) -> None:
+    def zero_momentum(self) -> None:
         """Take the momentum from the surface, as a restart does; the books know what it was."""
-        self._books.lose(self.flow.rest(self.surface.cut()[1]))
+        self._budget.record_loss(self.flow.zero_momentum(self.surface.fraction_and_area()[1]))
 
     def __iter__(self) -> Iterator[Step]:
         """Run, yielding a Step after each step of the surface."""
@@ -324,7 +324,7 @@ class Evolution:
         if self._fields is None:
             self.flow.start(self.surface)
         else:
-            self.flow.take(self._fields)
+            self.flow.set_fields(self._fields)
             self._fields = None
 
     def step(self) -> Step | None:
@@ -332,25 +332,25 @@ class Evolution:
         if self.stop is not None:
             return None
         self.begin()
-        row = self._step(len(self.ledger))._replace(edits=self._edits)
+        row = self._step(len(self.history))._replace(edits=self._edits)
         if self._goes_on():
             return None
         self._edits = 0
-        self.ledger.append(row)
-        return Step(row, self.surface, self._felt)
+        self.history.append(row)
+        return Step(row, self.surface, self._step_fields)
 
     @property
-    def felt(self) -> Felt | None:
+    def step_fields(self) -> StepFields | None:
         """What moved the surface last."""
-        return self._felt
+        return self._step_fields
 
     def look(self) -> Step:
         """Return the state between two steps, as the row of a step that moves nothing; changes nothing of the run."""
         self.begin()
         began = time.perf_counter()
-        part, area = self.surface.cut()
-        state = self._state(len(self.ledger), self.energy.value(self.surface, part, area), part, area)
-        return Step(self._still(state, began)._replace(edits=self._edits), self.surface, self._felt)
+        fraction, area = self.surface.fraction_and_area()
+        state = self._state(len(self.history), self.energy.value(self.surface, fraction, area), fraction, area)
+        return Step(self._still(state, began)._replace(edits=self._edits), self.surface, self._step_fields)
 
     # -- changed by hand -----------------------------------------------------------------------------------
 
@@ -358,7 +358,7 @@ class Evolution:
         self,
         energy: Energy | None,
         flow: Flow,
-        limits: Limits,
+        limits: StepLimits,
         restart: Restart | None,
         rule: StopRule | None,
         half_width: float,
@@ -385,99 +385,104 @@ class Evolution:
         """
         self.begin()
         surface, old = self.surface, self.flow
-        part, area = surface.cut()
-        potential = self.energy.value(surface, part, area)
+        fraction, area = surface.fraction_and_area()
+        potential = self.energy.value(surface, fraction, area)
         if type(flow) is type(old):
             potential += old.energy(area)
-            flow.go_on(surface, old, energy is not None)
+            flow.continue_from(surface, old, energy is not None)
         else:
-            self._books.lose(old.energy(area))
+            self._budget.record_loss(old.energy(area))
             flow.start(surface)
         fields = flow.fields
-        if push is not None or surface.asked_width != half_width:
+        if push is not None or surface.requested_half_width != half_width:
             slot = surface.dense.slot.copy()
             if push is not None:
                 push(surface)
-            surface.begin_again(half_width)
+            surface.reinitialize(half_width)
             here = Level(0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx))
-            fields = transfer_fields(fields, flow.absent, slot, here, surface, here)
+            fields = transfer_fields(fields, flow.fill_values, slot, here, surface, here)
         following = Evolution(
             surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, self, fields
         )
         following.begin()
         # Potentials of two energies do not compare.
         following._won_before = 0.0 if energy is not None else self._won
-        following._potential_before = potential - flow.energy(surface.cut()[1])
-        following._edits, following._asked, following._felt = self._edits + 1, self._asked, self._felt
+        following._potential_before = potential - flow.energy(surface.fraction_and_area()[1])
+        following._edits, following._asked, following._step_fields = self._edits + 1, self._asked, self._step_fields
         return following
 
     _SCALARS = (
-        "_time", "_potential", "_snapshot", "_won_before", "_potential_before", "_first", "_seen", "_felt",
+        "_time", "_potential", "_snapshot", "_won_before", "_potential_before", "_first", "_seen", "_step_fields",
         "level",
     )
 
-    def keep(self) -> Kept:
+    def checkpoint(self) -> Kept:
         """Put aside the state between two steps; nothing of the run is changed by it."""
         self.begin()
-        energy = self.energy.kept() if hasattr(self.energy, "kept") else None
+        energy = self.energy.state() if hasattr(self.energy, "state") else None
         scalars = {name: getattr(self, name) for name in self._SCALARS}
         return Kept(
-            tuple(self.ledger), keep(self.surface), self.flow.kept(), energy, scalars, copy.copy(self._books)
+            tuple(self.history),
+            checkpoint_surface(self.surface),
+            self.flow.state(),
+            energy,
+            scalars,
+            copy.copy(self._budget),
         )
 
-    def resume(self, kept: Kept) -> None:
+    def restore(self, kept: Kept) -> None:
         """Go back to a state kept under the same settings; the steps that follow are then the same, bit for bit."""
-        self.ledger[:] = kept.ledger
-        restore(self.surface, kept.surface)
-        self.flow.resume(self.surface, kept.flow)
-        if hasattr(self.energy, "resume"):
-            self.energy.resume(self.surface, kept.energy)
+        self.history[:] = kept.history
+        restore_surface(self.surface, kept.surface)
+        self.flow.restore(self.surface, kept.flow)
+        if hasattr(self.energy, "restore"):
+            self.energy.restore(self.surface, kept.energy)
         else:
             self.energy.start(self.surface)
         for name, value in kept.scalars.items():
             setattr(self, name, value)
-        self._books = copy.copy(kept.books)
+        self._budget = copy.copy(kept.books)
         self._begun, self._fields, self._edits, self._asked, self.stop = True, None, 0, False, None
 
     # -- one step ------------------------------------------------------------------------------------------
 
-    def _step(self, n: int) -> Row:
+    def _step(self, n: int) -> StepRecord:
         began = time.perf_counter()
         surface, flow = self.surface, self.flow
         visited = surface.workers.visited
-        part, area = surface.cut()
-        potential = self.energy.value(surface, part, area)
+        fraction, area = surface.fraction_and_area()
+        potential = self.energy.value(surface, fraction, area)
         if not math.isnan(self._potential_before):
-            self._books.drop(self._potential_before - potential)
+            self._budget.record_jump(self._potential_before - potential)
             self._potential_before = math.nan
         self._potential = potential
-        state = self._state(n, potential, part, area)
+        state = self._state(n, potential, fraction, area)
         reason = self._reason_to_stop(n, potential)
         if reason is not None:
             self._end(*reason, n)
             return self._still(state, began)
         restarted = self._restart_due(potential)
         if restarted:
-            self._books.lose(flow.rest(area))
-        front = surface.front(flow.reach(surface))
+            self._budget.record_loss(flow.zero_momentum(area))
+        front = surface.front(flow.stencil_width(surface))
         curvature = surface.curvature(front)
         force = self.energy.force(surface, front, curvature)
-        move = flow.move(Now(surface, front, force, curvature, area, self.energy.alpha), self.limits)
+        move = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self.limits)
         if not move.dt > 0:
             self._end("converged", "no force acts on the surface", n)
             return self._still(state, began)
-        entries = self._books.enter(move.account, move.dt)
+        entries = self._budget.record_step(move.account, move.dt)
         rates = voxel_rates(surface, area > 0, move.speed)
         motion = move.dt * float((area * rates).sum()) / max(state["area_mm2"], 1e-300)
         # The arrays of the old band, which nothing writes to any more.
-        self._felt = Felt(surface.band.cells, force, move.speed)
+        self._step_fields = StepFields(surface.band.cells, force, move.speed)
         removed = self._drift(move)
         self._time += move.dt
-        return Row(
+        return StepRecord(
             **state,
             **entries,
             dt=move.dt,
-            travel_dt=move.travel if math.isfinite(move.travel) else move.dt,
+            cfl_dt=move.travel if math.isfinite(move.travel) else move.dt,
             speed=move.rate,
             motion_voxels=motion,
             limited_fraction=move.limited,
@@ -488,19 +493,19 @@ class Evolution:
             seconds=time.perf_counter() - began,
         )
 
-    def _state(self, n: int, potential: float, part: np.ndarray, area: np.ndarray) -> dict[str, Any]:
+    def _state(self, n: int, potential: float, fraction: np.ndarray, area: np.ndarray) -> dict[str, Any]:
         """The columns of a row that say where the surface is."""
         return {
             "step": n,
             "level": self.level,
             "t": self._time,
             "potential": potential,
-            "volume_mm3": self.surface.volume(part),
+            "volume_mm3": self.surface.volume(fraction),
             "area_mm2": float(area.sum()),
             "band_cells": self.surface.size,
         }
 
-    def _drift(self, move: Move) -> int:
+    def _drift(self, move: StepPlan) -> int:
         """Move the surface, and everything that lives on it; returns how many components were removed."""
         surface = self.surface
         if move.velocity is None:
@@ -508,22 +513,22 @@ class Evolution:
         else:
             surface.carry(move.velocity, move.dt)
         # An energy may be infinite beyond a fence.
-        hold = getattr(self.energy, "hold", None)
-        if hold is not None:
-            hold(surface)
+        project = getattr(self.energy, "project", None)
+        if project is not None:
+            project(surface)
         removed = surface.remove_small()
         change = surface.redistance(self.flow.fields, None if move.velocity is None else (move.velocity, move.dt))
-        self.flow.take(change.fields)
+        self.flow.set_fields(change.fields)
         self.energy.follow(surface, change)
         return removed
 
-    def _still(self, state: dict[str, Any], began: float) -> Row:
+    def _still(self, state: dict[str, Any], began: float) -> StepRecord:
         """The last row: the final state, no move."""
-        last = self.ledger[-1] if self.ledger else None
-        entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in Books.COLUMNS}
+        last = self.history[-1] if self.history else None
+        entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in EnergyBudget.COLUMNS}
         entries["weight"] = self.flow.weight
-        return Row(
-            **state, **entries, dt=0.0, travel_dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0,
+        return StepRecord(
+            **state, **entries, dt=0.0, cfl_dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0,
             diffusion=0.0, cells_visited=0, restarted=False, removed_components=0, seconds=time.perf_counter() - began,
         )
 
@@ -533,9 +538,9 @@ class Evolution:
         self.stop = Stop(reason, steps, self._time, message)
 
     @property
-    def _rows(self) -> list[Row]:
+    def _rows(self) -> list[StepRecord]:
         """The rows of this level."""
-        return self.ledger[self._first :]
+        return self.history[self._first :]
 
     @property
     def _won(self) -> float:
@@ -578,29 +583,29 @@ class Evolution:
         if len(rows) < LAST:
             return False
         longest = max(row.dt for row in rows)
-        return all(row.dt < max(STALLED * row.travel_dt, COLLAPSED * longest) for row in rows[-LAST:])
+        return all(row.dt < max(STALLED * row.cfl_dt, COLLAPSED * longest) for row in rows[-LAST:])
 
     def _why_stalled(self) -> str:
-        last = self.ledger[-1]
-        if last.dt < STALLED * last.travel_dt:
+        last = self.history[-1]
+        if last.dt < STALLED * last.cfl_dt:
             return (
-                f"the steps are {last.travel_dt / last.dt:.0e} times shorter than the forces ask for: diffusion, "
+                f"the steps are {last.cfl_dt / last.dt:.0e} times shorter than the forces ask for: diffusion, "
                 "noise, smoothness or gravity bind them; less of it, or --diffusion free"
             )
         return "the time step has collapsed: the surface can no longer move"
 
     def _converged(self) -> tuple[StopReason, str] | None:
         rule = self.rule
-        if rule is None or (len(self.ledger) - self._first) % rule.window:
+        if rule is None or (len(self.history) - self._first) % rule.window:
             return None
-        rows = self.ledger[self._seen :]
-        own = sum(row.travel_dt for row in rows) / max(len(rows), 1)
+        rows = self.history[self._seen :]
+        own = sum(row.cfl_dt for row in rows) / max(len(rows), 1)
         if sum(row.dt for row in rows) < SHORT * rule.window * own:
             return None
-        before, self._snapshot, self._seen = self._snapshot, self.surface.snapshot(), len(self.ledger)
+        before, self._snapshot, self._seen = self._snapshot, self.surface.snapshot(), len(self.history)
         if before is None:
             return None
-        moved, last = self.surface.distance_from(before), self.ledger[-1]
+        moved, last = self.surface.distance_from(before), self.history[-1]
         swings = last.kinetic > rule.kinetic * self.flow.weight * self._won and last.motion_voxels > STILL
         if moved.mean > rule.motion or moved.far > rule.far or swings:
             return None

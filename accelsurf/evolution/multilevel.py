@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import Energy
-from accelsurf.evolution.loop import Evolution, Felt, Kept, Restart, Row, Step, Stop, StopReason, StopRule
-from accelsurf.flows import Flow, Limits
-from accelsurf.grid.pyramid import Level, coarsened, refined
+from accelsurf.evolution.loop import Evolution, Kept, Restart, Step, StepFields, StepRecord, Stop, StopReason, StopRule
+from accelsurf.flows import Flow, StepLimits
+from accelsurf.grid.pyramid import Level, prolong, restrict
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import transfer_fields
 
@@ -22,7 +22,7 @@ COARSE_WINDOW, COARSE_MOTION, COARSE_KINETIC, COARSE_FAR = 10, 2.0, 0.05, 0.01
 FAILED = ("vanished", "filled", "diverged")
 
 
-class Passed(NamedTuple):
+class LevelSummary(NamedTuple):
     """What happened on a level: the grid, the ``steps`` made there, and why they ended (None: not yet)."""
 
     level: Level
@@ -30,7 +30,7 @@ class Passed(NamedTuple):
     reason: StopReason | None
 
 
-class Parts(NamedTuple):
+class SolverSetup(NamedTuple):
     """What moves a surface.
 
     ``energy`` makes the energy of an image and its spacing, for each level; ``flow``; ``limits``; ``restart`` or None;
@@ -40,13 +40,13 @@ class Parts(NamedTuple):
 
     energy: Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
     flow: Flow
-    limits: Limits
+    limits: StepLimits
     restart: Restart | None
     half_width: float
     rule: StopRule | None
 
 
-class CoarseToFine:
+class Multilevel:
     """Evolves a surface from the coarsest level to the finest; iterate over it to run, one `Step` at a time.
 
     With one level it is an `Evolution` and nothing else.
@@ -77,7 +77,7 @@ class CoarseToFine:
         grids: Sequence[Level],
         image: NDArray[np.float32],
         start: NDArray[np.float32],
-        parts: Parts,
+        parts: SolverSetup,
         max_steps: int,
         workers: Workers,
     ) -> None:
@@ -89,10 +89,10 @@ class CoarseToFine:
         # Finest first, the present level last: what was used is let go.
         self._images, self._starts = [image], [start]
         for fine, coarse in zip(self._grids, self._grids[1:], strict=False):
-            self._images.append(coarsened(self._images[-1], fine, coarse))
-            self._starts.append(coarsened(self._starts[-1], fine, coarse))
+            self._images.append(restrict(self._images[-1], fine, coarse))
+            self._starts.append(restrict(self._starts[-1], fine, coarse))
         self._asked = False
-        self._passed: list[Passed] = []
+        self._level_summaries: list[LevelSummary] = []
         self._now = self._first_level()
 
     @property
@@ -101,9 +101,9 @@ class CoarseToFine:
         return self._now.surface
 
     @property
-    def ledger(self) -> list[Row]:
+    def history(self) -> list[StepRecord]:
         """Every step so far, on all levels."""
-        return self._now.ledger
+        return self._now.history
 
     @property
     def stop(self) -> Stop | None:
@@ -111,10 +111,10 @@ class CoarseToFine:
         return self._now.stop if self._now.level == 0 else None
 
     @property
-    def passed(self) -> list[Passed]:
+    def level_summaries(self) -> list[LevelSummary]:
         """The levels so far, coarsest first."""
         reason = None if self._now.stop is None else self._now.stop.reason
-        return [*self._passed, Passed(self._grids[self._now.level], self._steps_here(), reason)]
+        return [*self._level_summaries, LevelSummary(self._grids[self._now.level], self._steps_here(), reason)]
 
     def ask_to_stop(self) -> None:
         """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
@@ -143,7 +143,7 @@ class CoarseToFine:
         """The grid of the present level."""
         return self._grids[self._now.level]
 
-    def edit(self, parts: Parts, new_energy: bool, push: Callable[[LevelSet], None] | None = None) -> None:
+    def edit(self, parts: SolverSetup, new_energy: bool, push: Callable[[LevelSet], None] | None = None) -> None:
         """Go on with other parts, or from a surface changed by ``push``; between two steps, see `Evolution.edited`.
 
         Parameters
@@ -164,19 +164,19 @@ class CoarseToFine:
         self.max_steps = self._now.max_steps = max_steps
 
     @property
-    def felt(self) -> Felt | None:
+    def step_fields(self) -> StepFields | None:
         """What moved the surface last on this grid."""
-        return self._now.felt
+        return self._now.step_fields
 
     def look(self) -> Step:
         """Return the state between two steps, as the row of a step that moves nothing."""
         return self._now.look()
 
-    def keep(self) -> Kept:
+    def checkpoint(self) -> Kept:
         """Put aside the state between two steps."""
-        return self._now.keep()
+        return self._now.checkpoint()
 
-    def resume(self, kept: Kept, parts: Parts, new_energy: bool) -> None:
+    def restore(self, kept: Kept, parts: SolverSetup, new_energy: bool) -> None:
         """Go back to a state of this level, with the parts that were at work then.
 
         Raises
@@ -190,7 +190,7 @@ class CoarseToFine:
         now, self._asked = self._now, False
         now.energy, now.flow, now.limits, now.restart = energy or now.energy, self.flow, self.limits, self.restart
         now.rule = self._rule_of(now.level)
-        now.resume(kept)
+        now.restore(kept)
 
     def _rule_of(self, number: int) -> StopRule | None:
         """The rule of stop on a level."""
@@ -199,14 +199,14 @@ class CoarseToFine:
         motion = StopRule().motion if self.rule is None else self.rule.motion
         return StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC, COARSE_FAR)
 
-    def _take(self, parts: Parts, new_energy: bool) -> Energy | None:
+    def _take(self, parts: SolverSetup, new_energy: bool) -> Energy | None:
         self._make_energy, self.flow, self.limits, self.restart, self._half_width, self.rule = parts
         return self._make_energy(self._images[-1], self.level.spacing) if new_energy else None
 
     # -- levels --------------------------------------------------------------------------------------------
 
     def _steps_here(self) -> int:
-        return sum(row.level == self._now.level and row.dt > 0 for row in self.ledger)
+        return sum(row.level == self._now.level and row.dt > 0 for row in self.history)
 
     def _first_level(self) -> Evolution:
         """The evolution on the coarsest level whose grid has something of the start, inside and outside."""
@@ -216,7 +216,7 @@ class CoarseToFine:
                 break
             level = self._grids[len(self._starts) - 1]
             self._warn(level, "the start is not resolved there", "began")
-            self._passed.append(Passed(level, 0, None))
+            self._level_summaries.append(LevelSummary(level, 0, None))
             self._starts.pop()
             self._images.pop()
         return self._evolution(self._starts[-1], None, None)
@@ -225,7 +225,7 @@ class CoarseToFine:
         """The evolution on the next finer level, from where ``before`` ended, or from the start if that failed."""
         assert before.stop is not None
         coarse, fine = self._grids[before.level], self._grids[before.level - 1]
-        self._passed.append(Passed(coarse, self._steps_here(), before.stop.reason))
+        self._level_summaries.append(LevelSummary(coarse, self._steps_here(), before.stop.reason))
         self._starts.pop()
         self._images.pop()
         if before.stop.reason in FAILED:
@@ -233,7 +233,7 @@ class CoarseToFine:
             return self._evolution(self._starts[-1], before, None)
         # The start there is not needed any more; a whole volume on the finest level.
         self._starts[-1] = np.zeros((0, 0, 0), np.float32)
-        psi = refined(before.surface.psi, coarse, fine)
+        psi = prolong(before.surface.psi, coarse, fine)
         return self._evolution(psi, before, (before.surface, coarse, fine))
 
     def _evolution(
@@ -249,7 +249,7 @@ class CoarseToFine:
         fields = None
         if way is not None:
             old, coarse, fine = way
-            fields = transfer_fields(self.flow.fields, self.flow.absent, old.dense.slot, coarse, surface, fine)
+            fields = transfer_fields(self.flow.fields, self.flow.fill_values, old.dense.slot, coarse, surface, fine)
         return Evolution(
             surface,
             self._make_energy(self._images[-1], spacing),

@@ -7,21 +7,21 @@ the whole velocity V carries the surface, psi_t = -V . grad psi.
 from accelsurf.flows.constant_density import ConstantDensity
 from accelsurf.flows.descent import Gradient
 from accelsurf.flows.flowable_mass import FlowableMass
-from accelsurf.flows.heavy_ball import Momentum
+from accelsurf.flows.heavy_ball import HeavyBall
 from accelsurf.flows.noise import Noise
-from accelsurf.flows.protocol import Account, Flow, Limits, Move, Now
+from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.sobolev import Sobolev
 
 __all__ = [
-    "Account",
+    "EnergyRates",
     "ConstantDensity",
     "Flow",
     "FlowableMass",
     "Gradient",
-    "Limits",
-    "Momentum",
-    "Move",
+    "StepLimits",
+    "HeavyBall",
+    "StepPlan",
     "Noise",
-    "Now",
+    "StepInput",
     "Sobolev",
 ]

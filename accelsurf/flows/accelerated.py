@@ -9,11 +9,11 @@ import numpy as np
 
 from accelsurf.flows.noise import Noise
 from accelsurf.flows.protocol import (
-    Account,
+    EnergyRates,
     Flow,
-    Limits,
-    Now,
-    Remembers,
+    StatefulFlow,
+    StepInput,
+    StepLimits,
     diffusion_reach,
     free_diffusion,
     smallest_spacing,
@@ -59,27 +59,27 @@ class Clock:
     def start(self) -> None:
         """Begin another run."""
         self.t0 = self._given
-        self.rest()
+        self.zero_momentum()
 
-    def rest(self) -> None:
+    def zero_momentum(self) -> None:
         """Back to the time of a start from rest."""
         self.time, self.last_dt = self.t0 or 0.0, 0.0
 
-    def kept(self) -> tuple[float | None, float, float]:
+    def state(self) -> tuple[float | None, float, float]:
         """What it remembers: t0 as it was found, time and last step."""
         return self.t0, self.time, self.last_dt
 
-    def resume(self, kept: tuple[float | None, float, float]) -> None:
+    def restore(self, kept: tuple[float | None, float, float]) -> None:
         """Be as it was."""
         self.t0, self.time, self.last_dt = kept
 
-    def go_on(self, before: Clock) -> None:
+    def continue_from(self, before: Clock) -> None:
         """Go on from a clock with other settings: its time, unless it is at rest, where each has its own."""
         same = (self.k, self.lambda_, self.friction, self._given) == (
             before.k, before.lambda_, before.friction, before._given
         )
         if same:
-            self.resume(before.kept())
+            self.restore(before.state())
         elif not before.at_rest:
             self.time, self.last_dt = before.time, before.last_dt
 
@@ -141,7 +141,7 @@ class Clock:
         return self.weight(self.time + (self.last_dt if self.k > 2 else 0.0))
 
 
-class Accelerated(Remembers):
+class Accelerated(StatefulFlow):
     """What the two mass models share. See `Clock` for k, lambda_, friction and t0.
 
     Parameters
@@ -183,48 +183,48 @@ class Accelerated(Remembers):
         if self.noise is not None:
             self.noise.start()
 
-    def kept(self) -> dict[str, Any]:
+    def state(self) -> dict[str, Any]:
         """All that the flow remembers from step to step, but not its settings."""
-        noise = None if self.noise is None else self.noise.kept()
-        return {**super().kept(), "clock": self.clock.kept(), "noise": noise}
+        noise = None if self.noise is None else self.noise.state()
+        return {**super().state(), "clock": self.clock.state(), "noise": noise}
 
-    def resume(self, surface: LevelSet, kept: dict[str, Any]) -> None:
-        """Be as a flow of the same settings was when its state was ``kept``."""
-        super().resume(surface, kept)
+    def restore(self, surface: LevelSet, kept: dict[str, Any]) -> None:
+        """Be as a flow of the same settings was when its state was ``state``."""
+        super().restore(surface, kept)
         self._workers = surface.workers
-        self.clock.resume(kept["clock"])
+        self.clock.restore(kept["clock"])
         if self.noise is not None:
-            self.noise.resume(kept["noise"])
+            self.noise.restore(kept["noise"])
 
-    def go_on(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+    def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
         """Go on with other settings: speeds and time on the clock stay; noise that was not there begins."""
         assert isinstance(before, Accelerated)
-        Remembers.resume(self, surface, before.kept())
+        StatefulFlow.restore(self, surface, before.state())
         self._workers = surface.workers
-        self.clock.go_on(before.clock)
+        self.clock.continue_from(before.clock)
         if self.noise is not None and before.noise is not None:
-            self.noise.resume(before.noise.kept())
+            self.noise.restore(before.noise.state())
         if forces_changed:
             self._forget()
 
     #: Also how many times steeper than the strongest force says they have shown to be, and whether the surface turned
     #: around in the last step.
-    wells = (*Remembers.wells, "_steeper", "_turned")
+    wells = (*StatefulFlow.wells, "_steeper", "_turned")
 
     def _forget(self) -> None:
         super()._forget()
         self._steeper, self._turned = 1.0, False
 
     def _put_to_rest(self) -> None:
-        self.clock.rest()
+        self.clock.zero_momentum()
         if self.noise is not None:
-            self.noise.rest()
+            self.noise.zero_momentum()
 
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """The paper's T of two velocities half a step before and after."""
         raise NotImplementedError
 
-    def _account(self, area: np.ndarray, stages: tuple[np.ndarray, ...]) -> Account:
+    def _account(self, area: np.ndarray, stages: tuple[np.ndarray, ...]) -> EnergyRates:
         """Energies from the velocities before, after diffusion, kick, noise and limiter."""
         before, smoothed, kicked, noisy, after = stages
         w = self.clock.weight()
@@ -235,8 +235,8 @@ class Accelerated(Remembers):
             return energies[id(velocity)]
 
         kinetic = self._kinetic(area, before, after)
-        self._look_for_flicker(kinetic)
-        return Account(
+        self._detect_oscillation(kinetic)
+        return EnergyRates(
             kinetic=kinetic,
             weight=w,
             friction=self.clock.loss * kinetic / w,
@@ -244,11 +244,11 @@ class Accelerated(Remembers):
             noise=energy(noisy) - energy(kicked),
         )
 
-    def _pull_of_wells(self, pull: float, surface: LevelSet) -> float:
+    def _force_stiffness(self, pull: float, surface: LevelSet) -> float:
         """Strongest force per mass (voxels) so far, and what turning around has shown beyond it."""
-        return self._strongest_yet(pull, surface) * self._steeper
+        return self._peak_force_so_far(pull, surface) * self._steeper
 
-    def _look_for_flicker(self, kinetic: float) -> None:
+    def _detect_oscillation(self, kinetic: float) -> None:
         """Take the wells for steeper when the speeds before and after a kick are opposed on the whole, twice running.
 
         Leap-frog is stable up to omega dt = 2. A surface that swings by itself in more than four steps turns around in
@@ -259,7 +259,7 @@ class Accelerated(Remembers):
             self._steeper = min(self._steeper * STEEPER, STEEPEST)
         self._turned = turned
 
-    def _bounded(self, dt: float, surface: LevelSet, limits: Limits) -> float:
+    def _bounded(self, dt: float, surface: LevelSet, limits: StepLimits) -> float:
         """The step ``dt`` within the bounds of diffusion and noise, and the user's."""
         if self.diffusion:
             dt = min(dt, diffusion_reach(surface) / self.diffusion)
@@ -270,13 +270,13 @@ class Accelerated(Remembers):
     def _diffusion_now(self, surface: LevelSet, dt: float, speed: float) -> float:
         return free_diffusion(surface, dt, speed) if self.diffusion is None else self.diffusion
 
-    def _noise_now(self, now: Now, dt: float, components: int) -> np.ndarray | None:
+    def _noise_now(self, now: StepInput, dt: float, components: int) -> np.ndarray | None:
         if self.noise is None or not self.noise.acts:
             return None
         return self.noise.kicks(now.surface, now.front, dt, components)
 
 
-def travel_dt(speed: float, acceleration: float, cfl: float) -> float:
+def cfl_dt(speed: float, acceleration: float, cfl: float) -> float:
     """Step in which b dt + A dt^2/2 = cfl."""
     root = speed + math.sqrt(speed * speed + 2.0 * acceleration * cfl)
     return 2.0 * cfl / root if root > 0 else math.inf

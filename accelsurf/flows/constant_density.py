@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.accelerated import Accelerated, travel_dt, wave_dt
+from accelsurf.flows.accelerated import Accelerated, cfl_dt, wave_dt
 from accelsurf.flows.protocol import (
-    Limits,
-    Move,
-    Now,
+    StepInput,
+    StepLimits,
+    StepPlan,
+    clip_speed,
     diffuse,
     front_percentiles,
-    hold_back,
     percentile,
     smallest_spacing,
     voxel_rates,
@@ -38,7 +38,7 @@ class ConstantDensity(Accelerated):
         """The speed beta."""
         return [self.beta]
 
-    def reach(self, surface: LevelSet) -> float:
+    def stencil_width(self, surface: LevelSet) -> float:
         """The front."""
         return FRONT_WIDTH
 
@@ -47,7 +47,7 @@ class ConstantDensity(Accelerated):
         self.beta = np.zeros(surface.size, np.float32)
         self._begin(surface)
 
-    def rest(self, area: np.ndarray) -> float:
+    def zero_momentum(self, area: np.ndarray) -> float:
         """At rest where the surface is, with the clock of the friction as at the start."""
         lost = self.energy(area)
         self.beta[:] = 0.0
@@ -58,26 +58,26 @@ class ConstantDensity(Accelerated):
         """T/w now."""
         return self._kinetic(area, self.beta, self.beta) / self.weight
 
-    def take(self, fields: list[np.ndarray]) -> None:
+    def set_fields(self, fields: list[np.ndarray]) -> None:
         """The speeds on the new band."""
         (self.beta,) = fields
 
-    def momentum(self, surface: LevelSet) -> np.ndarray:
+    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """The speed beta."""
         return self.beta
 
-    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Change beta."""
         self.beta = self.beta + speed
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Kick the speeds by the force over the step around the present time; the centred leap-frog."""
         surface, front, clock = now.surface, now.front, self.clock
         force = front_percentiles(now, now.force, limits.percentile)
         speed = (0.0, 0.0) if clock.at_rest else front_percentiles(now, self.beta, limits.percentile)
         dt, travel = self.stable_dt(now, limits, force, speed)
         if not math.isfinite(dt):
-            return Move.none(surface)
+            return StepPlan.none(surface)
         before = self.beta
         self.beta = before.copy()
         diffusion, smoothed, damping, pull = 0.0, before, 0.0, clock.first_kick(dt)
@@ -97,20 +97,20 @@ class ConstantDensity(Accelerated):
             kicked = self.beta.copy()
             self.beta += noise[:, 0]
         noisy = self.beta.copy()
-        held = hold_back(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
+        held = clip_speed(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
         account = self._account(now.area, (before, smoothed, kicked, noisy, self.beta))
         account = account._replace(mass=self.rho * float(now.area.sum()))
         rate = percentile(self.beta, limits.percentile, front)
         surface.extend_outwards(self.beta, front)
         clock.tick(dt)
-        return Move(dt, self.beta, None, rate, held / max(1, int(front.sum())), diffusion, account, travel)
+        return StepPlan(dt, self.beta, None, rate, held / max(1, int(front.sum())), diffusion, account, travel)
 
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 rho int beta beta' dA."""
         return 0.5 * self.rho * float(self._workers.sums(statistics.products, area.size, 1, area, one, other)[0])
 
     def stable_dt(
-        self, now: Now, limits: Limits, force: tuple[float, float], speed: tuple[float, float]
+        self, now: StepInput, limits: StepLimits, force: tuple[float, float], speed: tuple[float, float]
     ) -> tuple[float, float]:
         """Largest stable time step, and that of travel alone.
 
@@ -119,12 +119,12 @@ class ConstantDensity(Accelerated):
         c_T = sqrt(beta^2/2 + w alpha/rho); diffusion and noise.
         """
         surface = now.surface
-        pull = self._pull_of_wells(force[1], surface) / self.rho
+        pull = self._force_stiffness(force[1], surface) / self.rho
         stiffness = now.alpha / self.rho
         if self.clock.at_rest:
             dt = travel = self.clock.first_dt(pull, stiffness, smallest_spacing(surface), limits.cfl)
         else:
             w = self.clock.next_weight()
-            travel = travel_dt(speed[1], w * pull, limits.cfl)
+            travel = cfl_dt(speed[1], w * pull, limits.cfl)
             dt = min(travel, wave_dt(surface, math.sqrt(0.5 * speed[0] ** 2 + w * stiffness)))
         return self._bounded(dt, surface, limits), travel

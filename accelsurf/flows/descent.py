@@ -8,9 +8,9 @@ import numpy as np
 
 from accelsurf.flows.protocol import (
     Descent,
-    Limits,
-    Move,
-    Now,
+    StepInput,
+    StepLimits,
+    StepPlan,
     axes_of,
     diffuse,
     diffusion_reach,
@@ -38,17 +38,17 @@ class Gradient(Descent):
         super().__init__()
         self.diffusion = diffusion
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Step with beta = f, dt <= cfl/|f|, dt <= h^2/(4 alpha), and D dt within the reach of diffusion."""
         surface, front = now.surface, now.front
         speed = np.array(now.force, np.float32)
-        dt = travel = self.travel_dt(voxel_rates(surface, front, speed)[front], surface, limits)
+        dt = travel = self.cfl_dt(voxel_rates(surface, front, speed)[front], surface, limits)
         if now.alpha > 0:
             dt = min(dt, curvature_bound(surface) / now.alpha)
         if self.diffusion:
             dt = min(dt, diffusion_reach(surface) / self.diffusion)
         if not math.isfinite(dt):
-            return Move.none(surface)
+            return StepPlan.none(surface)
         diffusion = self.diffusion
         if diffusion is None:
             diffusion = free_diffusion(surface, dt, percentile(speed, limits.percentile, front))

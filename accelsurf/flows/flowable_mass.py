@@ -7,8 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.flows.accelerated import Accelerated, travel_dt, wave_dt
-from accelsurf.flows.protocol import Flow, Limits, Move, Now, diffuse, hold_back, percentile, smallest_spacing
+from accelsurf.flows.accelerated import Accelerated, cfl_dt, wave_dt
+from accelsurf.flows.protocol import (
+    Flow,
+    StepInput,
+    StepLimits,
+    StepPlan,
+    clip_speed,
+    diffuse,
+    percentile,
+    smallest_spacing,
+)
 from accelsurf.kernels import transport
 from accelsurf.levelset import LevelSet
 
@@ -66,7 +75,7 @@ class FlowableMass(Accelerated):
         self.mass = 0.0
         self._correction = 1.0
 
-    def reach(self, surface: LevelSet) -> float:
+    def stencil_width(self, surface: LevelSet) -> float:
         """All but the outermost cells: what is carried is interpolated from cells further off than the front."""
         return surface.half_width - 1.0
 
@@ -75,7 +84,7 @@ class FlowableMass(Accelerated):
         """Velocity z, y, x and the density that the carried surface will have."""
         return [*(np.ascontiguousarray(self.velocity[:, c]) for c in range(3)), self.density]
 
-    def take(self, fields: list[np.ndarray]) -> None:
+    def set_fields(self, fields: list[np.ndarray]) -> None:
         """Velocity and density on the new band."""
         self.velocity = np.stack(fields[:3], axis=1)
         self.density = fields[3]
@@ -88,7 +97,7 @@ class FlowableMass(Accelerated):
         self._correction = 1.0
         self._begin(surface)
 
-    def rest(self, area: np.ndarray) -> float:
+    def zero_momentum(self, area: np.ndarray) -> float:
         """At rest where the surface is; the mass stays where it has flowed to."""
         lost = self._kinetic(area, self.velocity, self.velocity) / self.weight
         self.velocity[:] = 0.0
@@ -102,26 +111,26 @@ class FlowableMass(Accelerated):
         return kinetic + self.gravity * float(area.sum()) * squares
 
     @property
-    def absent(self) -> list[float]:
+    def fill_values(self) -> list[float]:
         """At rest, with the density of the start."""
         return [0.0, 0.0, 0.0, self.rho]
 
-    def go_on(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+    def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
         """Go on with other settings; the mass is that of the surface now, also where some was added or taken."""
-        super().go_on(surface, before, forces_changed)
+        super().continue_from(surface, before, forces_changed)
         assert isinstance(before, FlowableMass)
         self.density *= np.float32(self.rho / before.rho)
         self.mass = 0.0
 
-    def momentum(self, surface: LevelSet) -> np.ndarray:
+    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """V . N."""
         return np.asarray((self.velocity * surface.normals()).sum(axis=1))
 
-    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Change V along N."""
         self.velocity = self.velocity + speed[:, None] * surface.normals()
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Kick the velocity by the forces over the step around the present time."""
         surface, front, clock = now.surface, now.front, self.clock
         self._settle_density(now.area)
@@ -130,7 +139,7 @@ class FlowableMass(Accelerated):
         acceleration = self._acceleration(now, normal, gravity)
         dt, travel = self.stable_dt(now, acceleration, gravity, limits)
         if not math.isfinite(dt):
-            return Move.none(surface)
+            return StepPlan.none(surface)
         before, dm = self.velocity, 0.5 * (dt + clock.last_dt)
         smoothed, diffusion = self._diffused(now, normal, acceleration, dt, limits)
         damping, pull = (0.0, clock.first_kick(dt)) if clock.at_rest else (clock.gamma * dm, clock.weight() * dm)
@@ -141,7 +150,7 @@ class FlowableMass(Accelerated):
         velocity = noisy.copy()
         rates = self._rates(surface, velocity)
         rates[~front] = 0.0
-        held = hold_back(velocity, rates, dt, limits.cfl)
+        held = clip_speed(velocity, rates, dt, limits.cfl)
         account = self._account(now.area, (before, smoothed, kicked, noisy, velocity))._replace(
             mass_potential=0.0 if gravity is None else gravity.potential,
             mass=float((now.area * self.density).sum()),
@@ -154,7 +163,7 @@ class FlowableMass(Accelerated):
         surface.extend_outwards(speed, front)
         self._stretch(now, normal, dt)
         clock.tick(dt)
-        return Move(dt, speed, self.velocity, rate, held / max(1, int(front.sum())), diffusion, account, travel)
+        return StepPlan(dt, speed, self.velocity, rate, held / max(1, int(front.sum())), diffusion, account, travel)
 
     # -- mass ----------------------------------------------------------------------------------------------
 
@@ -171,7 +180,7 @@ class FlowableMass(Accelerated):
         self.density *= np.float32(factor)
         self._correction *= factor
 
-    def _stretch(self, now: Now, normal: np.ndarray, dt: float) -> None:
+    def _stretch(self, now: StepInput, normal: np.ndarray, dt: float) -> None:
         """Divide the density by the stretch of the area that the coming motion makes."""
         surface, front = now.surface, now.front
         stretch = np.empty(surface.size, np.float32)
@@ -184,7 +193,7 @@ class FlowableMass(Accelerated):
 
     # -- forces --------------------------------------------------------------------------------------------
 
-    def _gravity_now(self, now: Now) -> Gravity | None:
+    def _gravity_now(self, now: StepInput) -> Gravity | None:
         if self.gravity == 0.0:
             return None
         g, area = self.gravity, float(now.area.sum())
@@ -197,7 +206,7 @@ class FlowableMass(Accelerated):
             tension[low] = -self.support
         return Gravity(g * area * squares, tension.astype(np.float32), area, clamped)
 
-    def _acceleration(self, now: Now, normal: np.ndarray, gravity: Gravity | None) -> np.ndarray:
+    def _acceleration(self, now: StepInput, normal: np.ndarray, gravity: Gravity | None) -> np.ndarray:
         """Acceleration (n, 3) at the front, per weight w: f N/rho and the mass potential's."""
         surface = now.surface
         density = np.maximum(self.density, np.float32(1e-30))
@@ -213,7 +222,7 @@ class FlowableMass(Accelerated):
         return np.asarray(along[:, None] * normal - np.float32(self.gravity * gravity.area) * slope)
 
     def _diffused(
-        self, now: Now, normal: np.ndarray, acceleration: np.ndarray, dt: float, limits: Limits
+        self, now: StepInput, normal: np.ndarray, acceleration: np.ndarray, dt: float, limits: StepLimits
     ) -> tuple[np.ndarray, float]:
         """The velocity after diffusion over the time of the kick, and the coefficient used.
 
@@ -242,7 +251,7 @@ class FlowableMass(Accelerated):
     # -- step and account ----------------------------------------------------------------------------------
 
     def stable_dt(
-        self, now: Now, acceleration: np.ndarray, gravity: Gravity | None, limits: Limits
+        self, now: StepInput, acceleration: np.ndarray, gravity: Gravity | None, limits: StepLimits
     ) -> tuple[float, float]:
         """Largest stable time step under ``acceleration`` (n, 3), that of weight 1, and that of travel alone.
 
@@ -252,7 +261,7 @@ class FlowableMass(Accelerated):
         surface, front = now.surface, now.front
         smallest = smallest_spacing(surface)
         fastest_pull = percentile(self._rates(surface, acceleration), limits.percentile, front)
-        pull = self._pull_of_wells(fastest_pull, surface)
+        pull = self._force_stiffness(fastest_pull, surface)
         stiffness, sound = now.alpha, 0.0
         if gravity is not None:
             stiffness += max(float(gravity.tension[front].max(initial=0.0)), 0.0)
@@ -264,7 +273,7 @@ class FlowableMass(Accelerated):
             w = self.clock.next_weight()
             rate = percentile(self._rates(surface, self.velocity), limits.percentile, front)
             fastest = percentile(np.linalg.norm(self.velocity, axis=1), limits.percentile, front)
-            travel = travel_dt(rate, w * pull, limits.cfl)
+            travel = cfl_dt(rate, w * pull, limits.cfl)
             dt = min(
                 travel,
                 wave_dt(surface, math.sqrt(w * stiffness)),

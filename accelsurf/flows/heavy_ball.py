@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from accelsurf.flows.descent import curvature_bound
-from accelsurf.flows.protocol import Limits, Move, Now, Remembering, finish, voxel_rates
+from accelsurf.flows.protocol import DescentWithMemory, StepInput, StepLimits, StepPlan, finish, voxel_rates
 from accelsurf.levelset import LevelSet
 
 
-class Momentum(Remembering):
+class HeavyBall(DescentWithMemory):
     """Step s_n = (1 - omega) dt f + omega s_(n-1), redistanced after each (Andersson, Läthén, Lenz, Borga 2013).
 
     The last step is a field on the surface, extended by the march as all fields are. There is no mass, no time
@@ -29,27 +29,27 @@ class Momentum(Remembering):
         super().__init__()
         self.blend = float(blend)
 
-    def rest(self, area: np.ndarray) -> float:
+    def zero_momentum(self, area: np.ndarray) -> float:
         """Forget the last step."""
         self._last[:] = 0.0
         return 0.0
 
-    def momentum(self, surface: LevelSet) -> np.ndarray:
+    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """The last step, mm."""
         return self._last
 
-    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Change what is remembered."""
         self._last = self._last + speed
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""
         force = np.asarray(now.force, np.float32)
-        dt = travel = self.travel_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
+        dt = travel = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
         if now.alpha > 0:
             dt = min(dt, curvature_bound(now.surface) / now.alpha)
         if not math.isfinite(dt):
-            return Move.none(now.surface)
+            return StepPlan.none(now.surface)
         speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last
         move = finish(now, speed, dt, limits, travel)
         self._last = move.speed * np.float32(dt)

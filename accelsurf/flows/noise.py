@@ -47,15 +47,15 @@ class Noise:
         self._elapsed = 0.0
         self._rested = False
 
-    def kept(self) -> tuple[dict[str, Any], float, bool]:
+    def state(self) -> tuple[dict[str, Any], float, bool]:
         """Where the sequence is."""
         return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._rested
 
-    def resume(self, kept: tuple[dict[str, Any], float, bool]) -> None:
+    def restore(self, kept: tuple[dict[str, Any], float, bool]) -> None:
         """Go on from there."""
         self._random.bit_generator.state, self._elapsed, self._rested = copy.deepcopy(kept)
 
-    def rest(self) -> None:
+    def zero_momentum(self) -> None:
         """The surface was put at rest."""
         self._rested = True
 

@@ -18,7 +18,7 @@ STAGES = 8
 MIXING = 16.0
 
 
-class Limits(NamedTuple):
+class StepLimits(NamedTuple):
     """Step control, the same for every flow.
 
     ``cfl``: voxels that the surface may move in a step. ``percentile``: the time step follows this percentile
@@ -31,7 +31,7 @@ class Limits(NamedTuple):
     dt_max: float = math.inf
 
 
-class Now(NamedTuple):
+class StepInput(NamedTuple):
     """The surface at the beginning of a step, and what acts on it; arrays are per band cell.
 
     ``front`` (n,) mask of the cells that count; ``force`` f (n,), ``curvature`` H (n,), 1/mm, at the front;
@@ -46,8 +46,8 @@ class Now(NamedTuple):
     alpha: float
 
 
-class Account(NamedTuple):
-    """Energy and mass at the beginning of a step, and what the step takes; see `evolution.Row`.
+class EnergyRates(NamedTuple):
+    """Energy and mass at the beginning of a step, and what the step takes; see `evolution.StepRecord`.
 
     ``kinetic`` is the paper's T, ``weight`` the factor w of the potential in T + w U; the others are in the units
     of U: ``friction`` is lost per unit of flow time, ``smoothing`` (diffusion, limiter) taken and ``noise`` put in
@@ -65,7 +65,7 @@ class Account(NamedTuple):
     clamped: float = 0.0
 
 
-class Move(NamedTuple):
+class StepPlan(NamedTuple):
     """One step as the flow wants it.
 
     ``dt``; ``speed`` (n,) beta on the whole band; ``velocity`` (n, 3) V, where the surface is carried along by it;
@@ -79,11 +79,11 @@ class Move(NamedTuple):
     rate: float = 0.0
     limited: float = 0.0
     diffusion: float = 0.0
-    account: Account = Account()
+    account: EnergyRates = EnergyRates()
     travel: float = 0.0
 
     @classmethod
-    def none(cls, surface: LevelSet) -> Move:
+    def none(cls, surface: LevelSet) -> StepPlan:
         """No move: nothing acts on the surface."""
         return cls(0.0, np.zeros(surface.size, np.float32))
 
@@ -103,7 +103,7 @@ class Flow(Protocol):
         """Factor w of the potential in the energy T + w U that the flow dissipates; 1 for descent."""
         ...
 
-    def reach(self, surface: LevelSet) -> float:
+    def stencil_width(self, surface: LevelSet) -> float:
         """Distance from the surface, in voxels, up to which the flow needs forces."""
         ...
 
@@ -111,11 +111,11 @@ class Flow(Protocol):
         """Begin at rest on a surface."""
         ...
 
-    def rest(self, area: np.ndarray) -> float:
+    def zero_momentum(self, area: np.ndarray) -> float:
         """Put the surface at rest, as at the start (adaptive restart); returns T/w, which is lost."""
         ...
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Choose the time step and the speeds of one step."""
         ...
 
@@ -124,20 +124,20 @@ class Flow(Protocol):
         """Fields (n,) that redistancing must extend."""
         ...
 
-    def take(self, fields: list[np.ndarray]) -> None:
+    def set_fields(self, fields: list[np.ndarray]) -> None:
         """Take the extended fields back, on the new band."""
         ...
 
     @property
-    def absent(self) -> list[float]:
+    def fill_values(self) -> list[float]:
         """Values of the fields on surface that was not there before."""
         ...
 
-    def momentum(self, surface: LevelSet) -> np.ndarray:
+    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """Speed (n,) along the inward normal that the surface would keep without forces."""
         ...
 
-    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Add to it (n,)."""
         ...
 
@@ -146,29 +146,29 @@ class Flow(Protocol):
         """U_mass + T/w now, in the units of U."""
         ...
 
-    def kept(self) -> dict[str, Any]:
+    def state(self) -> dict[str, Any]:
         """All that the flow remembers from step to step, but not its settings; not changed by later steps."""
         ...
 
-    def resume(self, surface: LevelSet, kept: dict[str, Any]) -> None:
-        """Be as a flow of the same settings was when its state was ``kept``, on this surface."""
+    def restore(self, surface: LevelSet, kept: dict[str, Any]) -> None:
+        """Be as a flow of the same settings was when its state was ``state``, on this surface."""
         ...
 
-    def go_on(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+    def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
         """Go on from a flow of the same class with other settings; ``forces_changed``: under another energy."""
         ...
 
 
-class Remembers:
+class StatefulFlow:
     """What a flow remembers: the attributes named in ``remembered``; arrays are copied."""
 
     remembered: ClassVar[tuple[str, ...]] = ()
     #: What is remembered of the wells: the strongest force yet, in voxels of ``_voxel`` mm.
-    wells: ClassVar[tuple[str, ...]] = ("_strongest", "_voxel")
-    _strongest, _voxel = 0.0, 1.0
+    wells: ClassVar[tuple[str, ...]] = ("_peak_force", "_voxel")
+    _peak_force, _voxel = 0.0, 1.0
 
     @property
-    def absent(self) -> list[float]:
+    def fill_values(self) -> list[float]:
         """0: surface that was not there before is at rest."""
         return [0.0 for _ in self.fields]
 
@@ -177,38 +177,38 @@ class Remembers:
         """None, unless a flow says so."""
         return []
 
-    def kept(self) -> dict[str, Any]:
+    def state(self) -> dict[str, Any]:
         """All that the flow remembers from step to step, but not its settings."""
         return {name: copy.copy(getattr(self, name)) for name in self.remembered}
 
-    def resume(self, surface: LevelSet, kept: dict[str, Any]) -> None:
-        """Be as a flow of the same settings was when its state was ``kept``."""
+    def restore(self, surface: LevelSet, kept: dict[str, Any]) -> None:
+        """Be as a flow of the same settings was when its state was ``state``."""
         for name in self.remembered:
             setattr(self, name, copy.copy(kept[name]))
 
-    def go_on(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+    def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
         """Go on from a flow of the same class with other settings; under another energy its forces do not count."""
-        self.resume(surface, before.kept())
+        self.restore(surface, before.state())
         if forces_changed:
             self._forget()
 
     def _forget(self) -> None:
         """Know nothing of the wells."""
-        self._strongest = 0.0
+        self._peak_force = 0.0
 
-    def _strongest_yet(self, pull: float, surface: LevelSet) -> float:
+    def _peak_force_so_far(self, pull: float, surface: LevelSet) -> float:
         """Strongest ``pull`` (voxels) so far: near the minimum forces fade, but the wells keep their steepness."""
         # On another level voxels are others.
         voxel = smallest_spacing(surface)
-        self._strongest, self._voxel = max(self._strongest * self._voxel / voxel, pull), voxel
-        return self._strongest
+        self._peak_force, self._voxel = max(self._peak_force * self._voxel / voxel, pull), voxel
+        return self._peak_force
 
 
-class Descent(Remembers):
+class Descent(StatefulFlow):
     """What flows without inertia share: no kinetic energy, and a step that follows the strongest speed so far."""
 
     weight = 1.0
-    remembered = Remembers.wells
+    remembered = StatefulFlow.wells
 
     def __init__(self) -> None:
         self._forget()
@@ -217,7 +217,7 @@ class Descent(Remembers):
         """None but the potential."""
         return 0.0
 
-    def reach(self, surface: LevelSet) -> float:
+    def stencil_width(self, surface: LevelSet) -> float:
         """The front."""
         return FRONT_WIDTH
 
@@ -225,27 +225,27 @@ class Descent(Remembers):
         """Forget the forces of another run."""
         self._forget()
 
-    def rest(self, area: np.ndarray) -> float:
+    def zero_momentum(self, area: np.ndarray) -> float:
         """Always at rest."""
         return 0.0
 
-    def take(self, fields: list[np.ndarray]) -> None:
+    def set_fields(self, fields: list[np.ndarray]) -> None:
         """Nothing to take."""
 
-    def momentum(self, surface: LevelSet) -> np.ndarray:
+    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """None."""
         return np.zeros(surface.size, np.float32)
 
-    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Nothing that could be pushed."""
 
-    def travel_dt(self, rates: np.ndarray, surface: LevelSet, limits: Limits) -> float:
+    def cfl_dt(self, rates: np.ndarray, surface: LevelSet, limits: StepLimits) -> float:
         """Step in which the percentile of the speeds ``rates`` (voxels per unit time) moves the surface by cfl."""
-        fastest = self._strongest_yet(percentile(rates, limits.percentile), surface)
+        fastest = self._peak_force_so_far(percentile(rates, limits.percentile), surface)
         return min(limits.dt_max, limits.cfl / fastest if fastest > 0 else math.inf)
 
 
-class Remembering(Descent):
+class DescentWithMemory(Descent):
     """A descent that carries one field from step to step on the surface."""
 
     remembered = (*Descent.remembered, "_last")
@@ -259,7 +259,7 @@ class Remembering(Descent):
         """What the last step left."""
         return [self._last]
 
-    def take(self, fields: list[np.ndarray]) -> None:
+    def set_fields(self, fields: list[np.ndarray]) -> None:
         """The same on the new band."""
         (self._last,) = fields
 
@@ -270,14 +270,14 @@ class Remembering(Descent):
 
 
 def finish(
-    now: Now, speed: np.ndarray, dt: float, limits: Limits, travel: float, diffusion: float = 0.0
-) -> Move:
+    now: StepInput, speed: np.ndarray, dt: float, limits: StepLimits, travel: float, diffusion: float = 0.0
+) -> StepPlan:
     """The move of a descent: ``speed`` (n,) at the front, held to the limit and extended (in place)."""
     rates = voxel_rates(now.surface, now.front, speed)
-    held = hold_back(speed, rates, dt, limits.cfl)
+    held = clip_speed(speed, rates, dt, limits.cfl)
     rate = percentile(speed, limits.percentile, now.front)
     now.surface.extend_outwards(speed, now.front)
-    return Move(dt, speed, None, rate, held / max(1, int(now.front.sum())), diffusion, travel=travel)
+    return StepPlan(dt, speed, None, rate, held / max(1, int(now.front.sum())), diffusion, travel=travel)
 
 
 def voxel_rates(surface: LevelSet, front: np.ndarray, speed: np.ndarray) -> np.ndarray:
@@ -289,7 +289,7 @@ def voxel_rates(surface: LevelSet, front: np.ndarray, speed: np.ndarray) -> np.n
     return out
 
 
-def front_percentiles(now: Now, field: np.ndarray, percent: float) -> tuple[float, float]:
+def front_percentiles(now: StepInput, field: np.ndarray, percent: float) -> tuple[float, float]:
     """Percentile of |field| at the front, per mm and in voxels along the normal."""
     per_mm = percentile(field, percent, now.front)
     spacings = {h for n, h in axes_of(now.surface) if n > 1}
@@ -311,7 +311,7 @@ def percentile(values: np.ndarray, percent: float, where: np.ndarray | None = No
     return float(statistics.size_at_rank(np.ascontiguousarray(values, np.float32), where, rank))
 
 
-def hold_back(speed: np.ndarray, rates: np.ndarray, dt: float, cfl: float) -> int:
+def clip_speed(speed: np.ndarray, rates: np.ndarray, dt: float, cfl: float) -> int:
     """Hold ``speed`` (n,) or (n, 3) (in place) to ``cfl`` voxels in ``dt``; returns how many cells were held."""
     most = cfl / dt
     fast = rates > most * (1.0 + 1e-6)

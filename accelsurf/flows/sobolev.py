@@ -6,7 +6,15 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.protocol import Limits, Move, Now, Remembering, finish, smallest_spacing, voxel_rates
+from accelsurf.flows.protocol import (
+    DescentWithMemory,
+    StepInput,
+    StepLimits,
+    StepPlan,
+    finish,
+    smallest_spacing,
+    voxel_rates,
+)
 from accelsurf.kernels import tube
 from accelsurf.levelset import LevelSet, dot
 
@@ -19,7 +27,7 @@ TOLERANCE = 1e-3
 MAX_ITERATIONS = 200
 
 
-class Sobolev(Remembering):
+class Sobolev(DescentWithMemory):
     """psi_t = g |grad psi| with (1 - ell^2 Lap_S) g = f: descent in the H1 metric of the surface.
 
     On a sphere of radius r a spherical harmonic of degree l comes out divided by 1 + ell^2 l (l + 1)/r^2. The step
@@ -37,16 +45,16 @@ class Sobolev(Remembering):
         super().__init__()
         self.length = length
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Step with beta = g, dt <= cfl/|g|."""
         surface = now.surface
         length = LENGTH * smallest_spacing(surface) if self.length is None else self.length
         speed = h1_gradient(surface, now.force, length, self._last)
         inner = surface.front(1.0)
         surface.extend_outwards(speed, inner)
-        dt = self.travel_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
+        dt = self.cfl_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
         if not math.isfinite(dt):
-            return Move.none(surface)
+            return StepPlan.none(surface)
         move = finish(now, speed, dt, limits, dt)
         self._last = move.speed
         return move

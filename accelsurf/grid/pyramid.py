@@ -86,13 +86,13 @@ def levels(
     return made
 
 
-def coarsened(array: NDArray[np.float32], fine: Level, coarse: Level) -> NDArray[np.float32]:
+def restrict(array: NDArray[np.float32], fine: Level, coarse: Level) -> NDArray[np.float32]:
     """Return the means over blocks of an array on ``fine``, on the next level ``coarse``.
 
     Examples
     --------
     >>> image = np.arange(5, dtype=np.float32).reshape(1, 1, 5)
-    >>> coarsened(image, Level(0, (1, 1, 1), (1, 1, 5), (1, 1, 1)), Level(1, (1, 1, 2), (1, 1, 3), (1, 1, 2)))
+    >>> restrict(image, Level(0, (1, 1, 1), (1, 1, 5), (1, 1, 1)), Level(1, (1, 1, 2), (1, 1, 3), (1, 1, 2)))
     array([[[0.5, 2.5, 4. ]]], dtype=float32)
     """
     for axis in _halved(fine, coarse):
@@ -109,7 +109,7 @@ def coarsened(array: NDArray[np.float32], fine: Level, coarse: Level) -> NDArray
     return np.ascontiguousarray(array)
 
 
-def refined(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.float32]:
+def prolong(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.float32]:
     """Return psi of a surface on ``coarse`` on the next finer level, by cubic interpolation.
 
     Near the surface psi is a distance, which is smooth but for its ridges; where it is +-gamma it stays so. Beyond the
@@ -119,12 +119,12 @@ def refined(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.
     --------
     >>> fine, coarse = levels((1, 1, 16), (1.0, 1.0, 1.0))
     >>> psi = np.linspace(-6.5, 7.5, 8, dtype=np.float32).reshape(1, 1, 8)
-    >>> float(refined(psi, coarse, fine)[0, 0, 0]), float(refined(psi, coarse, fine)[0, 0, 15])
+    >>> float(prolong(psi, coarse, fine)[0, 0, 0]), float(prolong(psi, coarse, fine)[0, 0, 15])
     (-7.0, 8.0)
     """
     halved = _halved(fine, coarse)
     if 0 not in halved:
-        return _refined(psi, halved, fine)
+        return _prolong(psi, halved, fine)
     # By slabs of planes: the whole would be held three times over.
     padded, n = _padded(psi, 0), fine.shape[0]
     out = np.empty(fine.shape, np.float32)
@@ -132,11 +132,11 @@ def refined(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.
     for begin in range(0, n, step):
         stop = min(begin + step, n)
         planes = _between(padded[begin // 2 : (stop + 1) // 2 + 4], 0, stop - begin)
-        out[begin:stop] = _refined(planes, [axis for axis in halved if axis > 0], fine)
+        out[begin:stop] = _prolong(planes, [axis for axis in halved if axis > 0], fine)
     return out
 
 
-def _refined(psi: NDArray[np.float32], axes: Sequence[int], fine: Level) -> NDArray[np.float32]:
+def _prolong(psi: NDArray[np.float32], axes: Sequence[int], fine: Level) -> NDArray[np.float32]:
     for axis in axes:
         psi = _between(_padded(psi, axis), axis, fine.shape[axis])
     return psi
@@ -191,7 +191,7 @@ def resolved(grids: Sequence[Level], psi: NDArray[np.float32]) -> int:
     """Return how many of the levels, finest first, each part of a start is at least `AUTO_DEPTH` voxels deep on."""
     count = 1
     for fine, coarse in zip(grids, grids[1:], strict=False):
-        psi = coarsened(psi, fine, coarse)
+        psi = restrict(psi, fine, coarse)
         if smallest_depth(psi) < AUTO_DEPTH:
             break
         count += 1

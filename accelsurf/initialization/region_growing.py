@@ -14,7 +14,7 @@ from accelsurf.grid.geometry import Geometry
 
 #: How unlike the seed a value is that doubles the length of a way through it: this many spreads of the seed's
 #: neighbours, but at least this part of the range of the image's middle 99 percent.
-SPREADS, LEAST_RANGE = 3.0, 0.1
+SPREADS, MIN_RANGE = 3.0, 0.1
 
 
 def otsu_level(values: NDArray[Any]) -> float:
@@ -95,7 +95,7 @@ def grown(
     near = values[tuple(slice(max(i - 1, 0), i + 2) for i in seed)].astype(np.float64)
     middle = float(np.median(near))
     low, high = np.percentile(values, (0.5, 99.5))
-    spread = max(SPREADS * 1.4826 * float(np.median(np.abs(near - middle))), LEAST_RANGE * float(high - low), 1e-30)
+    spread = max(SPREADS * 1.4826 * float(np.median(np.abs(near - middle))), MIN_RANGE * float(high - low), 1e-30)
     cost = 1.0 + ((values[box].astype(np.float64) - middle) / spread) ** 2
     march = MCP_Geometric(cost, sampling=geometry.spacing)
     length, _ = march.find_costs([[i - s.start for i, s in zip(seed, box, strict=True)]])

@@ -15,7 +15,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io.formats import nifti
 
 #: More volumes along the fourth axis than this are a time series, not channels.
-MOST_CHANNELS = 16
+MAX_CHANNELS = 16
 _DIM, _BITPIX, _OFFSET = 40, 72, 108
 
 
@@ -36,7 +36,7 @@ def read(path: str | os.PathLike[str]) -> list[Volume]:
     Raises
     ------
     InputError
-        As `accelsurf.io.read`, and for more than `MOST_CHANNELS` channels.
+        As `accelsurf.io.read`, and for more than `MAX_CHANNELS` channels.
     """
     path = Path(path)
     suffix = io.split_name(path)[1]
@@ -51,7 +51,7 @@ def read(path: str | os.PathLike[str]) -> list[Volume]:
     return [io.read(path)]
 
 
-def chosen(paths: tuple[str, ...]) -> list[Volume]:
+def read_further(paths: tuple[str, ...]) -> list[Volume]:
     """Read the files that add channels, in order.
 
     Raises
@@ -65,9 +65,9 @@ def chosen(paths: tuple[str, ...]) -> list[Volume]:
 
 
 def _check_count(path: Path, count: int) -> None:
-    if count > MOST_CHANNELS:
+    if count > MAX_CHANNELS:
         raise InputError(
-            f"{path}: {count} channels or time points, expected at most {MOST_CHANNELS}", "extract one of them first"
+            f"{path}: {count} channels or time points, expected at most {MAX_CHANNELS}", "extract one of them first"
         )
 
 

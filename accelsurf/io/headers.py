@@ -52,7 +52,7 @@ _META_SIZED = frozenset(
 )
 
 
-def of_patient(metadata: Mapping[str, str]) -> bool:
+def is_anatomical(metadata: Mapping[str, str]) -> bool:
     """Whether a header said that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name.
 
     Parameters

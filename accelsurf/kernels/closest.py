@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import TOGETHER, unravel
+from accelsurf.kernels.grid import BATCH, unravel
 from accelsurf.kernels.interpolate import value_and_gradient
 from accelsurf.kernels.simd.cubic import cubic
 
@@ -21,19 +21,19 @@ LEAST_SLOPE2 = 0.04
 MAX_MOVE = 1.5
 #: How a foot stands in `closest_points`.
 ACTIVE, FOUND, LOST = 0.0, 1.0, 2.0
-#: Rows of the memory of `closest_points`, `TOGETHER` long each, one array for the compiler to see that they are apart:
+#: Rows of the memory of `closest_points`, `BATCH` long each, one array for the compiler to see that they are apart:
 #: the foot; how it stands; the last correction along the level, its square and relaxation; the square of the first one;
 #: psi and its gradient at the foot.
-FOOT, STATUS, LAST, SQUARE, RELAX, START, LEVEL = (np.uint64(row * TOGETHER) for row in (0, 3, 4, 7, 8, 9, 10))
-NEXT = np.uint64(TOGETHER)
+FOOT, STATUS, LAST, SQUARE, RELAX, START, LEVEL = (np.uint64(row * BATCH) for row in (0, 3, 4, 7, 8, 9, 10))
+NEXT = np.uint64(BATCH)
 ROWS = 14
 
 
 @kernel
 def feet_memory():
-    """Memory for `closest_points`, and in it the feet (3, `TOGETHER`) and how they stand (`TOGETHER`,)."""
-    memory = np.zeros(ROWS * TOGETHER, np.float32)
-    return memory, memory[: 3 * TOGETHER].reshape(3, TOGETHER), memory[3 * TOGETHER : 4 * TOGETHER]
+    """Memory for `closest_points`, and in it the feet (3, `BATCH`) and how they stand (`BATCH`,)."""
+    memory = np.zeros(ROWS * BATCH, np.float32)
+    return memory, memory[: 3 * BATCH].reshape(3, BATCH), memory[3 * BATCH : 4 * BATCH]
 
 
 @kernel
@@ -43,7 +43,7 @@ def closest_points(count, psi, grid, cells, memory, w):
     Chopp's two corrections at once: down the gradient to the zero level, -psi g/|g|^2, and along the level until the
     cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the foot to the cell. The latter is too long by
     1 + distance x curvature, which two successive residues tell (secant): so it converges also further off than the
-    radius of curvature. ``memory`` (`ROWS` x `TOGETHER`,) float32 holds the feet, and then how they stand: FOUND where
+    radius of curvature. ``memory`` (`ROWS` x `BATCH`,) float32 holds the feet, and then how they stand: FOUND where
     one has converged. ``w`` (24,) is scratch.
     """
     for i in range(count):

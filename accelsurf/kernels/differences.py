@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import TOGETHER, unravel
+from accelsurf.kernels.grid import BATCH, unravel
 from accelsurf.kernels.stencils import gather_cross, godunov_norms
 
 
@@ -142,12 +142,12 @@ def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
 def upwind_norms(start, stop, psi, grid, band, beta, front, out):
     """Godunov's |grad psi| at every front cell of the range, upwind for the speed ``beta`` (n,); 1 elsewhere."""
     # Columns of cells at the border are computed as well, from what is there: numbers.
-    rows = np.zeros((15, TOGETHER), np.float32)
-    norms = np.empty(TOGETHER, np.float32)
-    way = np.empty(TOGETHER, np.float32)
-    well_inside = np.empty(TOGETHER, np.bool_)
-    for first in range(start, stop, TOGETHER):
-        count = min(TOGETHER, stop - first)
+    rows = np.zeros((15, BATCH), np.float32)
+    norms = np.empty(BATCH, np.float32)
+    way = np.empty(BATCH, np.float32)
+    well_inside = np.empty(BATCH, np.bool_)
+    for first in range(start, stop, BATCH):
+        count = min(BATCH, stop - first)
         gather_cross(first, count, psi, grid, band.cells, front, rows, well_inside)
         for i in range(count):
             way[i] = 1.0 if beta[first + i] > 0.0 else -1.0

@@ -11,7 +11,7 @@ from accelsurf.kernels._jit import kernel
 #: Band slots per block of a reduction. Partial sums are kept per block and added in order of the blocks.
 BLOCK = 4096
 #: Cells whose arithmetic is done together, in rows: independent of each other, they overlap in the processor.
-TOGETHER = 128
+BATCH = 128
 
 
 class Grid(NamedTuple):

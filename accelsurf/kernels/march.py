@@ -12,7 +12,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.closest import FOUND, closest_points, crossing_point, feet_memory
-from accelsurf.kernels.grid import TOGETHER, neighbours, unravel, voxels_along
+from accelsurf.kernels.grid import BATCH, neighbours, unravel, voxels_along
 
 #: What is known of a slot's foot.
 OPEN, FROZEN, EDGE = 0, 1, 2
@@ -116,9 +116,9 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
     plane = np.empty(3)
     w = np.empty(24)
     memory, feet, status = feet_memory()
-    beside = np.empty(TOGETHER, np.bool_)
-    for first in range(start, stop, TOGETHER):
-        count = min(TOGETHER, stop - first)
+    beside = np.empty(BATCH, np.bool_)
+    for first in range(start, stop, BATCH):
+        count = min(BATCH, stop - first)
         guess_feet(first, count, dense, grid, band, inner, near, guess, feet, beside)
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
         for i in range(count):
@@ -340,9 +340,9 @@ def polish_feet(start, stop, psi, grid, cells, on, foot):
     out = np.empty(3)
     w = np.empty(24)
     memory, feet, status = feet_memory()
-    at = np.empty(TOGETHER, np.int64)
-    for first in range(start, stop, TOGETHER):
-        count = min(TOGETHER, stop - first)
+    at = np.empty(BATCH, np.int64)
+    for first in range(start, stop, BATCH):
+        count = min(BATCH, stop - first)
         for i in range(count):
             s = on[first + i]
             at[i] = cells[s]

@@ -6,7 +6,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import curvature_at_foot, curvatures, gradient
-from accelsurf.kernels.grid import BLOCK, TOGETHER, unravel, voxels_along
+from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
 from accelsurf.kernels.stencils import block_curvatures, gather_block
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane
@@ -77,13 +77,13 @@ def measure_band(start, stop, psi, grid, band, within, part, area, bend):
     """
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
     most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
-    rows = np.empty((19, TOGETHER), np.float32)
-    shape = np.empty((5, TOGETHER), np.float32)
-    which = np.empty(TOGETHER, np.int64)
+    rows = np.empty((19, BATCH), np.float32)
+    shape = np.empty((5, BATCH), np.float32)
+    which = np.empty(BATCH, np.int64)
     at = start
     while at < stop:
         count = 0
-        while at < stop and count < TOGETHER:
+        while at < stop and count < BATCH:
             s = at
             at += 1
             d = band.psi[s]

@@ -1,7 +1,17 @@
 """The surface on the grid: a narrow band of signed distance around the zero level of psi. Knows no image."""
 
-from accelsurf.levelset.checkpoint import KeptSurface, keep, restore
+from accelsurf.levelset.checkpoint import SurfaceState, checkpoint_surface, restore_surface
 from accelsurf.levelset.level_set import FRONT_WIDTH, Change, LevelSet, Snapshot
 from accelsurf.levelset.threads import Workers, dot
 
-__all__ = ["FRONT_WIDTH", "Change", "KeptSurface", "LevelSet", "Snapshot", "Workers", "dot", "keep", "restore"]
+__all__ = [
+    "FRONT_WIDTH",
+    "Change",
+    "LevelSet",
+    "Snapshot",
+    "SurfaceState",
+    "Workers",
+    "checkpoint_surface",
+    "dot",
+    "restore_surface",
+]

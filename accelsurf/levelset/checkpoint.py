@@ -11,12 +11,12 @@ from accelsurf.kernels.grid import Band
 from accelsurf.levelset.level_set import LevelSet
 
 
-class KeptSurface(NamedTuple):
-    """What `restore` needs.
+class SurfaceState(NamedTuple):
+    """What `restore_surface` needs.
 
     ``cells`` (n,) of the band, uint32 where that is enough; ``psi`` (n,) and ``foot`` (n, 3) as in the band;
     ``inside`` bits, whether each stretch of a row beyond the band is inside; ``inside_beyond`` number of such voxels;
-    ``asked_width`` of the band.
+    ``requested_half_width`` of the band.
     """
 
     cells: np.ndarray
@@ -24,7 +24,7 @@ class KeptSurface(NamedTuple):
     foot: np.ndarray
     inside: np.ndarray
     inside_beyond: int
-    asked_width: float
+    requested_half_width: float
 
     @property
     def nbytes(self) -> int:
@@ -32,7 +32,7 @@ class KeptSurface(NamedTuple):
         return int(self.cells.nbytes + self.psi.nbytes + self.foot.nbytes + self.inside.nbytes)
 
 
-def keep(surface: LevelSet) -> KeptSurface:
+def checkpoint_surface(surface: LevelSet) -> SurfaceState:
     """Put a surface aside; to be called between two steps.
 
     The arrays of the band are shared: a step makes new ones and leaves the old as they are.
@@ -41,15 +41,15 @@ def keep(surface: LevelSet) -> KeptSurface:
     inside = np.packbits(surface.dense.psi[_stretches(band.cells, surface)] < 0)
     small = surface.dense.psi.size < 2**32
     cells = band.cells.astype(np.uint32) if small else band.cells
-    return KeptSurface(cells, band.psi, band.foot, inside, surface._inside_beyond_band, surface.asked_width)
+    return SurfaceState(cells, band.psi, band.foot, inside, surface._inside_beyond_band, surface.requested_half_width)
 
 
-def restore(surface: LevelSet, kept: KeptSurface) -> None:
+def restore_surface(surface: LevelSet, kept: SurfaceState) -> None:
     """Make ``surface``, on the same grid, what it was when ``kept`` was put aside."""
     dense, cells = surface.dense, kept.cells.astype(np.int64)
     first = _stretches(cells, surface)
     signs = np.unpackbits(kept.inside, count=first.size).astype(np.bool_)
-    surface._set_width(kept.asked_width)
+    surface._set_width(kept.requested_half_width)
     # Band cells do not matter here: a stretch that they end may run on over them.
     lead = int(first[0]) if first.size else dense.psi.size
     dense.psi[:lead] = surface.gamma

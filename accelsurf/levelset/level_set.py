@@ -18,7 +18,7 @@ from accelsurf.levelset.threads import Workers, dot
 #: at a foot reaches sqrt(3) voxels.
 FRONT_WIDTH = 2.0
 #: Rounds of closest points that are passed on: more than the cells of a way through the band.
-MOST_ROUNDS = 64
+MAX_ROUNDS = 64
 #: What has come further than so many voxels since an earlier surface is still on its way.
 FAR = 2.0
 #: Components of at most this many voxels are below what the grid resolves (a ball of radius 1.5 voxels).
@@ -70,7 +70,7 @@ class LevelSet:
 
     Attributes
     ----------
-    asked_width, half_width : float
+    requested_half_width, half_width : float
         As given, and as it is with unequal spacings; voxels.
 
     Notes
@@ -111,7 +111,7 @@ class LevelSet:
     def _set_width(self, half_width: float) -> None:
         """Half width of the band in voxels along the normal, as the constructor was given it."""
         steps = [h for n, h in zip(self.shape, (self.grid.hz, self.grid.hy, self.grid.hx), strict=True) if n > 1]
-        self.asked_width, self.half_width = float(half_width), float(half_width) * self._slant
+        self.requested_half_width, self.half_width = float(half_width), float(half_width) * self._slant
         self.gamma = np.float32(self.half_width * max(steps, default=1.0))
 
     def _start(self) -> None:
@@ -166,25 +166,25 @@ class LevelSet:
         out[~front] = 0.0
         return out
 
-    def cut(self) -> tuple[np.ndarray, np.ndarray]:
+    def fraction_and_area(self) -> tuple[np.ndarray, np.ndarray]:
         """Share of each band voxel that is inside, and its part of the surface's area (mm2), both (n,) float64.
 
         The area is smeared over 1.5 voxels: sums vary by 1e-4 as a smooth surface moves through the grid. In
         strong noise, where distances to several walls meet, it is a few percent below the mesh's.
         """
-        part, area, _ = self._measures()
-        return part, area
+        fraction, area, _ = self._measures()
+        return fraction, area
 
     def _measures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Shares, areas and curvatures of the band as it is; measured once, kept until psi changes."""
         if self._measured is None:
-            part, area, bend = np.empty(self.size), np.empty(self.size), np.empty(self.size, np.float32)
+            fraction, area, bend = np.empty(self.size), np.empty(self.size), np.empty(self.size, np.float32)
             # A stencil reaches sqrt(2) voxels further off, and beyond the band psi is no distance.
             within = min(self.half_width - 1.42 * self._slant, FRONT_WIDTH)
             run = self.workers.run
-            run(region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, part, area, bend)
+            run(region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, fraction, area, bend)
             area *= self._thickness
-            self._measured, self._inner = (part, area, bend), self.front(within)
+            self._measured, self._inner = (fraction, area, bend), self.front(within)
         return self._measured
 
     def slopes(self) -> np.ndarray:
@@ -201,9 +201,9 @@ class LevelSet:
         self.workers.run(motion.sample_image, self.size, self.dense.psi, self.grid, self.band, front, value)
         return np.asarray(np.abs(value[front]) / min(self.grid.hz, self.grid.hy, self.grid.hx))
 
-    def volume(self, part: np.ndarray) -> float:
-        """Volume inside (mm3), ``part`` being the shares of `cut`."""
-        return (self._inside_beyond_band + float(part.sum())) * self.voxel_volume
+    def volume(self, fraction: np.ndarray) -> float:
+        """Volume inside (mm3), ``fraction`` being the shares of `fraction_and_area`."""
+        return (self._inside_beyond_band + float(fraction.sum())) * self.voxel_volume
 
     @property
     def is_filled(self) -> bool:
@@ -220,7 +220,7 @@ class LevelSet:
         Measured at the voxels that the surface cuts now; where the earlier band did not reach, its half
         width counts.
         """
-        _, area = self.cut()
+        _, area = self.fraction_and_area()
         on = np.flatnonzero(area)
         if on.size == 0 or before.cells.size == 0:
             return Shift(self.half_width, 1.0)
@@ -340,7 +340,7 @@ class LevelSet:
         """Take up a band that the dense arrays hold already; what was measured on the last one is forgotten."""
         self.band, self._outwards, self._measured, self._fronts = band, None, None, {}
 
-    def begin_again(self, half_width: float) -> None:
+    def reinitialize(self, half_width: float) -> None:
         """Take the dense psi, changed by hand, for any function as the constructor does."""
         self.dense.slot[self.band.cells] = -1
         self._set_width(half_width)
@@ -361,7 +361,7 @@ class LevelSet:
         stirred = np.zeros(room, np.bool_)
         stirred[loose] = True
         again = []
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MAX_ROUNDS):
             cells, foot, state, stirred, total = self.workers.alone(
                 march.spread, dense, grid, cells, foot, state, known, sources, self.half_width, stirred
             )

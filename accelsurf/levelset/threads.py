@@ -14,7 +14,7 @@ import numpy as np
 from accelsurf.kernels.grid import BLOCK
 
 #: Fewest blocks that are worth handing to another thread.
-LEAST_BLOCKS = 2
+MIN_BLOCKS = 2
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> float:
@@ -75,11 +75,11 @@ class Workers:
     def _shared(self, kernel: Callable[..., Any], size: int, block: int, args: tuple[Any, ...]) -> None:
         """Share ``0 .. size`` out in ranges of whole blocks to the threads, this one among them."""
         blocks = -(-size // block)
-        if self._pool is None or blocks < 2 * LEAST_BLOCKS:
+        if self._pool is None or blocks < 2 * MIN_BLOCKS:
             kernel(0, size, *args)
             return
         # A few ranges per thread: the cost of a slot varies (front or not), the bytes do not.
-        step = max(LEAST_BLOCKS, -(-blocks // (4 * self.threads))) * block
+        step = max(MIN_BLOCKS, -(-blocks // (4 * self.threads))) * block
         ranges = iter([(start, min(start + step, size)) for start in range(0, size, step)])
 
         def drain() -> None:

@@ -22,7 +22,7 @@ from accelsurf.io import sha256
 
 if TYPE_CHECKING:
     from accelsurf.analysis.quality import Quality
-    from accelsurf.evolution.loop import Row
+    from accelsurf.evolution.loop import StepRecord
     from accelsurf.grid.geometry import Geometry
     from accelsurf.segmentation.api import Result
     from accelsurf.segmentation.several import ObjectsResult
@@ -37,7 +37,7 @@ TRACE_COLUMNS = (
     "level",
     "t",
     "dt",
-    "travel_dt",
+    "cfl_dt",
     "potential",
     "kinetic",
     "mass_potential",
@@ -155,9 +155,9 @@ def describe_config(
 def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
     """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
-    ``chosen`` has what the run took for settings that image and grid decide: ``presmooth_mm``; ``scale``, the values of
-    each channel that became 0 and 1; ``step_voxels`` and ``limiter_percentile``; ``diffusion``, a rate or free;
-    ``stop``: still within so many voxels over so many steps; ``half_width_voxels`` of the band; ``levels``.
+    ``resolved_settings`` has what the run took for settings that image and grid decide: ``presmooth_mm``; ``scale``,
+    the values of each channel that became 0 and 1; ``step_voxels`` and ``limiter_percentile``; ``diffusion``, a rate or
+    free; ``stop``: still within so many voxels over so many steps; ``half_width_voxels`` of the band; ``levels``.
 
     Parameters
     ----------
@@ -165,12 +165,12 @@ def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
         Of several objects the sums, and an entry for each in ``objects``. With None every value is null.
     """
     if result is None:
-        keys = ("stop", "chosen", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2", "enclosed_mm2")
-        return dict.fromkeys((*keys, "length_mm", "components", "touches_border", "quality", "objects"))
+        keys = ("stop", "resolved_settings", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2")
+        return dict.fromkeys((*keys, "enclosed_mm2", "length_mm", "components", "touches_border", "quality", "objects"))
     many = cast("ObjectsResult", result) if hasattr(result, "objects") else None
-    last = result.ledger[-1] if result.ledger else None
+    last = result.history[-1] if result.history else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
-    first = next((row for row in result.ledger if row.level == 0), None)
+    first = next((row for row in result.history if row.level == 0), None)
     return {
         "stop": {
             "reason": result.stop.reason,
@@ -178,7 +178,7 @@ def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
             "time": result.stop.time,
             "message": result.stop.message,
         },
-        "chosen": result.chosen,
+        "resolved_settings": result.resolved_settings,
         "levels": describe_levels(result),
         "edits": [
             {**edit.model_dump(mode="json"), "done": number < result.edits_done}
@@ -227,7 +227,7 @@ def describe_objects(result: ObjectsResult) -> list[dict[str, Any]]:
             "components": one.components,
             "touches_border": one.touches_border,
             "centroid": _centroid(one),
-            "cells_visited": sum(row.cells_visited for row in one.ledger),
+            "cells_visited": sum(row.cells_visited for row in one.history),
             "terms": one.terms,
             "quality": describe_quality(one.quality if one.labels.any() else None),
         }
@@ -252,7 +252,7 @@ def describe_levels(result: Result | ObjectsResult) -> list[dict[str, Any]]:
             "spacing": list(reversed(grid.spacing)),
             "steps": steps,
             "reason": reason,
-            "cells_visited": sum(row.cells_visited for row in result.ledger if row.level == grid.number),
+            "cells_visited": sum(row.cells_visited for row in result.history if row.level == grid.number),
         }
         for grid, steps, reason in result.levels
     ]
@@ -264,15 +264,15 @@ def describe_mass(result: Result | ObjectsResult) -> dict[str, Any] | None:
     ``correction`` is the part of the mass that had to be added to conserve it, ``cure`` what is done where the mass
     potential would make the flow ill-posed, and ``clamped_fraction_largest`` the largest share of surface where it was.
     """
-    if result.config.flow != "flowable-mass" or not result.ledger:
+    if result.config.flow != "flowable-mass" or not result.history:
         return None
-    first, last = result.ledger[0], result.ledger[-1]
+    first, last = result.history[0], result.history[-1]
     return {
         "first": first.mass,
         "last": last.mass,
         "correction": last.mass_correction,
         "cure": "negative tension clamped at -smoothness, normal part only" if result.config.gravity > 0 else None,
-        "clamped_fraction_largest": max(row.clamped_fraction for row in result.ledger),
+        "clamped_fraction_largest": max(row.clamped_fraction for row in result.history),
     }
 
 
@@ -395,20 +395,22 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def trace_csv(ledger: Iterable[Row]) -> str:
+def trace_csv(history: Iterable[StepRecord]) -> str:
     """Return the trace of a run: one line per step, columns as in `TRACE_COLUMNS`, numbers without loss.
 
     Parameters
     ----------
-    ledger : iterable of Row
+    history : iterable of Row
         One row per step. Units: mm, mm^2, mm^3, voxels, seconds; t and dt in flow time. True is 1.
     """
-    return _table(TRACE_COLUMNS, ([getattr(row, name) for name in TRACE_COLUMNS] for row in ledger))
+    return _table(TRACE_COLUMNS, ([getattr(row, name) for name in TRACE_COLUMNS] for row in history))
 
 
-def objects_trace_csv(ledgers: Mapping[int, Iterable[Row]]) -> str:
+def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
     """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
-    rows = ([own, *(getattr(row, name) for name in TRACE_COLUMNS)] for own, ledger in ledgers.items() for row in ledger)
+    rows = (
+        [own, *(getattr(row, name) for name in TRACE_COLUMNS)] for own, history in histories.items() for row in history
+    )
     return _table(("object", *TRACE_COLUMNS), rows)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.io.headers import of_patient
+from accelsurf.io.headers import is_anatomical
 from accelsurf.report import document, preview
 from accelsurf.settings.run_config import LabelFormat, RunConfig
 
@@ -44,7 +44,7 @@ def label_format(config: RunConfig, source_suffix: str) -> str:
     return config.format or (follow if follow in get_args(LabelFormat) else "nii.gz")
 
 
-def names(config: RunConfig, labels: str, one_slice: bool | None) -> dict[str, str]:
+def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     """Return the last part of every output's name by its kind, but for the report.
 
     Parameters
@@ -52,7 +52,7 @@ def names(config: RunConfig, labels: str, one_slice: bool | None) -> dict[str, s
     config : RunConfig
     labels : str
         From `label_format`.
-    one_slice : bool or None
+    is_2d : bool or None
         Whether the image has one slice; None when that is not known yet: then all that there may be.
 
     Examples
@@ -60,16 +60,16 @@ def names(config: RunConfig, labels: str, one_slice: bool | None) -> dict[str, s
     >>> [name for kind, name in names(RunConfig(), "png", True).items() if kind.startswith("contour")]
     ['contour.vtp', 'contour.csv']
     """
-    chosen = {"labels": f"seg.{labels}"}
-    if one_slice is not True:
+    resolved_settings = {"labels": f"seg.{labels}"}
+    if is_2d is not True:
         kinds = ["ply"] if config.mesh == "auto" else [kind for kind in config.mesh if kind in SURFACE_FORMATS]
-        chosen |= {f"surface-{kind}": f"surface.{kind}" for kind in kinds}
-    if one_slice is not False:
+        resolved_settings |= {f"surface-{kind}": f"surface.{kind}" for kind in kinds}
+    if is_2d is not False:
         wanted = CONTOUR_FORMATS if config.mesh == "auto" else config.mesh
-        chosen |= {f"contour-{kind}": f"contour.{kind}" for kind in CONTOUR_FORMATS if kind in wanted}
+        resolved_settings |= {f"contour-{kind}": f"contour.{kind}" for kind in CONTOUR_FORMATS if kind in wanted}
     if config.save_sdf:
-        chosen["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG holds no distances
-    return chosen | {"trace": "trace.csv", "preview": "preview.png"}
+        resolved_settings["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG holds no distances
+    return resolved_settings | {"trace": "trace.csv", "preview": "preview.png"}
 
 
 def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
@@ -207,7 +207,7 @@ def write_result(
         elif kind == "sdf" and not empty:
             writers[kind] = lambda path: io.write(result.labels_volume().with_array(result.psi), path)
         elif kind == "trace":
-            writers[kind] = lambda path: write_bytes(path, document.trace_csv(result.ledger).encode())
+            writers[kind] = lambda path: write_bytes(path, document.trace_csv(result.history).encode())
         elif kind == "preview":
             writers[kind] = lambda path: write_bytes(path, preview.preview_png(picture))
     for kind, writer in writers.items():
@@ -238,11 +238,11 @@ def scene(result: Result | ObjectsResult, title: str, reference: Any = None) -> 
         image=result.image,
         psi=result.psi,
         geometry=result.geometry,
-        ledger=result.ledger,
+        history=result.history,
         surface=None if flat or result.stop.reason in ("vanished", "filled") else result.surface,
         start=result.start,
         title=title,
-        anatomical=of_patient(result.volume.metadata),
+        anatomical=is_anatomical(result.volume.metadata),
         reference=reference,
         labels=result.labels if hasattr(result, "objects") else None,
     )

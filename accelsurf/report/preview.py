@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from accelsurf.analysis.surface_mesh import Surface
-    from accelsurf.evolution.loop import Row
+    from accelsurf.evolution.loop import StepRecord
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 _INK, _GRID = "#222222", "#D9D9D9"
@@ -50,7 +50,7 @@ class Scene:
         Level-set function, mm, negative inside.
     geometry : Geometry
         Their grid.
-    ledger : sequence of Row
+    history : sequence of Row
         One row per step.
     surface : Surface or None
         The surface in world mm; None when there is none (vanished or filled).
@@ -69,7 +69,7 @@ class Scene:
     image: NDArray[Any]
     psi: NDArray[Any]
     geometry: Geometry
-    ledger: Sequence[Row]
+    history: Sequence[StepRecord]
     surface: Surface | None
     title: str
     anatomical: bool = False
@@ -112,7 +112,7 @@ def preview_png(scene: Scene) -> bytes:
     place = _centroid(scene)
     for plane in range(3):
         _draw_slice(figure.add_subplot(grid[0, plane]), scene, plane, place)
-    _draw_energies(figure.add_subplot(grid[1, :2]), scene.ledger)
+    _draw_energies(figure.add_subplot(grid[1, :2]), scene.history)
     _draw_surface(figure.add_subplot(grid[1, 2]), scene)
     return _png(figure)
 
@@ -138,7 +138,7 @@ def _flat_png(scene: Scene, axis: int) -> bytes:
     )
     _draw_slice(figure.add_subplot(grid[0, 0]), scene, plane, _centroid(scene))
     energies = figure.add_subplot(grid[0, 1])
-    _draw_energies(energies, scene.ledger)
+    _draw_energies(energies, scene.history)
     energies.set_box_aspect(min(0.9, high / right))
     return _png(figure)
 
@@ -182,7 +182,7 @@ def comparison_png(scenes: Mapping[str, Scene], title: str) -> bytes:
     below = figure.add_subplot(grid[-1, :])
     for number, (name, scene) in enumerate(scenes.items()):
         below.plot(
-            *_potentials(scene.ledger),
+            *_potentials(scene.history),
             color=_RUN_COLORS[number % len(_RUN_COLORS)],
             linestyle=_RUN_DASHES[number % len(_RUN_DASHES)],
             linewidth=1.8,
@@ -292,13 +292,13 @@ def _write_letters(axes: Axes, horizontal: int, vertical: int, top_is_low: bool)
 # -------------------------------------------------------------------------------------------------- energies, surface
 
 
-def _draw_energies(axes: Axes, ledger: Sequence[Row]) -> None:
-    steps = [row.step for row in ledger]
+def _draw_energies(axes: Axes, history: Sequence[StepRecord]) -> None:
+    steps = [row.step for row in history]
     axes.set_title("Energy and kinetic energy", fontsize=10, color=_INK)
-    axes.plot(*_potentials(ledger), color=BLUE, linewidth=1.8)
+    axes.plot(*_potentials(history), color=BLUE, linewidth=1.8)
     _style(axes, "step", "energy")
     axes.yaxis.label.set_color(BLUE)
-    kinetic = [row.kinetic for row in ledger]
+    kinetic = [row.kinetic for row in history]
     if any(kinetic):
         right = axes.twinx()
         right.plot(steps, kinetic, color=VERMILION, linewidth=1.5, linestyle=_RUN_DASHES[1])
@@ -308,7 +308,7 @@ def _draw_energies(axes: Axes, ledger: Sequence[Row]) -> None:
         right.set_ylim(bottom=0)
     else:
         axes.text(0.98, 0.93, "no kinetic energy: the flow has no momentum", transform=axes.transAxes, ha="right")
-    restarts = [row.step for row in ledger if row.restarted]
+    restarts = [row.step for row in history if row.restarted]
     if restarts:
         bottom = np.zeros(len(restarts))
         axes.plot(restarts, bottom, "^", color=_INK, markersize=6, transform=axes.get_xaxis_transform(), clip_on=False)
@@ -316,12 +316,12 @@ def _draw_energies(axes: Axes, ledger: Sequence[Row]) -> None:
         axes.legend(frameon=False, fontsize=9, loc="upper right", bbox_to_anchor=(1.0, 0.9), labelcolor=_INK)
 
 
-def _potentials(ledger: Sequence[Row]) -> tuple[list[int], list[float]]:
+def _potentials(history: Sequence[StepRecord]) -> tuple[list[int], list[float]]:
     """Steps and potentials, with a gap where the grid changes: each level has its own image, with its own energies."""
     steps: list[int] = []
     values: list[float] = []
-    for place, row in enumerate(ledger):
-        if place and row.level != ledger[place - 1].level:
+    for place, row in enumerate(history):
+        if place and row.level != history[place - 1].level:
             steps.append(row.step)
             values.append(float("nan"))
         steps.append(row.step)

@@ -17,11 +17,11 @@ from accelsurf.analysis.contours import Contours
 from accelsurf.analysis.quality import Quality, assess
 from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.errors import InputError
-from accelsurf.evolution.loop import Row, Step, Stop
-from accelsurf.evolution.multilevel import Passed
+from accelsurf.evolution.loop import Step, StepRecord, Stop
+from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.segmentation.preprocessing import Prepared
+from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.run import EnergyLike, Run
 from accelsurf.segmentation.solver_setup import half_width, stop_rule
 from accelsurf.settings.run_config import RunConfig
@@ -45,7 +45,7 @@ class Result:
     config : RunConfig
     energy : str
         Name of the energy: that of ``config``, or ``custom: ClassName``.
-    ledger : list of Row
+    history : list of Row
         One row per step; the last records the final state.
     stop : Stop
         Why the run ended.
@@ -64,7 +64,7 @@ class Result:
         How many of the edits of ``config`` the run came to.
     terms : list of dict
         The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
-    chosen : dict
+    resolved_settings : dict
         What the run took for settings that image and grid decide: see `document.describe_result`.
     learned : (float, float) or None
         Values, on the scale of ``image``, between which those of the object should lie by what it was learned from.
@@ -76,17 +76,17 @@ class Result:
     geometry: Geometry
     config: RunConfig
     energy: str
-    ledger: list[Row]
+    history: list[StepRecord]
     stop: Stop
     seconds: dict[str, float]
     volume: Volume
-    levels: list[Passed] = field(default_factory=list)
+    levels: list[LevelSummary] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
     edits_done: int = 0
     kernels: dict[str, float] = field(default_factory=dict)
     terms: list[dict[str, Any]] = field(default_factory=list)
-    chosen: dict[str, Any] = field(default_factory=dict)
+    resolved_settings: dict[str, Any] = field(default_factory=dict)
     learned: tuple[float, float] | None = None
 
     @cached_property
@@ -112,7 +112,7 @@ class Result:
     @property
     def volume_mm3(self) -> float:
         """Volume of the object, mm3, sub-voxel."""
-        return self.ledger[-1].volume_mm3
+        return self.history[-1].volume_mm3
 
     @property
     def area_mm2(self) -> float:
@@ -164,7 +164,7 @@ class Result:
     @cached_property
     def quality(self) -> Quality:
         """What tells, without a reference, whether to trust the result."""
-        return assess(self.labels, self.image, self.geometry.spacing, self.ledger, self.stop, self.learned)
+        return assess(self.labels, self.image, self.geometry.spacing, self.history, self.stop, self.learned)
 
     @property
     def report(self) -> dict[str, Any]:
@@ -183,7 +183,7 @@ def segment(
     channels: Sequence[Volume | NDArray[Any]] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
-    on_step: Callable[[Row], bool | None] | None = None,
+    on_step: Callable[[StepRecord], bool | None] | None = None,
     **options: Any,
 ) -> Result:
     """Segment one object.
@@ -203,7 +203,7 @@ def segment(
         that makes one of ``(image, spacing)``: the image as the named energies see it (`Result.image`) and
         (hz, hy, hx) in mm. Settings of the named energies, such as ``smoothness``, are then refused.
     on_step : callable, optional
-        Called with each `Row`; a true return value ends the run with the reason ``interrupted``.
+        Called with each `StepRecord`; a true return value ends the run with the reason ``interrupted``.
     **options
         Settings by name, over those of ``config``: ``start="ball:x,y,z,r"``, ``flow="gradient"``, ...
 
@@ -304,12 +304,12 @@ def resolved(
 def result_of(run: Run) -> Result:
     """Return what a run left, or has reached between two steps: then with the reason ``interrupted``.
 
-    The ledger is a copy; ``psi`` may be a view of the surface, which goes on if the run does.
+    The history is a copy; ``psi`` may be a view of the surface, which goes on if the run does.
     """
-    stop, ledger = run.stop, list(run.evolution.ledger)
+    stop, history = run.stop, list(run.evolution.history)
     if stop is None:
         row = run.look().row
-        ledger.append(row)
+        history.append(row)
         stop = Stop("interrupted", row.step, row.t, f"looked at after {row.step} steps")
     missed = run.config.edit[run.edits_done :]
     prepared = run.prepared
@@ -321,15 +321,15 @@ def result_of(run: Run) -> Result:
         geometry=run.volume.geometry,
         config=run.config,
         energy=run.energy_name,
-        ledger=ledger,
+        history=history,
         stop=stop,
-        levels=run.evolution.passed,
+        levels=run.evolution.level_summaries,
         seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
         volume=run.volume,
         start=prepared.start,
-        chosen=chosen_of(prepared, run.config, len(run.evolution.passed)),
+        resolved_settings=resolved_settings_of(prepared, run.config, len(run.evolution.level_summaries)),
         learned=prepared.learned,
-        terms=prepared.facts.terms,
+        terms=prepared.context.terms,
         kernels=dict(run.workers.seconds),
         edits_done=run.edits_done,
         warnings=run.evolution.warnings
@@ -341,7 +341,7 @@ def result_of(run: Run) -> Result:
     )
 
 
-def chosen_of(prepared: Prepared, config: RunConfig, levels: int) -> dict[str, Any]:
+def resolved_settings_of(prepared: PreprocessedInput, config: RunConfig, levels: int) -> dict[str, Any]:
     """Return what a run on so many levels took for settings that image and grid decide."""
     diffusion = config.diffusion
     if diffusion == "auto":
@@ -349,7 +349,7 @@ def chosen_of(prepared: Prepared, config: RunConfig, levels: int) -> dict[str, A
     rule = stop_rule(config, levels)
     return {
         "presmooth_mm": prepared.presmooth,
-        "scale": [{"at_0": low, "at_1": low + width} for low, width in prepared.facts.scales],
+        "scale": [{"at_0": low, "at_1": low + width} for low, width in prepared.context.scales],
         "step_voxels": config.cfl,
         "limiter_percentile": config.percentile,
         "diffusion": diffusion,

@@ -55,7 +55,7 @@ class Scale(NamedTuple):
     width: float = 1.0
 
 
-class Facts:
+class ImageContext:
     """What energies are told of an image besides the image on the grid at hand.
 
     Parameters
@@ -77,7 +77,7 @@ class Facts:
 
     Attributes
     ----------
-    chosen : dict of int to dict
+    resolved_settings : dict of int to dict
         For each term by its place: name, weight, and every setting with the value that it has in the run, also where
         that was chosen from the image; image values in the file's unit.
     """
@@ -100,7 +100,7 @@ class Facts:
         self._inside = None if foreground is None else (_EVERYWHERE, foreground)
         self._raw = raw or (lambda channel, box, mask: self.images[channel][box][mask])
         self.others = others or (lambda shape, spacing: self.images[1:])
-        self.chosen: dict[int, dict[str, Any]] = {}
+        self.resolved_settings: dict[int, dict[str, Any]] = {}
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
         self._outside: dict[int, NDArray[Any]] = {}
         self._kept: dict[tuple[Any, ...], Any] = {}
@@ -108,21 +108,21 @@ class Facts:
     @property
     def terms(self) -> list[dict[str, Any]]:
         """What was chosen, term by term."""
-        return [self.chosen[place] for place in sorted(self.chosen)]
+        return [self.resolved_settings[place] for place in sorted(self.resolved_settings)]
 
-    def of_object(self, corner: tuple[int, int, int], start: Mask) -> Facts:
+    def of_object(self, corner: tuple[int, int, int], start: Mask) -> ImageContext:
         """The facts for one of several objects, which ``start``, from voxel ``corner`` on, has inside.
 
         Where the start is what models learn from, it learns from its own. What is found of whole images stays common.
         """
         part = copy.copy(self)
-        part.chosen = {}
+        part.resolved_settings = {}
         if self._is_start:
             z, y, x = (slice(c, c + n) for c, n in zip(corner, start.shape, strict=True))
             part._inside, part._learned = ((z, y, x), start), {}
         return part
 
-    def on(self, box: Box) -> Facts:
+    def on(self, box: Box) -> ImageContext:
         """The same facts for energies on a box of the image's own grid; what they choose is kept in common."""
         part = copy.copy(self)
         part.others = lambda shape, spacing: [np.ascontiguousarray(image[box]) for image in self.images[1:]]
@@ -185,7 +185,7 @@ def area_weight(config: RunConfig) -> float:
 
 
 def make_energy(
-    config: RunConfig, image: Image, spacing: tuple[float, float, float], facts: Facts | None = None
+    config: RunConfig, image: Image, spacing: tuple[float, float, float], context: ImageContext | None = None
 ) -> Energy:
     """The energy that a configuration asks for, of an image on a grid of ``spacing`` (hz, hy, hx) mm.
 
@@ -204,18 +204,18 @@ def make_energy(
     UsageError
         When a term asks for a channel that there is not, or for something to learn from that it would not use.
     """
-    if facts is None:
-        facts = Facts([image], [Scale()], spacing)
+    if context is None:
+        context = ImageContext([image], [Scale()], spacing)
     terms = energy_expression.parse(config.energy)
     # Of an energy before, which may have had more terms.
-    facts.chosen.clear()
-    channels = [image, *facts.others(image.shape, spacing)]
+    context.resolved_settings.clear()
+    channels = [image, *context.others(image.shape, spacing)]
     if len(terms) == 1 and terms[0].weight == 1.0 and len(_seen(terms[0], channels)) == 1:
         # The term carries the area itself.
-        return _make(terms[0], 0, config, channels, spacing, facts, config.smoothness)[0][1]
+        return _make(terms[0], 0, config, channels, spacing, context, config.smoothness)[0][1]
     made: list[tuple[float, Energy]] = []
     for place, term in enumerate(terms):
-        parts = _make(term, place, config, channels, spacing, facts, 0.0)
+        parts = _make(term, place, config, channels, spacing, context, 0.0)
         made += [(term.weight * share, energy) for share, energy in parts]
     if config.smoothness > 0:
         made.append((config.smoothness, Area()))
@@ -242,7 +242,7 @@ def _make(
     config: RunConfig,
     channels: Sequence[Image],
     spacing: tuple[float, float, float],
-    facts: Facts,
+    context: ImageContext,
     alpha: float,
 ) -> list[tuple[float, Energy]]:
     """The energies of a term, one for each channel that it sees, with their shares."""
@@ -251,13 +251,13 @@ def _make(
     told: dict[str, Any] = {"term": term.name, "weight": term.weight}
     made: list[tuple[float, Energy]] = []
     for channel in seen:
-        energy, settings = MAKERS[term.name](term.settings, config, channels[channel], spacing, facts, channel, alpha)
+        energy, settings = MAKERS[term.name](term.settings, config, channels[channel], spacing, context, channel, alpha)
         made.append((share, energy))
         if len(channels) > 1 and term.name not in ("balloon", "area"):
             told.setdefault("channels", []).append({"channel": channel + 1, **settings})
         else:
             told |= settings
-    facts.chosen[place] = told
+    context.resolved_settings[place] = told
     return made
 
 
@@ -271,7 +271,13 @@ def _number(settings: Settings, key: str, default: float) -> float:
 
 
 def _chan_vese(
-    settings: Settings, config: RunConfig, image: Image, spacing: Spacing, facts: Facts, channel: int, alpha: float
+    settings: Settings,
+    config: RunConfig,
+    image: Image,
+    spacing: Spacing,
+    context: ImageContext,
+    channel: int,
+    alpha: float,
 ) -> Made:
     balance = _number(settings, "balance", config.balance)
     epsilon = _number(settings, "epsilon", config.epsilon)
@@ -279,16 +285,28 @@ def _chan_vese(
 
 
 def _local_region(
-    settings: Settings, config: RunConfig, image: Image, spacing: Spacing, facts: Facts, channel: int, alpha: float
+    settings: Settings,
+    config: RunConfig,
+    image: Image,
+    spacing: Spacing,
+    context: ImageContext,
+    channel: int,
+    alpha: float,
 ) -> Made:
     # Of the image's own grid, on every level.
-    radius = _number(settings, "R", WINDOW_VOXELS * largest_spacing(facts.images[0].shape, facts.spacing))
+    radius = _number(settings, "R", WINDOW_VOXELS * largest_spacing(context.images[0].shape, context.spacing))
     epsilon = _number(settings, "epsilon", config.epsilon)
     return LocalRegion(image, radius, alpha, epsilon), {"R": radius, "epsilon": epsilon}
 
 
 def _likelihood(
-    settings: Settings, config: RunConfig, image: Image, spacing: Spacing, facts: Facts, channel: int, alpha: float
+    settings: Settings,
+    config: RunConfig,
+    image: Image,
+    spacing: Spacing,
+    context: ImageContext,
+    channel: int,
+    alpha: float,
 ) -> Made:
     given = bool(config.foreground or config.background)
     update = settings.get("update", "no" if given else "yes")
@@ -301,29 +319,42 @@ def _likelihood(
     model, epsilon = settings.get("model", "gauss"), _number(settings, "epsilon", 0.0)
     used: dict[str, Any] = {"model": model, "update": update, "epsilon": epsilon}
     if model == "histogram":
-        learned = facts.samples(channel) if update == "no" else None
-        return HistogramLikelihood(image, alpha, learned, epsilon, facts.once(Parzen, channel)), used
+        learned = context.samples(channel) if update == "no" else None
+        return HistogramLikelihood(image, alpha, learned, epsilon, context.once(Parzen, channel)), used
     if update == "yes":
         return GaussianLikelihood(image, alpha, epsilon=epsilon), used
-    one, other = (gaussian_of(values, facts.once(least_variance, channel)) for values in facts.samples(channel))
-    low, width = facts.scales[channel]
+    one, other = (gaussian_of(values, context.once(least_variance, channel)) for values in context.samples(channel))
+    low, width = context.scales[channel]
     for name, (mean, variance) in (("inside", one), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
     return GaussianLikelihood(image, alpha, (one, other), epsilon), used
 
 
 def _threshold(
-    settings: Settings, config: RunConfig, image: Image, spacing: Spacing, facts: Facts, channel: int, alpha: float
+    settings: Settings,
+    config: RunConfig,
+    image: Image,
+    spacing: Spacing,
+    context: ImageContext,
+    channel: int,
+    alpha: float,
 ) -> Made:
-    low, high = (facts.bound(channel, settings.get(key, ""), key == "HI") for key in ("LO", "HI"))
-    start, width = facts.scales[channel]
-    soft = float(settings["soft"]) / width if "soft" in settings else soft_edge(facts.once(np.ptp, channel), low, high)
+    low, high = (context.bound(channel, settings.get(key, ""), key == "HI") for key in ("LO", "HI"))
+    start, width = context.scales[channel]
+    given = settings.get("soft")
+    soft = soft_edge(context.once(np.ptp, channel), low, high) if given is None else float(given) / width
     used = {key: None if v is None else start + width * v for key, v in (("LO", low), ("HI", high))}
     return Threshold(image, low, high, soft, alpha), {**used, "soft": soft * width}
 
 
 def _geodesic(
-    settings: Settings, config: RunConfig, image: Image, spacing: Spacing, facts: Facts, channel: int, alpha: float
+    settings: Settings,
+    config: RunConfig,
+    image: Image,
+    spacing: Spacing,
+    context: ImageContext,
+    channel: int,
+    alpha: float,
 ) -> Made:
     scale = settings.get("scale", config.edge_scale)
     contrast = settings.get("contrast", config.edge_contrast)

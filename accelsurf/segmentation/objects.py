@@ -16,18 +16,18 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.constraints.contact import Contested, Corner, Neighbour
-from accelsurf.energies.constraints.mask import Fenced
+from accelsurf.energies.constraints.contact import Corner, Neighbour, NonOverlap
+from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.energies.geodesic import largest_spacing
 from accelsurf.energies.local_region import TENT
 from accelsurf.errors import InputError
-from accelsurf.evolution.loop import Evolution, Restart, Row, Stop
-from accelsurf.flows import Limits
+from accelsurf.evolution.loop import Evolution, Restart, StepRecord, Stop
+from accelsurf.flows import StepLimits
 from accelsurf.grid.geometry import Box
 from accelsurf.initialization.object_starts import ObjectStart, corner_of, meeting, shared, widened
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.segmentation.energy_assembly import WINDOW_VOXELS
-from accelsurf.segmentation.preprocessing import Prepared
+from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.solver_setup import half_width, make_energy, make_flow, stop_rule
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
@@ -55,13 +55,13 @@ class Moving:
         What its energy was told of the image, and what it chose.
     """
 
-    def __init__(self, one: ObjectStart, place: int, prepared: Prepared, config: RunConfig) -> None:
+    def __init__(self, one: ObjectStart, place: int, prepared: PreprocessedInput, config: RunConfig) -> None:
         self.id, self.leaked = one.id, False
         self._prepared, self._config = prepared, config
         seed = None if config.seed is None else config.seed + place
         self.flow = make_flow(config.replace(seed=seed))
         self.workers = Workers(1)
-        self.facts = prepared.facts.of_object(one.corner, one.psi < 0)
+        self.context = prepared.context.of_object(one.corner, one.psi < 0)
         self._least = _least_room(config, prepared)
         inside = np.argwhere(one.psi < 0)
         low, high = inside.min(axis=0) + one.corner, inside.max(axis=0) + 1 + one.corner
@@ -88,10 +88,10 @@ class Moving:
         surface = LevelSet(psi, spacing, half_width(config), self.workers, overwrite=True)
         fields = None if before is None else moved(self.flow.fields, before.surface, at, surface, self.corner)
         image = np.ascontiguousarray(prepared.image[box])
-        energy = make_energy(config, image, spacing, self.facts.on(box))
+        energy = make_energy(config, image, spacing, self.context.on(box))
         if fence is not None:
-            energy = Fenced(energy, fence)
-        self.energy = Contested(energy, self.corner)
+            energy = MaskConstraint(energy, fence)
+        self.energy = NonOverlap(energy, self.corner)
         self._go_on(surface, before, fields)
 
     def _go_on(self, surface: LevelSet, before: Evolution | None, fields: list[NDArray[np.float32]] | None) -> None:
@@ -100,7 +100,7 @@ class Moving:
             surface,
             self.energy,
             self.flow,
-            Limits(config.cfl, config.percentile),
+            StepLimits(config.cfl, config.percentile),
             config.max_steps,
             Restart() if config.restart == "auto" else None,
             stop_rule(config, 1),
@@ -126,9 +126,9 @@ class Moving:
         return self.evolution.stop is None
 
     @property
-    def ledger(self) -> list[Row]:
+    def history(self) -> list[StepRecord]:
         """Its steps so far."""
-        return self.evolution.ledger
+        return self.evolution.history
 
     @property
     def stop(self) -> Stop:
@@ -153,15 +153,15 @@ class Moving:
         z, y, x = (slice(c, c + n) for c, n in zip(self.corner, self.surface.shape, strict=True))
         return self._prepared.fence((z, y, x))
 
-    def step(self) -> Row:
+    def step(self) -> StepRecord:
         """Make a step."""
         step = self.evolution.step()
         assert step is not None
         row = step.row
-        self.energy.collide(self.surface, self.flow)
+        self.energy.react_to_contact(self.surface, self.flow)
         if self.evolution.stop is not None and self.surface.size:
             # Neighbours would follow what is left of its speed, into a surface that stands still.
-            self.evolution.rest()
+            self.evolution.zero_momentum()
         most = self._config.max_volume
         if most is not None and row.volume_mm3 > most:
             self.leaked = True
@@ -182,11 +182,11 @@ class Moving:
     def wake(self) -> None:
         """Move again after it had converged: a neighbour ran into it."""
         # The row of the final state: it was not.
-        self.ledger.pop()
+        self.history.pop()
         self._go_on(self.surface, self.evolution, self.flow.fields)
 
 
-def _least_room(config: RunConfig, prepared: Prepared) -> tuple[int, int, int]:
+def _least_room(config: RunConfig, prepared: PreprocessedInput) -> tuple[int, int, int]:
     """Voxels that an object needs around itself for its energy to see what it would see on the whole grid."""
     shape, spacing = prepared.geometry.shape, prepared.geometry.spacing
     usual = WINDOW_VOXELS * largest_spacing(shape, spacing)
@@ -237,7 +237,9 @@ class Objects:
         When nothing of a start lies within region of interest and mask.
     """
 
-    def __init__(self, starts: Sequence[ObjectStart], prepared: Prepared, config: RunConfig, threads: int) -> None:
+    def __init__(
+        self, starts: Sequence[ObjectStart], prepared: PreprocessedInput, config: RunConfig, threads: int
+    ) -> None:
         self._config, self._steps = config, prepared.geometry.steps
         self._asked = False
         self._stack = ExitStack()
@@ -268,7 +270,7 @@ class Objects:
                 total[name] = total.get(name, 0.0) + seconds
         return total
 
-    def __iter__(self) -> Iterator[tuple[int, Row]]:
+    def __iter__(self) -> Iterator[tuple[int, StepRecord]]:
         """Run in rounds."""
         while moving := [one for one in self.objects if one.moves]:
             if self._asked:
@@ -348,7 +350,7 @@ class Objects:
         return out
 
 
-def _within(one: ObjectStart, prepared: Prepared) -> ObjectStart:
+def _within(one: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
     """A start on the grid of the region of interest, behind the fence."""
     box, roi = tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True)), prepared.box
     a, b, c = (slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(box, roi, strict=True))

@@ -11,13 +11,13 @@ from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.energies import Energy
-from accelsurf.energies.constraints.mask import Fenced, fence_of
+from accelsurf.energies.constraints.mask import MaskConstraint, mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Box, Geometry
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.initialization import starts
-from accelsurf.segmentation.energy_assembly import Facts, Mask, Scale
+from accelsurf.segmentation.energy_assembly import ImageContext, Mask, Scale
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
@@ -25,7 +25,7 @@ from accelsurf.settings.run_config import RunConfig
 SCALE_PERCENTILES = (0.5, 99.5)
 
 
-class Prepared:
+class PreprocessedInput:
     """Everything that a run begins with, on the grid of its region of interest.
 
     Parameters
@@ -85,7 +85,7 @@ class Prepared:
             for name, texts in (("foreground", config.foreground), ("background", config.background))
         )
         mask = read_mask(config.mask, volume.geometry) if config.mask is not None else None
-        self._fences = None if mask is None else [fence_of(_cut(mask, self.box), self.geometry.spacing)]
+        self._fences = None if mask is None else [mask_distance(_cut(mask, self.box), self.geometry.spacing)]
         self.psi = self._started(_cut(psi, self.box), config)
         #: psi of the start on the whole grid, for an image of one slice; for volumes it would cost memory.
         self.start = psi.copy() if volume.geometry.slice_axis is not None else None
@@ -108,28 +108,28 @@ class Prepared:
         learns_from_start = foreground is None and self._learns
         if learns_from_start:
             foreground = self.psi < 0
-        self.facts = Facts(
+        self.context = ImageContext(
             images, scales, self.geometry.spacing, foreground, background, self._others_on, self._raw,
             is_start=learns_from_start,
         )
 
     def _raw(self, channel: int, box: Box, mask: Mask) -> NDArray[Any]:
         """Values of a channel before presmoothing, on the scale that energies see, where a box's mask is set."""
-        low, width = self.facts.scales[channel]
+        low, width = self.context.scales[channel]
         values = self._files[channel].array[self.box][box][mask].astype(np.float32)
         return np.asarray((values - np.float32(low)) / np.float32(width))
 
     @property
     def learned(self) -> tuple[float, float] | None:
         """Values of the first channel between which the object's should lie; None where no model is learned once."""
-        return self.learned_by(self.facts)
+        return self.learned_by(self.context)
 
-    def learned_by(self, facts: Facts) -> tuple[float, float] | None:
+    def learned_by(self, context: ImageContext) -> tuple[float, float] | None:
         """The same for one of several objects."""
         # What is given with --foreground is learned from by likelihood unless it updates, and then it is refused.
         names = {term.name for term in self._terms}
         learns = self._learns or "likelihood" in names
-        return facts.learned(0) if learns and facts.foreground is not None else None
+        return context.learned(0) if learns and context.foreground is not None else None
 
     def _started(self, psi: NDArray[np.float32], config: RunConfig) -> NDArray[np.float32]:
         """The start within region and fence, which must leave something of it."""
@@ -154,19 +154,19 @@ class Prepared:
         level = self._level_of(shape)
         while len(self._others) <= level:
             fine, coarse = self._grids[len(self._others) - 1], self._grids[len(self._others)]
-            self._others.append([pyramid.coarsened(image, fine, coarse) for image in self._others[-1]])
+            self._others.append([pyramid.restrict(image, fine, coarse) for image in self._others[-1]])
         return self._others[level]
 
     def fenced(self, energy: Energy, shape: tuple[int, ...]) -> Energy:
         """An energy on the grid of a level with the fence around it, if there is one."""
-        return energy if self._fences is None else Fenced(energy, self._fence_on(shape))
+        return energy if self._fences is None else MaskConstraint(energy, self._fence_on(shape))
 
     def _fence_on(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
         assert self._fences is not None
         level = self._level_of(shape)
         while len(self._fences) <= level:
             fine, coarse = self._grids[len(self._fences) - 1], self._grids[len(self._fences)]
-            self._fences.append(pyramid.coarsened(self._fences[-1], fine, coarse))
+            self._fences.append(pyramid.restrict(self._fences[-1], fine, coarse))
         return self._fences[level]
 
     @property
@@ -175,7 +175,7 @@ class Prepared:
         z, y, x = self.box
         return z.start, y.start, x.start
 
-    def hold(self, psi: NDArray[np.float32]) -> None:
+    def project(self, psi: NDArray[np.float32]) -> None:
         """Cut psi (in place) on the grid of a level off at the fence, if there is one."""
         if self._fences is not None:
             np.maximum(psi, self._fence_on(psi.shape), out=psi)
@@ -203,7 +203,7 @@ class Prepared:
         """The first channel as energies see it on the whole grid, for pictures."""
         if self._smoothed is None:
             return self.image
-        return apply(self._smoothed.copy(), self.facts.scales[0])
+        return apply(self._smoothed.copy(), self.context.scales[0])
 
 
 def region_of_interest(text: str | None, geometry: Geometry) -> Box:

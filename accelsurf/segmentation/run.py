@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from accelsurf.energies import Energy
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.loop import Kept, Restart, Step, Stop
-from accelsurf.evolution.multilevel import CoarseToFine, Parts
-from accelsurf.flows import Limits
+from accelsurf.evolution.multilevel import Multilevel, SolverSetup
+from accelsurf.flows import StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
-from accelsurf.io.channels import chosen as read_channels
+from accelsurf.io.channels import read_further
 from accelsurf.levelset import LevelSet, Workers
-from accelsurf.segmentation.preprocessing import Prepared
+from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.solver_setup import (
     ENERGY_SETTINGS,
     half_width,
@@ -42,7 +42,7 @@ from accelsurf.settings.run_config import RunConfig
 EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
 
 
-class KeptRun(NamedTuple):
+class RunCheckpoint(NamedTuple):
     """A run between two steps, before the edits of the coming one: the number of that ``step``; the settings ``now`` in
     force; how many edits were ``done``; and the ``evolution``.
     """
@@ -66,7 +66,7 @@ class KeptRun(NamedTuple):
 class Run:
     """A run, one step at a time; iterate over it to run to the end.
 
-    Between two steps it can be put aside (`keep`) and taken back (`resume`), and its edits can be changed
+    Between two steps it can be put aside (`checkpoint`) and taken back (`restore`), and its edits can be changed
     (`set_edits`): those whose step has come are applied right before it.
 
     Parameters
@@ -86,7 +86,7 @@ class Run:
         The settings in force.
     prepared : Prepared
         Image, start and fence, on the grid of the region of interest.
-    evolution : CoarseToFine
+    evolution : Multilevel
     workers : Workers
         To be closed at the end.
     start_seconds, began : float
@@ -110,13 +110,13 @@ class Run:
         config = seeded(config)
         self.volume, self.config, self._energy = volume, config, energy
         self.now, self._done, self._leaked = config.model_copy(update={"edit": ()}), 0, False
-        self.prepared = Prepared(volume, [*channels, *read_channels(config.channel)], config)
+        self.prepared = PreprocessedInput(volume, [*channels, *read_further(config.channel)], config)
         for edit in config.edit:
             self.check(edit)
         self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
         grids = self._grids(self.prepared.psi, energy)
         self._levels = len(grids)
-        self.evolution = CoarseToFine(
+        self.evolution = Multilevel(
             grids, self.prepared.image, self.prepared.psi, self._parts(self.now), config.max_steps, self.workers
         )
         # The evolution uses its memory up.
@@ -142,12 +142,12 @@ class Run:
             )
         return grids
 
-    def _parts(self, now: RunConfig) -> Parts:
+    def _parts(self, now: RunConfig) -> SolverSetup:
         """What moves the surface under these settings."""
-        return Parts(
+        return SolverSetup(
             self._energy_maker(now),
             make_flow(now),
-            Limits(now.cfl, now.percentile),
+            StepLimits(now.cfl, now.percentile),
             Restart() if now.restart == "auto" else None,
             half_width(now),
             stop_rule(now, self._levels),
@@ -160,7 +160,8 @@ class Run:
         energy, prepared = self._energy, self.prepared
         self.energy_name: str = now.energy
         if energy is None or isinstance(energy, str):
-            return lambda image, spacing: prepared.fenced(make_energy(now, image, spacing, prepared.facts), image.shape)
+            context = prepared.context
+            return lambda image, spacing: prepared.fenced(make_energy(now, image, spacing, context), image.shape)
         if self._levels > 1 and not is_maker(energy):
             raise UsageError(
                 f"levels: {self._levels} was given, expected 1: the energy has one image, and each level needs its own",
@@ -193,7 +194,7 @@ class Run:
     @property
     def step_number(self) -> int:
         """Number of the step that comes next."""
-        return len(self.evolution.ledger)
+        return len(self.evolution.history)
 
     def __iter__(self) -> Iterator[Step]:
         """Run, yielding a Step after each step of the surface."""
@@ -252,22 +253,22 @@ class Run:
         """Return the state now: the last row once the run has ended, else one of a step that moves nothing."""
         if self.evolution.stop is None:
             return self.evolution.look()
-        return Step(self.evolution.ledger[-1], self.evolution.surface, self.evolution.felt)
+        return Step(self.evolution.history[-1], self.evolution.surface, self.evolution.step_fields)
 
-    def keep(self) -> KeptRun:
+    def checkpoint(self) -> RunCheckpoint:
         """Put the state aside, between two steps and before the edits of the coming one are applied."""
-        return KeptRun(self.step_number, self.now, self._done, self.evolution.keep())
+        return RunCheckpoint(self.step_number, self.now, self._done, self.evolution.checkpoint())
 
-    def resume(self, kept: KeptRun) -> None:
+    def restore(self, kept: RunCheckpoint) -> None:
         """Go back to a state of this run and level: the same edits then make the same steps, bit for bit."""
         changed = _energy_key(kept.now) != _energy_key(self.now)
-        self.evolution.resume(kept.evolution, self._parts(kept.now), changed)
+        self.evolution.restore(kept.evolution, self._parts(kept.now), changed)
         self.now, self._done, self._leaked = kept.now, kept.done, False
 
     def check(self, edit: Edit) -> None:
         """Refuse what this run cannot do: a ball outside the grid, an energy or a setting that it has nothing for."""
         terms = energy_expression.parse(str(edit.settings.get("energy", self.config.energy)))
-        if self.prepared.facts.foreground is None and any(term.settings.get("update") == "no" for term in terms):
+        if self.prepared.context.foreground is None and any(term.settings.get("update") == "no" for term in terms):
             raise UsageError(
                 f"edit at step {edit.step}: likelihood:update=no was given, and the run has nothing to learn from",
                 "give --foreground to the run, or use update=yes",
@@ -305,7 +306,7 @@ class Run:
                 np.minimum(part, inside, out=part)
             else:
                 np.maximum(part, -inside, out=part)
-        self.prepared.hold(psi)
+        self.prepared.project(psi)
 
 
 def seeded(config: RunConfig) -> RunConfig:

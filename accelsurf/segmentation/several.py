@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from accelsurf import io
 from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import UsageError
-from accelsurf.evolution.loop import Row, Stop
-from accelsurf.evolution.multilevel import Passed
+from accelsurf.evolution.loop import StepRecord, Stop
+from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Box, Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
-from accelsurf.io.channels import chosen as read_channels
-from accelsurf.segmentation.api import Result, as_channel, as_volume, chosen_of, resolved
+from accelsurf.io.channels import read_further
+from accelsurf.segmentation.api import Result, as_channel, as_volume, resolved, resolved_settings_of
 from accelsurf.segmentation.objects import Objects
-from accelsurf.segmentation.preprocessing import Prepared, cropped
+from accelsurf.segmentation.preprocessing import PreprocessedInput, cropped
 from accelsurf.segmentation.run import available_cores, seeded
 from accelsurf.settings.run_config import RunConfig
 
@@ -31,7 +31,7 @@ from accelsurf.settings.run_config import RunConfig
 WORST = ("interrupted", "diverged", "leaked", "stalled", "max-steps", "filled")
 #: Voxels around an object's grid in what is kept of it.
 AROUND = 2
-#: Columns of the ledger that are summed over objects, and those of which the largest is told.
+#: Columns of the history that are summed over objects, and those of which the largest is told.
 SUMMED = (
     "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
     "area_mm2", "band_cells", "cells_visited", "seconds",
@@ -63,7 +63,7 @@ class ObjectsResult:
     warnings : list of str
     terms : list of dict
         The terms of the energy with their settings; "by object" where objects have learned others.
-    chosen : dict
+    resolved_settings : dict
         What was taken for settings that image and grid decide.
     """
 
@@ -80,9 +80,9 @@ class ObjectsResult:
     warnings: list[str] = field(default_factory=list)
     terms: list[dict[str, Any]] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
-    chosen: dict[str, Any] = field(default_factory=dict)
+    resolved_settings: dict[str, Any] = field(default_factory=dict)
     #: Several objects run on the image's own grid, and each has its own quality.
-    levels: ClassVar[list[Passed]] = []
+    levels: ClassVar[list[LevelSummary]] = []
     quality: ClassVar[None] = None
     edits_done: ClassVar[int] = 0
 
@@ -98,15 +98,15 @@ class ObjectsResult:
         return Stop(worst or left, steps, longest, f"of {len(self.objects)} objects {message}")  # type: ignore[arg-type]
 
     @cached_property
-    def ledger(self) -> list[Row]:
+    def history(self) -> list[StepRecord]:
         """Energies, mass, volume and area of all objects together by step, those that have stopped as they are.
 
         Of `LARGEST` it is the largest value of any; the other columns are those of the first object.
         """
-        ledgers = [one.ledger for one in self.objects.values() if one.ledger]
+        histories = [one.history for one in self.objects.values() if one.history]
         rows = []
-        for step in range(max(map(len, ledgers))):
-            now = [rows[min(step, len(rows) - 1)] for rows in ledgers]
+        for step in range(max(map(len, histories))):
+            now = [rows[min(step, len(rows) - 1)] for rows in histories]
             sums = {key: sum(getattr(row, key) for row in now) for key in SUMMED}
             most = {key: max((getattr(row, key) for row in now), key=abs) for key in LARGEST}
             rows.append(now[0]._replace(step=step, restarted=False, **sums, **most))
@@ -184,7 +184,7 @@ def segment_objects(
     spacing: float | tuple[float, float, float] | None = None,
     channels: Sequence[Volume | NDArray[Any]] = (),
     config: RunConfig | None = None,
-    on_step: Callable[[Row, int], bool | None] | None = None,
+    on_step: Callable[[StepRecord, int], bool | None] | None = None,
     **options: Any,
 ) -> ObjectsResult:
     """Segment several objects that do not overlap.
@@ -202,7 +202,7 @@ def segment_objects(
     config : RunConfig, optional
         Settings of each object; the defaults otherwise. ``max_steps`` and ``max_volume`` count for each by itself.
     on_step : callable, optional
-        Called with each `Row` and the id of its object; a true return value ends the run.
+        Called with each `StepRecord` and the id of its object; a true return value ends the run.
     **options
         Settings by name, over those of ``config``.
 
@@ -241,8 +241,8 @@ def segment_objects(
     for one in starts:
         box = tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))
         np.minimum(union[box], one.psi, out=union[box])
-    more = [*(as_channel(one, first) for one in channels), *read_channels(settings.channel)]
-    prepared = Prepared(first, more, settings, union)
+    more = [*(as_channel(one, first) for one in channels), *read_further(settings.channel)]
+    prepared = PreprocessedInput(first, more, settings, union)
     del union, prepared.psi
     threads = available_cores() if settings.threads == "auto" else settings.threads
     with Objects(starts, prepared, settings, threads) as run:
@@ -255,7 +255,7 @@ def segment_objects(
 
 
 def _result(
-    run: Objects, prepared: Prepared, volume: Volume, config: RunConfig, seconds: dict[str, float]
+    run: Objects, prepared: PreprocessedInput, volume: Volume, config: RunConfig, seconds: dict[str, float]
 ) -> ObjectsResult:
     """Put together what the objects left."""
     image, geometry = prepared.shown(), volume.geometry
@@ -281,12 +281,12 @@ def _result(
             geometry=part,
             config=config,
             energy=config.energy,
-            ledger=one.ledger,
+            history=one.history,
             stop=one.stop,
             seconds={},
             volume=Volume(volume.array[box], part),
-            terms=one.facts.terms,
-            learned=prepared.learned_by(one.facts),
+            terms=one.context.terms,
+            learned=prepared.learned_by(one.context),
         )
     terms = common([one.terms for one in objects.values()])
     unused = [
@@ -295,7 +295,7 @@ def _result(
     ]
     return ObjectsResult(
         labels, objects, boxes, image, geometry, config, config.energy, volume, seconds, run.kernels, unused, terms,
-        prepared.start, chosen_of(prepared, config, 1),
+        prepared.start, resolved_settings_of(prepared, config, 1),
     )
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies import Checked
+from accelsurf.energies import CheckedEnergy
 from accelsurf.errors import UsageError
 from accelsurf.evolution.loop import StopRule
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Momentum, Noise, Sobolev
+from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Noise, Sobolev
 from accelsurf.segmentation.energy_assembly import area_weight, make_energy
 from accelsurf.settings.run_config import RunConfig
 
@@ -49,7 +49,7 @@ def half_width(config: RunConfig) -> float:
 
 def own_energy(
     energy: Any, config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]
-) -> Checked:
+) -> CheckedEnergy:
     """An energy that has no name, made of image and spacing if it is not made yet, and checked.
 
     Raises
@@ -63,7 +63,7 @@ def own_energy(
                 f"{key}: {getattr(config, key)} was given, but the energy is one of your own and would not see it",
                 "give it to the energy itself",
             )
-    return Checked(energy(image, spacing) if is_maker(energy) else energy)
+    return CheckedEnergy(energy(image, spacing) if is_maker(energy) else energy)
 
 
 def is_maker(energy: Any) -> bool:
@@ -111,5 +111,5 @@ FLOWS: dict[str, Callable[[RunConfig], Flow]] = {
     "flowable-mass": lambda config: FlowableMass(config.gravity, area_weight(config), **_common(config)),
     "gradient": _gradient,
     "sobolev": lambda config: Sobolev(_number(config.sobolev_length)),
-    "momentum": lambda config: Momentum(config.blend),
+    "momentum": lambda config: HeavyBall(config.blend),
 }

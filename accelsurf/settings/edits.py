@@ -30,7 +30,7 @@ class Edit(BaseModel):
     Parameters
     ----------
     step : int
-        Number of the step, as in the ledger, before which it happens; 0 is the start.
+        Number of the step, as in the history, before which it happens; 0 is the start.
     add, remove : str, optional
         A ball, ``ball:X,Y,Z,R`` as a start's: united with the object, or taken away from it.
     **settings

@@ -50,7 +50,7 @@ def make(recipe: tuple) -> tuple[np.ndarray, np.ndarray]:
 
 
 def corner_dice(labels: np.ndarray, truth: np.ndarray, reach: int = 5) -> float:
-    """Dice within ``reach`` voxels of the box's edges: where two of its faces (sides) meet."""
+    """Dice within ``stencil_width`` voxels of the box's edges: where two of its faces (sides) meet."""
     low, high = (f(np.argwhere(truth), axis=0) for f in (np.min, np.max))
     axes = [axis for axis, n in enumerate(truth.shape) if n > 1]
     edges = np.zeros(truth.shape, bool)
@@ -75,12 +75,12 @@ def run(task: Task) -> dict[str, Any]:
         "dice": dice(labels, truth),
         "corner_dice": corner_dice(labels, truth),
         "hausdorff_mm": None,
-        "energy": result.ledger[-1].potential,
+        "energy": result.history[-1].potential,
         "steps": result.stop.steps,
         "stop": result.stop.reason,
-        "cells_visited": sum(row.cells_visited for row in result.ledger),
+        "cells_visited": sum(row.cells_visited for row in result.history),
         "seconds": seconds,
-        "mass_correction": result.ledger[-1].mass_correction,
+        "mass_correction": result.history[-1].mass_correction,
         "labels": labels,
     }
     if labels.any():

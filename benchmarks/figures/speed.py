@@ -17,7 +17,7 @@ import numpy as np
 
 from accelsurf.energies import ChanVese
 from accelsurf.evolution.loop import Evolution, Restart
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Limits, Sobolev
+from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Sobolev, StepLimits
 from accelsurf.levelset import LevelSet
 from benchmarks.figures.common import COLOURS, write
 from benchmarks.figures.planar import save
@@ -53,7 +53,7 @@ def problem(n: int, dim: int) -> tuple[LevelSet, ChanVese]:
 def history(flow: Flow, n: int, dim: int, steps: int, enough: float = -np.inf) -> dict[str, np.ndarray]:
     """Energy, cells visited and seconds at every step, until it has settled or the energy is ``enough``."""
     surface, energy = problem(n, dim)
-    evolution = Evolution(surface, energy, flow, Limits(0.5, 95.0), steps, Restart())
+    evolution = Evolution(surface, energy, flow, StepLimits(0.5, 95.0), steps, Restart())
     energies, cells, seconds = [], [0], [0.0]
     for step in evolution:
         energies.append(step.row.potential)

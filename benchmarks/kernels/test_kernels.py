@@ -47,7 +47,7 @@ class Case:
         self.surface = self.fresh()
         self.front = self.surface.front()
         self.field = bumpy(self.surface)
-        self.part, self.area = self.surface.cut()
+        self.part, self.area = self.surface.fraction_and_area()
         self.curvature = self.surface.curvature(self.front)
         self.energy = ChanVese(self.image, 0.0, epsilon=1.5)
         self.energy.start(self.surface)

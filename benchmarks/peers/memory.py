@@ -114,7 +114,7 @@ def child(what: str, side: int) -> None:
     if what == "run":
         middle = 0.5 * (side - 1)
         result = segment(image, start=f"ball:{middle},{middle},{middle},{0.3 * side}vox", max_steps=STEPS)
-        cells = result.ledger[-1].band_cells
+        cells = result.history[-1].band_cells
     print(cells, own_peak())
 
 

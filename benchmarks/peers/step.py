@@ -79,11 +79,11 @@ def one(psi: np.ndarray, image: np.ndarray, count: int) -> dict[str, Any]:
     made = evolution(psi, image, count)
     for _ in made:
         pass
-    rows = [row for row in made.ledger if row.dt > 0][count // 2 :]
+    rows = [row for row in made.history if row.dt > 0][count // 2 :]
     each = [1e9 * row.seconds / row.band_cells for row in rows]
     ns = statistics.median(each)
     return {
-        "steps": len(made.ledger) - 1, "band_cells": rows[-1].band_cells, "ns_per_cell": ns, "all_ns_per_cell": each,
+        "steps": len(made.history) - 1, "band_cells": rows[-1].band_cells, "ns_per_cell": ns, "all_ns_per_cell": each,
         "ms_per_step": 1e3 * statistics.median(row.seconds for row in rows), "profile": profile(psi, image, count, ns),
     }
 

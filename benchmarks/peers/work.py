@@ -9,7 +9,7 @@ import numpy as np
 
 from accelsurf.energies import ChanVese
 from accelsurf.evolution.loop import Evolution, Restart
-from accelsurf.flows import ConstantDensity, Flow, Limits
+from accelsurf.flows import ConstantDensity, Flow, StepLimits
 from accelsurf.levelset import LevelSet, Workers
 from benchmarks.peers.measure import MissingError
 
@@ -91,11 +91,12 @@ def evolution(
 ) -> Evolution:
     """Constant density on Chan-Vese with the settings of `accelsurf segment`, at 1 mm."""
     surface = LevelSet(psi, (1.0, 1.0, 1.0), 3.0, workers)
-    return Evolution(surface, ChanVese(image, 0.0, epsilon=1.5), flow or ConstantDensity(), Limits(), steps, Restart())
+    energy = ChanVese(image, 0.0, epsilon=1.5)
+    return Evolution(surface, energy, flow or ConstantDensity(), StepLimits(), steps, Restart())
 
 
 def run_evolution(made: Evolution) -> list[Any]:
     """Run it; the rows of its steps that moved."""
     for _ in made:
         pass
-    return [row for row in made.ledger if row.dt > 0]
+    return [row for row in made.history if row.dt > 0]

@@ -20,8 +20,8 @@ def coordinates(shape=SHAPE):
     return np.meshgrid(*axes, indexing="ij")
 
 
-def look(mask, image, ledger=(), stop=DONE):
-    return assess(mask.astype(np.uint8), image.astype(np.float32), SPACING, ledger, stop)
+def look(mask, image, history=(), stop=DONE):
+    return assess(mask.astype(np.uint8), image.astype(np.float32), SPACING, history, stop)
 
 
 def test_a_clean_ball_raises_no_doubt():
@@ -75,10 +75,10 @@ def test_two_balls_on_a_thin_bridge_are_two_parts():
 def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
-    ledger = [row(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
-    found = look(mask, mask * 1.0, ledger, Stop("max-steps", 60, 6.0, "not converged"))
+    history = [row(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
+    found = look(mask, mask * 1.0, history, Stop("max-steps", 60, 6.0, "not converged"))
     assert found.late_growth == pytest.approx(40 / 218) and any("growth: " in words for words in found.warnings)
-    assert look(mask, mask * 1.0, ledger).warnings == ()
+    assert look(mask, mask * 1.0, history).warnings == ()
 
 
 def made_for(case):

@@ -69,7 +69,7 @@ def test_the_problem_is_the_same_on_every_grid(dim: int) -> None:
     volumes = []
     for n in (32, 48):
         surface, energy = speed.problem(n, dim)
-        part, _ = surface.cut()
+        part, _ = surface.fraction_and_area()
         volumes.append(surface.volume(part) / (surface.grid.hz if dim == 2 else 1.0))
         assert energy.alpha == speed.ALPHA
     assert volumes[0] == pytest.approx(volumes[1], rel=0.01)

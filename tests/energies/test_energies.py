@@ -3,7 +3,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from accelsurf.energies import ChanVese, RegionField
-from accelsurf.flows import ConstantDensity, Limits, Now
+from accelsurf.flows import ConstantDensity, StepInput, StepLimits
 from accelsurf.levelset import LevelSet
 
 SHAPE, SPACING, RADIUS = (40, 44, 42), (1.0, 0.9, 1.1), 13.0
@@ -40,8 +40,8 @@ ENERGIES = {
 def value(energy, psi):
     surface = LevelSet(psi, SPACING, 4.0)
     energy.start(surface)
-    part, area = surface.cut()
-    return energy.value(surface, part, area), surface, area
+    fraction, area = surface.fraction_and_area()
+    return energy.value(surface, fraction, area), surface, area
 
 
 @pytest.mark.parametrize("name", ENERGIES)
@@ -77,22 +77,22 @@ def test_region_sums_kept_up_to_date_equal_full_ones():
     energy.start(surface)
     flow.start(surface)
     for _ in range(25):
-        part, area = surface.cut()
-        energy.value(surface, part, area)
+        fraction, area = surface.fraction_and_area()
+        energy.value(surface, fraction, area)
         front = surface.front()
         curvature = surface.curvature(front)
         force = energy.force(surface, front, curvature)
-        move = flow.move(Now(surface, front, force, curvature, area, 0.0), Limits(0.5))
+        move = flow.move(StepInput(surface, front, force, curvature, area, 0.0), StepLimits(0.5))
         surface.advance(move.speed, move.dt)
         surface.remove_small()
         change = surface.redistance(flow.fields)
         flow.take(change.fields)
         energy.follow(surface, change)
-    part, area = surface.cut()
-    kept = energy.value(surface, part, area)
+    fraction, area = surface.fraction_and_area()
+    kept = energy.value(surface, fraction, area)
     assert (surface.psi < 0).sum() > 1.5 * 4 / 3 * np.pi * 7**3 / np.prod(SPACING)  # it did move
     energy.start(surface)
-    assert kept == pytest.approx(energy.value(surface, part, area), rel=1e-12)
+    assert kept == pytest.approx(energy.value(surface, fraction, area), rel=1e-12)
 
 
 def test_value_of_a_known_region():

@@ -45,8 +45,8 @@ def price(grid):
 def value(energy, psi, grid):
     surface = LevelSet(psi, GRIDS[grid][1], 4.0)
     energy.start(surface)
-    part, area = surface.cut()
-    return energy.value(surface, part, area), surface, area
+    fraction, area = surface.fraction_and_area()
+    return energy.value(surface, fraction, area), surface, area
 
 
 def works(energy, grid, seed, step=0.6):
@@ -223,7 +223,7 @@ def test_a_ball_from_around_it_and_from_inside(noise, start, flow):
     print(f"\n{start} {noise} {flow}: Dice {dice(result.labels, truth):.4f}, {result.stop.steps} steps")
     assert result.stop.reason == "converged" and result.components == 1
     assert dice(result.labels, truth) > 0.97
-    assert result.ledger[-1].potential < result.ledger[0].potential
+    assert result.history[-1].potential < result.history[0].potential
     assert result.energy == "geodesic"
 
 

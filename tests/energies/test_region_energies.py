@@ -21,7 +21,7 @@ from accelsurf.energies import (
 )
 from accelsurf.energies.threshold import threshold_field
 from accelsurf.errors import InputError, UsageError
-from accelsurf.flows import ConstantDensity, Limits, Now
+from accelsurf.flows import ConstantDensity, StepInput, StepLimits
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.api import segment
 from tests.support import reference
@@ -78,8 +78,8 @@ ENERGIES = {
 def value(energy, psi, grid):
     surface = LevelSet(psi, GRIDS[grid][1], 4.0)
     energy.start(surface)
-    part, area = surface.cut()
-    return energy.value(surface, part, area), surface, area
+    fraction, area = surface.fraction_and_area()
+    return energy.value(surface, fraction, area), surface, area
 
 
 def works(energy, grid, seed, step=0.3):
@@ -130,9 +130,9 @@ def test_local_energy_is_the_sum_over_all_windows(radius):
     psi = np.sqrt((z - 7) ** 2 + (y - 5) ** 2 + (x - 6) ** 2) - 6.0  # runs out of the volume
     surface, energy = LevelSet(psi, spacing), LocalRegion(values, radius)
     energy.start(surface)
-    part, area = surface.cut()
+    fraction, area = surface.fraction_and_area()
     share = (surface.psi < 0).astype(float)
-    share.reshape(-1)[surface.band.cells] = part
+    share.reshape(-1)[surface.band.cells] = fraction
     layouts = [local_region._layout(n, radius / h) for n, h in zip(shape, spacing, strict=True)]
     weights = [
         reference.node_weights(n, distance, before, reach, count)
@@ -141,7 +141,7 @@ def test_local_energy_is_the_sum_over_all_windows(radius):
     for axis in weights:
         np.testing.assert_allclose(axis.sum(axis=0), 1.0)
     want = reference.local_energy(values.astype(np.float32), share, weights) * np.prod(spacing)
-    assert energy.value(surface, part, area) == pytest.approx(want, rel=1e-5)
+    assert energy.value(surface, fraction, area) == pytest.approx(want, rel=1e-5)
 
 
 @pytest.mark.parametrize("radius", [5.0, 9.0, 20.0])
@@ -172,23 +172,23 @@ def test_what_is_kept_up_to_date_equals_what_is_summed_afresh(name):
     flow.start(surface)
     before = (surface.psi < 0).sum()
     for _ in range(25):
-        part, area = surface.cut()
-        energy.value(surface, part, area)
+        fraction, area = surface.fraction_and_area()
+        energy.value(surface, fraction, area)
         front = surface.front()
         curvature = surface.curvature(front)
         move = flow.move(
-            Now(surface, front, energy.force(surface, front, curvature), curvature, area, 0.0), Limits(0.5)
+            StepInput(surface, front, energy.force(surface, front, curvature), curvature, area, 0.0), StepLimits(0.5)
         )
         surface.advance(move.speed, move.dt)
         surface.remove_small()
         change = surface.redistance(flow.fields)
         flow.take(change.fields)
         energy.follow(surface, change)
-    part, area = surface.cut()
-    kept = energy.value(surface, part, area)
+    fraction, area = surface.fraction_and_area()
+    kept = energy.value(surface, fraction, area)
     assert (surface.psi < 0).sum() > 1.3 * before  # it did move
     energy.start(surface)
-    assert kept == pytest.approx(energy.value(surface, part, area), rel=1e-9)
+    assert kept == pytest.approx(energy.value(surface, fraction, area), rel=1e-9)
 
 
 def test_a_local_region_finds_what_one_pair_of_means_cannot():
@@ -246,9 +246,9 @@ def test_threshold_is_in_the_image_s_unit_and_auto_is_otsu_s():
     assert dice(auto.labels, r < 9) > 0.97 and 300 < auto.terms[0]["LO"] < 400
     dark = segment(-two, start="ball:14,15,14,4vox", energy="threshold:,auto", max_steps=200)
     assert dice(dark.labels, r < 9) > 0.97 and dark.terms[0]["LO"] is None
-    part = segment(scan, start="ball:14,15,14,4vox", energy="threshold:95%", max_steps=200)
-    assert part.terms[0]["LO"] == pytest.approx(np.percentile(scan, 95), rel=1e-3)
-    assert (part.labels > 0).mean() == pytest.approx(0.05, abs=0.005)
+    fraction = segment(scan, start="ball:14,15,14,4vox", energy="threshold:95%", max_steps=200)
+    assert fraction.terms[0]["LO"] == pytest.approx(np.percentile(scan, 95), rel=1e-3)
+    assert (fraction.labels > 0).mean() == pytest.approx(0.05, abs=0.005)
 
 
 def test_soft_edges_are_antisymmetric_about_the_thresholds():
@@ -270,10 +270,10 @@ def test_weighted_sum_adds_values_forces_and_alphas():
     assert total.alpha == pytest.approx(sum(w * p.alpha for w, p in zip(weights, parts, strict=True)))
     z, y, x = coordinates(grid)
     got, surface, area = value(total, np.sqrt(z**2 + y**2 + x**2) - 12, grid)
-    part, _ = surface.cut()
+    fraction, _ = surface.fraction_and_area()
     front = surface.front()
     curvature = surface.curvature(front)
-    assert got == pytest.approx(sum(w * p.value(surface, part, area) for w, p in zip(weights, parts, strict=True)))
+    assert got == pytest.approx(sum(w * p.value(surface, fraction, area) for w, p in zip(weights, parts, strict=True)))
     want = sum(w * p.force(surface, front, curvature) for w, p in zip(weights, parts, strict=True))
     np.testing.assert_allclose(total.force(surface, front, curvature)[front], want[front], rtol=1e-4, atol=1e-6)
 
@@ -291,4 +291,4 @@ def test_any_number_of_threads_gives_the_same_bytes():
     words = dict(spacing=GRIDS["3D"][1], start="ball:20,21,19,8vox", energy=text, max_steps=40, levels=1)
     one, three = (segment(scan, threads=threads, **words) for threads in (1, 3))
     np.testing.assert_array_equal(one.psi, three.psi)
-    assert [row.potential for row in one.ledger] == [row.potential for row in three.ledger]
+    assert [row.potential for row in one.history] == [row.potential for row in three.history]

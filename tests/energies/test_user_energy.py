@@ -79,11 +79,11 @@ def test_the_force_of_the_example_is_the_derivative_of_its_value():
     values = []
     for surface in surfaces:
         energy.start(surface)
-        values.append(energy.value(surface, *surface.cut()))
+        values.append(energy.value(surface, *surface.fraction_and_area()))
     middle, front = surfaces[1], surfaces[1].front()
-    part, area = middle.cut()
+    fraction, area = middle.fraction_and_area()
     energy.start(middle)
-    energy.value(middle, part, area)
+    energy.value(middle, fraction, area)
     work = 0.4 * np.dot(energy.force(middle, front, middle.curvature(front)), area)
     assert values[2] - values[0] == pytest.approx(work, rel=0.01)
 
@@ -108,10 +108,10 @@ def test_an_object_and_a_maker_run_as_the_named_energy_does():
     given = segment(image, energy=two_means(named.image, None), start="ball:17,14,13,5vox", presmooth=0.7)
     for run in (made, given):
         np.testing.assert_array_equal(run.psi, named.psi)
-        assert [r.potential for r in run.ledger] == [r.potential for r in named.ledger]
+        assert [r.potential for r in run.history] == [r.potential for r in named.history]
     assert dice(named.labels, truth) > 0.97
     steps = list(evolve(image, energy=two_means, start="ball:17,14,13,5vox", presmooth=0.7))
-    assert [s.row.potential for s in steps] == [r.potential for r in made.ledger]
+    assert [s.row.potential for s in steps] == [r.potential for r in made.history]
 
 
 def test_a_class_is_made_with_the_scaled_image_and_the_spacing():
@@ -169,7 +169,7 @@ class Fine:
     def follow(self, surface, change):
         pass
 
-    def value(self, surface, part, area):
+    def value(self, surface, fraction, area):
         return area.sum()
 
     def force(self, surface, front, curvature):
@@ -248,7 +248,7 @@ def test_off_the_front_anything_goes():
 @pytest.mark.parametrize("value", [None, "12", np.ones(2), 1j])
 def test_a_value_that_is_none(value):
     class Wrong(Fine):
-        def value(self, surface, part, area):
+        def value(self, surface, fraction, area):
             return value
 
     with pytest.raises(InputError, match="Wrong.value returned .*, expected one number"):
@@ -257,7 +257,7 @@ def test_a_value_that_is_none(value):
 
 def test_a_value_that_is_infinite_ends_the_run():
     class Infinite(Fine):
-        def value(self, surface, part, area):
+        def value(self, surface, fraction, area):
             return np.inf
 
     assert segment(noisy_ball()[0], energy=Infinite(), **START).stop.reason == "diverged"
@@ -276,7 +276,7 @@ def test_an_image_on_another_grid():
 
 def test_an_image_energy_must_say_value_and_force():
     class Half(ImageEnergy):
-        def value(self, surface, part, area):
+        def value(self, surface, fraction, area):
             return 0.0
 
     with pytest.raises(TypeError, match="force"):

@@ -1,8 +1,8 @@
 """The whole pipeline (level set, energy, flow, loop) against exact solutions, and against the laws that these obey.
 
 Tolerances are in voxels h, orders in mm. Grids are 2.6 mm wide; the 64^3 ones have h = 0.041 mm. The time step is a
-fixed part of h (`Limits.dt_max`), small enough that no other bound of the step is ever the smaller one: the error is
-then a smooth function of h, and an order can be seen.
+fixed part of h (`StepLimits.dt_max`), small enough that no other bound of the step is ever the smaller one: the error
+is then a smooth function of h, and an order can be seen.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from accelsurf.energies import Energy, RegionField
-from accelsurf.evolution.loop import Evolution, Row
-from accelsurf.flows import ConstantDensity, Gradient, Limits, Move, Now
+from accelsurf.evolution.loop import Evolution, StepRecord
+from accelsurf.flows import ConstantDensity, Gradient, StepInput, StepLimits, StepPlan
 from accelsurf.levelset import LevelSet
 from tests.support import exact
 from tests.support.exact import Case
@@ -41,14 +41,14 @@ from tests.support.follow import (
 class BentWrongly(ConstantDensity):
     """The 1/2 beta^2 H term with the sign that the paper prints for surfaces (after f and beta are turned inward)."""
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         return super().move(now._replace(curvature=-now.curvature), limits)
 
 
 class AsPrinted(ConstantDensity):
     """The paper's printed pair for surfaces: psi_t = -beta |grad psi| and + div(1/2 beta^2 n)."""
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         move = super().move(now, limits)
         return move._replace(speed=-move.speed)
 
@@ -56,7 +56,7 @@ class AsPrinted(ConstantDensity):
 class DescentAsPrinted(Gradient):
     """The paper's printed gradient flow: psi_t = -f |grad psi|."""
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         move = super().move(now, limits)
         return move._replace(speed=-move.speed)
 
@@ -193,7 +193,7 @@ def test_spheroid_follows_the_spectral_solution(k: float) -> None:
     n = 48
     h, on = WIDTH / (n - 1), lattice(n)
     energy, surface = energy_of(exact.B, on.radius), spheroid(on)
-    evolution = Evolution(surface, energy, ConstantDensity(k, diffusion=0.0), Limits(0.5, 100.0), max_steps=10_000)
+    evolution = Evolution(surface, energy, ConstantDensity(k, diffusion=0.0), StepLimits(0.5, 100.0), max_steps=10_000)
     rows, times = iter(evolution), sorted(exact.SPHEROID)
     time = 0.0
     for mark in times:
@@ -205,7 +205,7 @@ def test_spheroid_follows_the_spectral_solution(k: float) -> None:
             time = row.t + row.dt
         assert time == pytest.approx(end, abs=1e-6)
         true, points = exact.SPHEROID[mark], surface_points(surface, on)
-        part, area = surface.cut()
+        part, area = surface.fraction_and_area()
         assert axis_point(points, 0, h) == pytest.approx(true.pole, abs=0.01 * h)
         assert axis_point(points, 1, h) == pytest.approx(true.equator, abs=0.01 * h)
         assert axis_point(points, 2, h) == pytest.approx(true.equator, abs=0.01 * h)
@@ -311,7 +311,7 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         surface = spheroid(on)
         energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, 0.05)
         # The automatic diffusion on: it has to scale too.
-        evolution = Evolution(surface, energy, ConstantDensity(2.0, lambda_, rho), Limits(0.5, 95.0, dt), 40)
+        evolution = Evolution(surface, energy, ConstantDensity(2.0, lambda_, rho), StepLimits(0.5, 95.0, dt), 40)
         times = [step.row.t for step in evolution]
         return times, surface.psi.copy()
 
@@ -343,7 +343,7 @@ def test_time_dilation() -> None:
 # ---------------------------------------------------------------------------------------------- energy, momentum
 
 
-def balance(rows: list[Row], friction: float | None) -> tuple[float, float]:
+def balance(rows: list[StepRecord], friction: float | None) -> tuple[float, float]:
     """d(T + w U) over a run, and what friction took: -(6/t) T (k = 2, w = 4), or -2 a T (w = 1)."""
     t, kinetic, potential = (np.array([getattr(r, key) for r in rows]) for key in ("t", "kinetic", "potential"))
     if friction is None:
@@ -404,7 +404,7 @@ def stray_momentum(flow: ConstantDensity, force: Callable[[np.ndarray], Energy])
     h, on = WIDTH / 47, lattice(48)
     surface, worst = drop(on), 0.0
     for _ in steps(surface, force(on.radius), flow, 0.5 * h, 1.0):
-        _, area = surface.cut()
+        _, area = surface.fraction_and_area()
         cut = np.flatnonzero(area)
         slope = np.stack(np.gradient(surface.psi, *on.spacing)).reshape(3, -1)[:, surface.band.cells[cut]]
         weight = area[cut] * flow.beta[cut]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.energies import ChanVese, RegionField
-from accelsurf.evolution.loop import Evolution, Restart, Row, StopRule
-from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, Limits, Momentum, Sobolev
+from accelsurf.evolution.loop import Evolution, Restart, StepRecord, StopRule
+from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev, StepLimits
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checks import check_level_set
 
@@ -37,8 +37,8 @@ def test_converged(flow):
     evolution = Evolution(ball(4, (1, 2, 0)), energy, flow, max_steps=400, rule=StopRule())
     stop = run(evolution)
     assert stop.reason == "converged" and "voxels in 20 steps" in stop.message
-    assert stop.steps == len(evolution.ledger) - 1 == evolution.ledger[-1].step
-    assert evolution.ledger[-1].volume_mm3 == pytest.approx(4 / 3 * np.pi * 7**3, rel=0.05)
+    assert stop.steps == len(evolution.history) - 1 == evolution.history[-1].step
+    assert evolution.history[-1].volume_mm3 == pytest.approx(4 / 3 * np.pi * 7**3, rel=0.05)
     assert check_level_set(evolution.surface) == []
 
 
@@ -46,9 +46,9 @@ def test_max_steps_and_the_ledger():
     evolution = Evolution(ball(4), ChanVese(smooth_image()), ConstantDensity(), max_steps=7, rule=StopRule())
     stop = run(evolution)
     assert stop.reason == "max-steps" and stop.steps == 7
-    rows = evolution.ledger
+    rows = evolution.history
     assert [row.step for row in rows] == list(range(8))
-    assert all(isinstance(row, Row) for row in rows)
+    assert all(isinstance(row, StepRecord) for row in rows)
     # Times add up; the last row only records the final state.
     for before, after in zip(rows, rows[1:], strict=False):
         assert after.t == pytest.approx(before.t + before.dt)
@@ -63,17 +63,17 @@ def test_vanished():
     evolution = Evolution(ball(4), RegionField(np.ones((N, N, N))), ConstantDensity(), max_steps=200)
     assert run(evolution).reason == "vanished"
     assert not evolution.surface.labels.any()
-    assert evolution.ledger[-1].volume_mm3 == 0
+    assert evolution.history[-1].volume_mm3 == 0
     # The last voxels were removed, not chased with ever smaller steps.
-    assert sum(row.removed_components for row in evolution.ledger) == 1
-    assert min(row.dt for row in evolution.ledger[:-1]) > 1e-2 * max(row.dt for row in evolution.ledger)
+    assert sum(row.removed_components for row in evolution.history) == 1
+    assert min(row.dt for row in evolution.history[:-1]) > 1e-2 * max(row.dt for row in evolution.history)
 
 
 def test_filled():
     evolution = Evolution(ball(9), RegionField(-np.ones((N, N, N))), ConstantDensity(), max_steps=200)
     assert run(evolution).reason == "filled"
     assert evolution.surface.labels.all()
-    assert evolution.ledger[-1].volume_mm3 == N**3
+    assert evolution.history[-1].volume_mm3 == N**3
 
 
 def test_no_force_at_all_has_converged():
@@ -95,7 +95,7 @@ def test_the_iteration_may_be_abandoned():
         for step in evolution:
             if step.row.step == 5:
                 raise KeyboardInterrupt
-    assert evolution.stop is None and len(evolution.ledger) == 6
+    assert evolution.stop is None and len(evolution.history) == 6
     assert check_level_set(evolution.surface) == []
 
 
@@ -133,8 +133,8 @@ def test_short_steps_are_no_rest(flow):
     # Some hundred times too short: 20 of them move it by less than the tolerance, and prove nothing.
     evolution = Evolution(ball(4), ChanVese(smooth_image()), flow(diffusion=1000.0), rule=StopRule(), max_steps=60)
     assert run(evolution).reason == "max-steps"
-    assert sum(row.motion_voxels for row in evolution.ledger) < 0.5
-    assert all(20 < row.travel_dt / row.dt < 200 for row in evolution.ledger[:-1])
+    assert sum(row.motion_voxels for row in evolution.history) < 0.5
+    assert all(20 < row.cfl_dt / row.dt < 200 for row in evolution.history[:-1])
 
 
 def test_a_small_part_on_its_way_is_no_rest():
@@ -156,7 +156,7 @@ def test_restart_when_the_potential_rises_after_travel():
             ball(4), ChanVese(smooth_image()), ConstantDensity(diffusion=0), max_steps=80, restart=restart
         )
         run(evolution)
-        return evolution.ledger
+        return evolution.history
 
     rows = restarts(Restart())
     at = [row.step for row in rows if row.restarted]
@@ -183,15 +183,15 @@ def test_restart_converges_where_plain_friction_oscillates():
             restart=restart,
         )
         run(evolution)
-        energies.append(np.array([row.kinetic for row in evolution.ledger[-30:]]).max())
+        energies.append(np.array([row.kinetic for row in evolution.history[-30:]]).max())
     assert energies[1] < 0.5 * energies[0]
 
 
 def test_the_limits_are_the_same_for_every_flow():
     for flow in (ConstantDensity(), Gradient()):
-        evolution = Evolution(ball(4), ChanVese(smooth_image()), flow, Limits(cfl=0.25, dt_max=0.3), max_steps=10)
+        evolution = Evolution(ball(4), ChanVese(smooth_image()), flow, StepLimits(cfl=0.25, dt_max=0.3), max_steps=10)
         run(evolution)
-        assert all(row.dt <= 0.3 and row.motion_voxels <= 0.25 + 1e-6 for row in evolution.ledger)
+        assert all(row.dt <= 0.3 and row.motion_voxels <= 0.25 + 1e-6 for row in evolution.history)
 
 
 @pytest.mark.parametrize(("flow", "steps"), [(ConstantDensity, 120), (FlowableMass, 58)])
@@ -205,31 +205,31 @@ def test_a_surface_at_a_sharp_edge_does_not_flicker(flow, steps, epsilon):
     energy = ChanVese(image, means=(1.0, 0.0), epsilon=epsilon)
     evolution = Evolution(ball(7.5, (0.5, 0, 0)), energy, flow(), max_steps=steps)
     run(evolution)
-    rows = evolution.ledger
+    rows = evolution.history
     least = min(row.potential for row in rows)
     first = rows[0].potential - least
     assert all(row.kinetic >= 0 for row in rows[-18:])
     assert all(row.potential - least < 0.15 * first for row in rows[-18:])
 
 
-@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, Momentum, Sobolev])
+@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev])
 def test_the_strongest_force_is_remembered_in_mm_when_the_grid_changes(flow):
     coarse = LevelSet(np.asarray(2.0 * radius() - 14), (2.0, 2.0, 2.0))
     made = flow()
     made.start(coarse)
-    made._strongest_yet(3.0, coarse)
-    assert made._strongest_yet(0.5, ball(7)) == pytest.approx(6.0)
+    made._peak_force_so_far(3.0, coarse)
+    assert made._peak_force_so_far(0.5, ball(7)) == pytest.approx(6.0)
 
 
 def test_the_step_becomes_shorter_where_the_surface_turns_around_twice_running():
     flow = ConstantDensity()
     flow.start(ball(7))
     for kinetic, steeper in ((1.0, 1), (-1.0, 1), (1.0, 1), (-1.0, 1), (-1.0, 1.5), (-1.0, 2.25), (2.0, 2.25)):
-        flow._look_for_flicker(kinetic)
-        assert flow._pull_of_wells(2.0, ball(7)) == pytest.approx(2.0 * steeper)
+        flow._detect_oscillation(kinetic)
+        assert flow._force_stiffness(2.0, ball(7)) == pytest.approx(2.0 * steeper)
     for _ in range(30):
-        flow._look_for_flicker(-1.0)
-    assert flow._pull_of_wells(2.0, ball(7)) == pytest.approx(32.0)
+        flow._detect_oscillation(-1.0)
+    assert flow._force_stiffness(2.0, ball(7)) == pytest.approx(32.0)
 
 
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass])

@@ -1,4 +1,4 @@
-"""Runs over several levels: the same result for less, one ledger, and what happens where a grid is too coarse."""
+"""Runs over several levels: the same result for less, one history, and what happens where a grid is too coarse."""
 
 import json
 
@@ -10,7 +10,7 @@ from accelsurf.cli import run
 from accelsurf.errors import UsageError
 from accelsurf.evolution import multilevel
 from accelsurf.evolution.loop import Evolution, StopRule
-from accelsurf.flows import Limits
+from accelsurf.flows import StepLimits
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io import write
@@ -29,7 +29,7 @@ def cube():
 
 
 def cost(result, level=0):
-    return sum(row.cells_visited for row in result.ledger if row.level == level)
+    return sum(row.cells_visited for row in result.history if row.level == level)
 
 
 def disk(n=96):
@@ -55,32 +55,32 @@ def test_the_same_surface_for_less(cube, flow):
 def test_one_ledger(cube):
     steps = []
     result = segment(cube.image, levels=2, on_step=steps.append, **START)
-    ledger = result.ledger
-    assert steps == ledger and [row.step for row in ledger] == list(range(len(ledger)))
-    levels = [row.level for row in ledger]
+    history = result.history
+    assert steps == history and [row.step for row in history] == list(range(len(history)))
+    levels = [row.level for row in history]
     assert levels == sorted(levels, reverse=True) and set(levels) == {0, 1}
-    times = [row.t for row in ledger]
-    assert times == pytest.approx(np.concatenate(([0.0], np.cumsum([row.dt for row in ledger])))[:-1])
+    times = [row.t for row in history]
+    assert times == pytest.approx(np.concatenate(([0.0], np.cumsum([row.dt for row in history])))[:-1])
     # Only the very last row has no step.
-    assert all(row.dt > 0 for row in ledger[:-1]) and ledger[-1].dt == 0
-    assert result.stop.steps == len(ledger) - 1
+    assert all(row.dt > 0 for row in history[:-1]) and history[-1].dt == 0
+    assert result.stop.steps == len(history) - 1
     coarse, fine = result.levels
     assert (coarse.level.number, fine.level.number) == (1, 0)
     assert coarse.steps == levels.count(1) and fine.steps == levels.count(0) - 1
     assert coarse.reason == "converged" and fine.reason == result.stop.reason
     # Volume and area go on where they were.
-    last, first = [row for row in ledger if row.level][-1], next(row for row in ledger if not row.level)
+    last, first = [row for row in history if row.level][-1], next(row for row in history if not row.level)
     assert first.volume_mm3 == pytest.approx(last.volume_mm3, rel=0.02)
     assert first.area_mm2 == pytest.approx(last.area_mm2, rel=0.05)
 
 
 def test_the_account_of_the_energy_goes_on(cube):
-    ledger = segment(cube.image, levels=2, smoothness=0.3, presmooth=1.5, **START).ledger
+    history = segment(cube.image, levels=2, smoothness=0.3, presmooth=1.5, **START).history
     total = np.array(
-        [row.potential + row.kinetic / row.weight + row.friction_work + row.smoothing_work for row in ledger[:-1]]
+        [row.potential + row.kinetic / row.weight + row.friction_work + row.smoothing_work for row in history[:-1]]
     )
-    change = next(row.step for row in ledger if row.level == 0)
-    won = ledger[0].potential - min(row.potential for row in ledger if row.level == 1)
+    change = next(row.step for row in history if row.level == 0)
+    won = history[0].potential - min(row.potential for row in history if row.level == 1)
     assert abs(total[change] - total[change - 1]) < 0.02 * won
 
 
@@ -90,10 +90,10 @@ def test_momentum_goes_on(cube, flow, monkeypatch):
     for name, value in (("COARSE_WINDOW", 8), ("COARSE_MOTION", 1e9), ("COARSE_KINETIC", 1e9), ("COARSE_FAR", 1.0)):
         monkeypatch.setattr(multilevel, name, value)
     options = {**START, "presmooth": 2.0, "restart": "off", "k": 3, "max_steps": 24, "flow": flow}
-    rows = segment(cube.image, levels=2, **options).ledger
+    rows = segment(cube.image, levels=2, **options).history
     change = next(row.step for row in rows if row.level == 0)
     assert change == 8
-    # The ledger's kinetic energy is that at the step's beginning, which both levels know but for the resampling.
+    # The history's kinetic energy is that at the step's beginning, which both levels know but for the resampling.
     trend = rows[change - 1].kinetic * (rows[change - 1].kinetic / rows[change - 2].kinetic)
     assert rows[change].kinetic == pytest.approx(trend, rel=0.3)
     assert rows[change].t == pytest.approx(rows[change - 1].t + rows[change - 1].dt)
@@ -125,7 +125,7 @@ def test_the_same_bytes_for_any_number_of_threads(cube):
     runs = [segment(cube.image, levels=2, threads=threads, **START) for threads in (1, 1, 2, 3)]
     for other in runs[1:]:
         assert other.psi.tobytes() == runs[0].psi.tobytes()
-        assert [row.potential for row in other.ledger] == [row.potential for row in runs[0].ledger]
+        assert [row.potential for row in other.history] == [row.potential for row in runs[0].history]
 
 
 def test_one_level_is_the_plain_evolution(cube):
@@ -133,12 +133,18 @@ def test_one_level_is_the_plain_evolution(cube):
     config, image = result.config, result.image
     surface = LevelSet(starts.build(config.start, cube.image), (1.0, 1.0, 1.0), half_width(config))
     plain = Evolution(
-        surface, make_energy(config, image, (1.0, 1.0, 1.0)), make_flow(config), Limits(0.5, 95.0), 30, None, StopRule()
+        surface,
+        make_energy(config, image, (1.0, 1.0, 1.0)),
+        make_flow(config),
+        StepLimits(0.5, 95.0),
+        30,
+        None,
+        StopRule(),
     )
     for _ in plain:
         pass
     assert plain.surface.psi.tobytes() == result.psi.tobytes()
-    assert [row.potential for row in plain.ledger] == [row.potential for row in result.ledger]
+    assert [row.potential for row in plain.history] == [row.potential for row in result.history]
     assert result.warnings == [] and [p.level.number for p in result.levels] == [0]
 
 

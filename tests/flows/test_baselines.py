@@ -8,7 +8,7 @@ from scipy.special import sph_harm_y
 
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
-from accelsurf.flows import Gradient, Limits, Momentum, Now, Sobolev
+from accelsurf.flows import Gradient, HeavyBall, Sobolev, StepInput, StepLimits
 from accelsurf.flows.sobolev import h1_gradient
 from accelsurf.kernels import tube
 from accelsurf.levelset import LevelSet
@@ -32,7 +32,7 @@ def factor(surface: LevelSet, degree: int, length: float) -> float:
     """By what the H1 gradient multiplies a harmonic, at the surface."""
     force = harmonic(surface, degree)
     g = h1_gradient(surface, force, length, np.zeros_like(force))
-    area = surface.cut()[1]
+    area = surface.fraction_and_area()[1]
     return float((area * g * force).sum() / (area * force**2).sum())
 
 
@@ -95,47 +95,47 @@ def test_a_warm_start_makes_the_solve_cheaper() -> None:
 def test_sobolev_descent_lowers_the_energy_and_steps_beyond_the_curvature_bound() -> None:
     z, y, x = (np.indices((36, 36, 36)) - 17.5)
     field = np.sqrt(z**2 + y**2 + x**2) / 9.0 - 1.0
-    ledgers = {}
+    histories = {}
     for flow in (Gradient(), Sobolev()):
         surface = sphere(9.0)
         surface = LevelSet(np.maximum(np.maximum(abs(z), abs(y)), abs(x)) - 10.0, (1.0, 1.0, 1.0))
-        evolution = Evolution(surface, RegionField(field, 2.0), flow, Limits(0.5, 95.0), 40)
-        ledgers[flow.name] = [step.row for step in evolution]
-    for rows in ledgers.values():
+        evolution = Evolution(surface, RegionField(field, 2.0), flow, StepLimits(0.5, 95.0), 40)
+        histories[flow.name] = [step.row for step in evolution]
+    for rows in histories.values():
         assert rows[-1].potential < rows[0].potential
     # Explicit curvature flow may not exceed h^2/(4 alpha) = 1/8.
-    assert max(row.dt for row in ledgers["gradient"]) <= 0.125 + 1e-9
-    assert max(row.dt for row in ledgers["sobolev"]) > 0.25
+    assert max(row.dt for row in histories["gradient"]) <= 0.125 + 1e-9
+    assert max(row.dt for row in histories["sobolev"]) > 0.25
 
 
 def test_momentum_blends_the_last_step_with_the_force() -> None:
     """s_n = (1 - omega) dt f + omega s_(n-1): under a constant force the step grows as 1 - omega^n."""
     z, _, _ = np.indices((40, 8, 8))
     surface = LevelSet(z - 30.3, (1.0, 1.0, 1.0))
-    flow, steps = Momentum(0.6), []
-    evolution = Evolution(surface, RegionField(np.full(z.shape, 0.5)), flow, Limits(0.5, 100.0), 8)
+    flow, steps = HeavyBall(0.6), []
+    evolution = Evolution(surface, RegionField(np.full(z.shape, 0.5)), flow, StepLimits(0.5, 100.0), 8)
     for step in evolution:
         if step.row.dt:
             steps.append(step.row.motion_voxels)
     want = 0.5 * (1.0 - 0.6 ** np.arange(1, len(steps) + 1))
     np.testing.assert_allclose(steps, want, rtol=1e-3)
     # At rest it begins again.
-    flow.rest(surface.cut()[1])
+    flow.zero_momentum(surface.fraction_and_area()[1])
     front = surface.front()
-    area = surface.cut()[1]
+    area = surface.fraction_and_area()[1]
     force = np.where(front, np.float32(0.5), np.float32(0.0))
-    now = Now(surface, front, force, np.zeros_like(force), area, 0.0)
-    assert flow.move(now, Limits(0.5, 100.0)).speed[front].max() == pytest.approx(0.4 * 0.5, rel=1e-5)
+    now = StepInput(surface, front, force, np.zeros_like(force), area, 0.0)
+    assert flow.move(now, StepLimits(0.5, 100.0)).speed[front].max() == pytest.approx(0.4 * 0.5, rel=1e-5)
 
 
 def test_momentum_without_a_blend_is_descent() -> None:
     z, y, x = (np.indices((24, 24, 24)) - 11.5)
     field = np.sqrt(z**2 + y**2 + x**2) / 6.0 - 1.0
     surfaces = []
-    for flow in (Momentum(0.0), Gradient()):
+    for flow in (HeavyBall(0.0), Gradient()):
         surface = sphere(8.0)
         surface = LevelSet(np.sqrt(z**2 + y**2 + x**2) - 8.0, (1.0, 1.0, 1.0))
-        for _ in Evolution(surface, RegionField(field), flow, Limits(), 15):
+        for _ in Evolution(surface, RegionField(field), flow, StepLimits(), 15):
             pass
         surfaces.append(surface.psi.copy())
     np.testing.assert_array_equal(*surfaces)

@@ -9,26 +9,28 @@ import numpy as np
 import pytest
 
 from accelsurf.energies import RegionField
-from accelsurf.evolution.loop import Evolution, Restart, Row
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Limits, Noise
+from accelsurf.evolution.loop import Evolution, Restart, StepRecord
+from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Noise, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.evolution.test_exact_solutions import BentWrongly, spheroid
 from tests.support.follow import lattice
 
 
-def run(flow: Flow, alpha: float = 0.0, t_end: float = 2.0, n: int = 48, restart: Restart | None = None) -> list[Row]:
+def run(
+    flow: Flow, alpha: float = 0.0, t_end: float = 2.0, n: int = 48, restart: Restart | None = None
+) -> list[StepRecord]:
     on = lattice(n)
     surface = LevelSet(spheroid(on).psi, on.spacing, 4.0)
     energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, alpha)
     rows = []
-    for step in Evolution(surface, energy, flow, Limits(0.5, 100.0, 0.5 * on.spacing[0]), 10_000, restart):
+    for step in Evolution(surface, energy, flow, StepLimits(0.5, 100.0, 0.5 * on.spacing[0]), 10_000, restart):
         if step.row.t > t_end or step.row.dt == 0:
             break
         rows.append(step.row)
     return rows
 
 
-def residue(rows: list[Row]) -> float:
+def residue(rows: list[StepRecord]) -> float:
     """Largest part of the energy lost so far that the account does not explain."""
     total = [
         r.potential + r.mass_potential + r.kinetic / r.weight + r.friction_work + r.smoothing_work - r.noise_work

@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from scipy.special import sph_harm_y
 
 from accelsurf.energies import RegionField
-from accelsurf.evolution.loop import Evolution, Row
-from accelsurf.flows import FlowableMass, Limits, Move, Now
+from accelsurf.evolution.loop import Evolution, StepRecord
+from accelsurf.flows import FlowableMass, StepInput, StepLimits, StepPlan
 from accelsurf.levelset import LevelSet
 from tests.evolution.test_exact_solutions import spheroid
 from tests.support import exact
@@ -86,7 +86,7 @@ def test_the_ellipsoid_solver_gives_the_table() -> None:
         np.testing.assert_allclose(axes(t), (z, y, x), atol=1e-7)
 
 
-def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[float, float, Row]:
+def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[float, float, StepRecord]:
     """Largest distance of any point from the exact ellipsoid (mm), of the density from the exact one (relative)."""
     h, on = WIDTH / (n - 1), lattice(n)
     z, y, x = on.points
@@ -101,7 +101,7 @@ def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[f
 
     flow.density_at = uniform_on_the_sphere
     axes, worst, density = ellipsoid_axes(t_end), 0.0, 0.0
-    evolution = Evolution(surface, VolumeWell(), flow, Limits(0.5, 100.0, 0.5 * h), 10_000)
+    evolution = Evolution(surface, VolumeWell(), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000)
     for step in evolution:
         t = step.row.t + step.row.dt
         if t > t_end:
@@ -132,7 +132,7 @@ def test_triaxial_ellipsoid() -> None:
 class AsPrinted(Given):
     """The paper's printed psi_t = +V . grad psi."""
 
-    def move(self, now: Now, limits: Limits) -> Move:
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         move = super().move(now, limits)
         assert move.velocity is not None
         return move._replace(velocity=-move.velocity)
@@ -160,13 +160,13 @@ def density_mode(n: int, degree: int, amplitude: float, flow: Given) -> float:
     flow.on, flow.density_at = on, lambda points: 1.0 + amplitude * mode(points)
     omega = math.sqrt(4.0 * g * mass) * math.sqrt(degree * (degree + 1) + 4.0)
     t_end = 1.2 * 2.0 * math.pi / omega
-    limits = Limits(0.5, 100.0, 0.5 * h / math.sqrt(4.0 * g * mass))
+    limits = StepLimits(0.5, 100.0, 0.5 * h / math.sqrt(4.0 * g * mass))
     worst = 0.0
     for step in Evolution(surface, RegionField(np.zeros_like(on.radius)), flow, limits, 10_000):
         t = step.row.t + step.row.dt
         if t > t_end:
             break
-        area, shape = surface.cut()[1], mode(feet(surface, on))
+        area, shape = surface.fraction_and_area()[1], mode(feet(surface, on))
         excess = flow.density - (area * flow.density).sum() / area.sum()
         now = (area * excess * shape).sum() / (area * shape**2).sum() / amplitude
         worst = max(worst, abs(float(now) - exact.jinc(omega * t)))
@@ -188,7 +188,7 @@ def test_the_mass_potential_is_inert_at_uniform_density() -> None:
     for gravity in (0.0, 0.02):
         surface = LevelSet(on.radius - 0.9, on.spacing, 4.0)
         flow = FlowableMass(gravity, diffusion=0.0)
-        limits = Limits(0.5, 100.0, 0.2 * WIDTH / 31)
+        limits = StepLimits(0.5, 100.0, 0.2 * WIDTH / 31)
         rows[gravity] = [s.row for s in Evolution(surface, energy_of(exact.E, on.radius), flow, limits, 40)]
         surfaces[gravity] = surface.psi.copy()
     assert np.abs(surfaces[0.02] - surfaces[0.0]).max() < 0.01 * WIDTH / 31
@@ -212,7 +212,8 @@ def test_negative_tension_is_clamped_and_told() -> None:
         surface = LevelSet(on.radius - 1.0, on.spacing, 4.0)
         flow = Given(gravity=0.2, support=0.0 if clamp else None, diffusion=0.0)
         flow.on, flow.density_at = on, bumpy
-        rows = [s.row for s in Evolution(surface, RegionField(np.zeros_like(on.radius)), flow, Limits(0.5, 100.0), 60)]
+        energy = RegionField(np.zeros_like(on.radius))
+        rows = [s.row for s in Evolution(surface, energy, flow, StepLimits(0.5, 100.0), 60)]
         rough[clamp] = float(np.linalg.norm(surface_points(surface, on), axis=1).std())
         assert all((row.clamped_fraction > 0.2) == clamp for row in rows[:-1])
     assert rough[True] < rough[False]
@@ -220,15 +221,15 @@ def test_negative_tension_is_clamped_and_told() -> None:
     surface = LevelSet(on.radius - 1.0, on.spacing, 4.0)
     flow = Given(gravity=0.01, support=0.1, diffusion=0.0)
     flow.on, flow.density_at = on, bumpy
-    rows = [s.row for s in Evolution(surface, RegionField(np.zeros_like(on.radius), 0.1), flow, Limits(), 5)]
+    rows = [s.row for s in Evolution(surface, RegionField(np.zeros_like(on.radius), 0.1), flow, StepLimits(), 5)]
     assert all(row.clamped_fraction == 0.0 for row in rows)
 
 
 # ------------------------------------------------------------------------------------------------- conservation
 
 
-def mass_through(surface: LevelSet, field: np.ndarray, n_steps: int) -> list[Row]:
-    return [s.row for s in Evolution(surface, RegionField(field), FlowableMass(), Limits(0.5, 95.0), n_steps)]
+def mass_through(surface: LevelSet, field: np.ndarray, n_steps: int) -> list[StepRecord]:
+    return [s.row for s in Evolution(surface, RegionField(field), FlowableMass(), StepLimits(0.5, 95.0), n_steps)]
 
 
 def components(surface: LevelSet) -> int:
@@ -269,7 +270,7 @@ def test_mass_is_conserved_through_large_deformation() -> None:
     z, y, x = on.points
     field = 0.6 * (np.sqrt((x / 1.1) ** 2 + (y / 0.35) ** 2 + (z / 0.35) ** 2) - 1.0)
     surface = LevelSet(on.radius - 0.4, on.spacing, 4.0)
-    rows = [s.row for s in Evolution(surface, RegionField(field, 0.01), FlowableMass(), Limits(0.5, 95.0), 120)]
+    rows = [s.row for s in Evolution(surface, RegionField(field, 0.01), FlowableMass(), StepLimits(0.5, 95.0), 120)]
     inside = np.argwhere(surface.labels)
     extent = np.ptp(inside, axis=0) * on.spacing[0]
     assert extent[2] > 2.0 * 0.8 and extent[2] > 2.0 * extent[0]
@@ -284,11 +285,11 @@ def test_momentum_stays_zero_where_the_energy_does_not_depend_on_place() -> None
     body = np.sqrt((x / 0.9) ** 2 + ((y - 0.2 * x**2) / 0.7) ** 2 + ((z + 0.15 * x) / 0.5) ** 2) - 1.0
     surface = LevelSet(body, on.spacing, 4.0)
     flow, worst = FlowableMass(diffusion=0.0), 0.0
-    limits = Limits(0.5, 100.0, 0.5 * on.spacing[0])
+    limits = StepLimits(0.5, 100.0, 0.5 * on.spacing[0])
     for step in Evolution(surface, RegionField(np.full(on.radius.shape, 0.3), 0.05), flow, limits, 10_000):
         if step.row.t > 0.8:
             break
-        weight = surface.cut()[1] * flow.density
+        weight = surface.fraction_and_area()[1] * flow.density
         total = (weight[:, None] * flow.velocity).sum(axis=0)
         worst = max(worst, float(np.linalg.norm(total) / (weight * np.linalg.norm(flow.velocity, axis=1)).sum()))
     print(f"\nstray momentum {worst:.5f}")
@@ -305,7 +306,7 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         surface = LevelSet(surface.psi, on.spacing, 4.0)
         energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, 0.05)
         flow = FlowableMass(0.125 / rho**2, 0.05, lambda_=lambda_, rho=rho)
-        times = [step.row.t for step in Evolution(surface, energy, flow, Limits(0.5, 95.0, dt), 30)]
+        times = [step.row.t for step in Evolution(surface, energy, flow, StepLimits(0.5, 95.0, dt), 30)]
         return times, surface.psi.copy()
 
     times, psi = run(1.0, 1.0, h)

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from accelsurf.flows import ConstantDensity, Gradient, Limits, Now
+from accelsurf.flows import ConstantDensity, Gradient, StepInput, StepLimits
 from accelsurf.flows.protocol import (
     STAGES,
+    clip_speed,
     diffuse,
     diffusion_bound,
     diffusion_reach,
-    hold_back,
     percentile,
     smallest_spacing,
     voxel_rates,
@@ -39,10 +39,10 @@ def moved(flow, surface, force, alpha=0.0, limits=None):
     if not any(field.size for field in flow.fields):
         flow.start(surface)
     curvature = surface.curvature(front)
-    area = surface.cut()[1]
+    area = surface.fraction_and_area()[1]
     full = np.where(front, np.float32(force), np.float32(0.0)).astype(np.float32)
-    now = Now(surface, front, full, curvature, area, alpha)
-    return flow.move(now, limits or Limits(percentile=100.0)), front
+    now = StepInput(surface, front, full, curvature, area, alpha)
+    return flow.move(now, limits or StepLimits(percentile=100.0)), front
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
@@ -56,7 +56,7 @@ def test_diffusion_decays_as_on_the_sphere(degree):
     front = surface.front()
     field = harmonic(surface, degree)
     surface.extend_outwards(field, front)
-    on = np.flatnonzero(surface.cut()[1])
+    on = np.flatnonzero(surface.fraction_and_area()[1])
     before = field[on].copy()
     amount = 3.0
     diffuse(surface, front, field, amount)
@@ -73,7 +73,7 @@ def test_diffusion_is_stable_at_its_bound_in_noise():
     assert amount == pytest.approx(0.5 * STAGES * (STAGES + 1) * diffusion_bound(surface))
     field = np.random.default_rng(0).normal(size=surface.size).astype(np.float32)
     surface.extend_outwards(field, front)
-    on = np.flatnonzero(surface.cut()[1])
+    on = np.flatnonzero(surface.fraction_and_area()[1])
     spread = field[on].std()
     for _ in range(5):
         diffuse(surface, front, field, amount)
@@ -97,7 +97,7 @@ def test_no_front_cell_moves_further_than_the_limit():
     surface = sphere(spacing=(1.5, 1.0, 1.0), n=40)
     force = harmonic(surface, 3) ** 3 * 50
     for flow in (Gradient(), ConstantDensity(diffusion=0.0)):
-        limits = Limits(cfl=0.4, percentile=60.0)
+        limits = StepLimits(cfl=0.4, percentile=60.0)
         move, front = moved(flow, surface, force, limits=limits)
         rates = voxel_rates(surface, front, move.speed)[front] * move.dt
         assert rates.max() <= 0.4 * (1 + 1e-5)
@@ -128,7 +128,7 @@ def test_rates_are_in_voxels_along_the_normal():
 
 def test_hold_back_scales_only_what_is_too_fast():
     speed, rates = np.array([1.0, -4.0, 2.0], np.float32), np.array([1.0, 4.0, 2.0], np.float32)
-    assert hold_back(speed, rates, 0.25, 0.5) == 1
+    assert clip_speed(speed, rates, 0.25, 0.5) == 1
     np.testing.assert_allclose(speed, [1.0, -2.0, 2.0])
 
 
@@ -138,7 +138,7 @@ def test_gradient_is_the_force_with_its_two_bounds():
     np.testing.assert_allclose(move.speed[front], 0.25)
     # Rate in voxels along the normal; on unit voxels 0.25 per unit time whatever the direction.
     assert move.dt == pytest.approx(0.5 / 0.25, rel=1e-3)
-    assert moved(Gradient(), surface, 0.25, limits=Limits(dt_max=0.1))[0].dt == 0.1
+    assert moved(Gradient(), surface, 0.25, limits=StepLimits(dt_max=0.1))[0].dt == 0.1
     # Explicit curvature flow: dt <= h^2/(4 alpha).
     assert moved(Gradient(), surface, 0.25, alpha=2.0)[0].dt == pytest.approx(1 / 8)
     assert moved(Gradient(), surface, 0.0)[0].dt == 0
@@ -149,7 +149,7 @@ def test_gradient_may_be_smoothed_by_the_same_diffusion():
     force = harmonic(surface, 4)
     plain, front = moved(Gradient(), surface, force)
     smooth, _ = moved(Gradient(diffusion=0.5), surface, force)
-    on = np.flatnonzero(surface.cut()[1])
+    on = np.flatnonzero(surface.fraction_and_area()[1])
     factor = float(np.dot(smooth.speed[on], plain.speed[on]) / np.dot(plain.speed[on], plain.speed[on]))
     assert factor == pytest.approx(np.exp(-0.5 * smooth.dt * 20 / R**2), rel=0.02)
 
@@ -160,7 +160,7 @@ def test_start_up_series(k, friction):
     surface = sphere()
     flow = ConstantDensity(k, lambda_=1.3, rho=2.0, friction=friction, diffusion=0.0)
     flow.start(surface)
-    move, front = moved(flow, surface, 0.25, limits=Limits(dt_max=0.2))
+    move, front = moved(flow, surface, 0.25, limits=StepLimits(dt_max=0.2))
     dt = move.dt
     series = 1.3 * 0.5 * k * (dt / 2) ** (k - 1) * 0.25 / 2.0
     if friction is not None:
@@ -176,7 +176,7 @@ def test_rest_forgets_the_momentum_and_the_clock():
     first, _ = moved(flow, surface, 0.25)
     second, _ = moved(flow, surface, 0.25)
     assert np.abs(second.speed).max() > np.abs(first.speed[surface.front()]).min() and flow.clock.time > first.dt
-    assert flow.rest(surface.cut()[1]) > 0
+    assert flow.zero_momentum(surface.fraction_and_area()[1]) > 0
     assert flow.clock.time == 0 and flow.clock.at_rest and not flow.beta.any()
 
 
@@ -193,7 +193,7 @@ def test_travel_bound_counts_speed_and_acceleration():
     surface = sphere()
     flow = ConstantDensity(diffusion=0.0)
     flow.start(surface)
-    moved(flow, surface, 0.25, limits=Limits(dt_max=0.3))
+    moved(flow, surface, 0.25, limits=StepLimits(dt_max=0.3))
     speed = float(np.abs(flow.beta[surface.front()]).max())
     move, _ = moved(flow, surface, 0.25)
     # b dt + A dt^2/2 = cfl with A = w f/rho
@@ -206,6 +206,6 @@ def test_automatic_diffusion_follows_the_speed():
     for force in (0.25, 0.5):
         flow = ConstantDensity()
         flow.start(surface)
-        moved(flow, surface, force, limits=Limits(dt_max=0.01))
-        rates.append(moved(flow, surface, force, limits=Limits(dt_max=0.01))[0].diffusion)
+        moved(flow, surface, force, limits=StepLimits(dt_max=0.01))
+        rates.append(moved(flow, surface, force, limits=StepLimits(dt_max=0.01))[0].diffusion)
     assert rates[1] == pytest.approx(2 * rates[0], rel=1e-3) and rates[0] > 0

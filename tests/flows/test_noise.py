@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from accelsurf.energies import RegionField
-from accelsurf.evolution.loop import Evolution, Row
-from accelsurf.flows import ConstantDensity, FlowableMass, Limits, Noise
+from accelsurf.evolution.loop import Evolution, StepRecord
+from accelsurf.flows import ConstantDensity, FlowableMass, Noise, StepLimits
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.api import segment
 
@@ -39,10 +39,10 @@ def spread(dt: float, seed: int, t_end: float = 1.0) -> float:
     """RMS speed of a plane under noise alone after ``t_end``, almost without friction."""
     surface = plane()
     flow = ConstantDensity(friction=1e-6, diffusion=0.0, noise=Noise(0.2, 6.0, seed, until=99.0))
-    for step in Evolution(surface, RegionField(np.full(FLAT, 1e-9)), flow, Limits(0.5, 100.0, dt), 10_000):
+    for step in Evolution(surface, RegionField(np.full(FLAT, 1e-9)), flow, StepLimits(0.5, 100.0, dt), 10_000):
         if step.row.t + step.row.dt > t_end:
             break
-    area = surface.cut()[1]
+    area = surface.fraction_and_area()[1]
     return float((area * flow.beta.astype(float) ** 2).sum() / area.sum())
 
 
@@ -70,7 +70,7 @@ def test_same_seed_same_bytes_and_threads_do_not_matter() -> None:
 
 
 def test_none_costs_nothing() -> None:
-    def run(noise: Noise | None) -> list[Row]:
+    def run(noise: Noise | None) -> list[StepRecord]:
         z, y, x = np.indices((24, 24, 24)) - 11.5
         surface = LevelSet(np.sqrt(z**2 + y**2 + x**2) - 8.0, (1.0, 1.0, 1.0))
         flow = ConstantDensity(noise=noise)
@@ -86,7 +86,7 @@ def test_nothing_acts_along_a_missing_axis(model: type) -> None:
     y, x = np.indices((30, 30)) - 14.5
     surface = LevelSet((np.hypot(y, x) - 8.0)[None], (2.0, 1.0, 1.0), 4.0)
     flow = model(noise=Noise(0.3, 4.0, seed=2, until=9.0))
-    for _ in Evolution(surface, RegionField(np.zeros((1, 30, 30)), 0.1), flow, Limits(), 10):
+    for _ in Evolution(surface, RegionField(np.zeros((1, 30, 30)), 0.1), flow, StepLimits(), 10):
         pass
     if model is FlowableMass:
         assert not flow.velocity[:, 0].any() and np.abs(flow.velocity[:, 1:]).max() > 0
@@ -101,7 +101,7 @@ def test_noise_leaves_a_saddle() -> None:
     for tau in (0.0, 0.05):
         surface = LevelSet(z - 19.5, (1.0, 1.0, 1.0))
         flow = ConstantDensity(noise=Noise(tau, 6.0, seed=1, until=5.0) if tau else None)
-        evolution = Evolution(surface, RegionField(ridge.astype(np.float32)), flow, Limits(dt_max=0.5), 150)
-        ledger = [step.row for step in evolution]
-        moved[tau] = abs(ledger[-1].volume_mm3 - ledger[0].volume_mm3) / 14**2
+        evolution = Evolution(surface, RegionField(ridge.astype(np.float32)), flow, StepLimits(dt_max=0.5), 150)
+        history = [step.row for step in evolution]
+        moved[tau] = abs(history[-1].volume_mm3 - history[0].volume_mm3) / 14**2
     assert moved[0.0] < 0.05 and moved[0.05] > 5.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.grid import pyramid
-from accelsurf.grid.pyramid import coarsened, levels, refined, resolved, smallest_depth
+from accelsurf.grid.pyramid import levels, prolong, resolved, restrict, smallest_depth
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import transfer_fields
 
@@ -49,7 +49,7 @@ def test_means_of_a_linear_image_are_its_values_at_the_centres(grid):
     assert len(grids) >= 3
     image = sum((axis + 1) * p for axis, p in enumerate(positions(grids[0], grids))).astype(np.float32)
     for fine, coarse in zip(grids, grids[1:], strict=False):
-        image = coarsened(image, fine, coarse)
+        image = restrict(image, fine, coarse)
         assert image.shape == coarse.shape and image.flags.c_contiguous
         exact = sum((axis + 1) * p for axis, p in enumerate(positions(coarse, grids)))
         # The last block of an odd axis is filled with the last voxel: it is the image held there that is averaged.
@@ -61,7 +61,7 @@ def test_means_do_not_change_the_array_that_they_are_of():
     fine, coarse = levels((9, 9, 9), (1.0, 1.0, 1.0), 2, 4)
     image = np.arange(729, dtype=np.float32).reshape(9, 9, 9)
     before = image.copy()
-    coarsened(image, fine, coarse)
+    restrict(image, fine, coarse)
     np.testing.assert_array_equal(image, before)
 
 
@@ -72,7 +72,7 @@ def test_a_ball_comes_back_to_where_it_was(grid):
     centre = 0.5 * np.array(fine.spacing) * (np.array(fine.shape) - 1) + 0.3
     radius = 9.0 * max(h for n, h in zip(coarse.shape, coarse.spacing, strict=True) if n > 1) / 2
     old = LevelSet(ball(coarse, grids, centre, radius), coarse.spacing)
-    new = LevelSet(refined(old.psi, coarse, fine), fine.spacing)
+    new = LevelSet(prolong(old.psi, coarse, fine), fine.spacing)
     exact = ball(fine, grids, centre, radius)
     front = new.front(1.0)
     error = np.abs(new.band.psi - exact.ravel()[new.band.cells])[front]
@@ -91,7 +91,7 @@ def test_a_surface_that_runs_into_the_border_keeps_its_direction():
         z, y, x = positions(level, grids)
         return ((z + y + x - 50.0) / np.sqrt(3)).astype(np.float32)
 
-    new = LevelSet(refined(LevelSet(plane(coarse), coarse.spacing).psi, coarse, fine), fine.spacing)
+    new = LevelSet(prolong(LevelSet(plane(coarse), coarse.spacing).psi, coarse, fine), fine.spacing)
     front = new.front(1.0)
     assert np.abs(new.band.psi - plane(fine).ravel()[new.band.cells])[front].max() < 0.1 * 2
 
@@ -111,8 +111,9 @@ def test_fields_come_back_to_where_they_were(grid):
         return (place[:, 2] / np.maximum(np.linalg.norm(place, axis=1), 1e-9)).astype(np.float32)
 
     old = LevelSet(ball(coarse, grids, centre, radius), coarse.spacing)
-    new = LevelSet(refined(old.psi, coarse, fine), fine.spacing)
-    one, two = transfer_fields([polar(old, coarse), np.ones(old.size, np.float32)], [0, 0], old.dense.slot, coarse, new, fine)
+    new = LevelSet(prolong(old.psi, coarse, fine), fine.spacing)
+    fields = [polar(old, coarse), np.ones(old.size, np.float32)]
+    one, two = transfer_fields(fields, [0, 0], old.dense.slot, coarse, new, fine)
     # In the middle of the ball, where its normals meet, there is no one closest point.
     assert np.abs(one - polar(new, fine))[new.front()].max() < 0.08
     np.testing.assert_allclose(two, 1.0, rtol=1e-6)
@@ -125,7 +126,8 @@ def test_fields_of_nothing():
     old = LevelSet(ball(coarse, grids, (11.5,) * 3, 6.0), coarse.spacing)
     new = LevelSet(np.ones(fine.shape, np.float32), fine.spacing)
     assert new.size == 0
-    assert [f.size for f in transfer_fields([np.ones(old.size, np.float32)], [0], old.dense.slot, coarse, new, fine)] == [0]
+    ones = [np.ones(old.size, np.float32)]
+    assert [f.size for f in transfer_fields(ones, [0], old.dense.slot, coarse, new, fine)] == [0]
     assert transfer_fields([], [], old.dense.slot, coarse, new, fine) == []
 
 
@@ -149,7 +151,7 @@ def test_the_weights_of_the_interpolation_reproduce_cubics_far_from_the_border()
     fine, coarse = levels((1, 1, 64), (1.0, 1.0, 1.0), 2)
     x = pyramid.Level.first_centre(coarse, fine)[2] + 2.0 * np.arange(32)
     psi = (0.01 * x**2 - x).astype(np.float32).reshape(1, 1, 32)
-    values = refined(psi, coarse, fine)[0, 0]
+    values = prolong(psi, coarse, fine)[0, 0]
     at = np.arange(64.0)
     np.testing.assert_allclose(values[4:-4], (0.01 * at**2 - at)[4:-4], atol=1e-4)
 
@@ -157,6 +159,6 @@ def test_the_weights_of_the_interpolation_reproduce_cubics_far_from_the_border()
 def test_slabs_make_no_difference(monkeypatch):
     fine, coarse = levels((33, 30, 27), (1.0, 1.1, 1.2), 2)
     psi = np.random.default_rng(5).normal(size=coarse.shape).astype(np.float32)
-    whole = refined(psi, coarse, fine)
+    whole = prolong(psi, coarse, fine)
     monkeypatch.setattr(pyramid, "SLAB_VOXELS", 2 * 30 * 27)
-    assert np.array_equal(refined(psi, coarse, fine), whole)
+    assert np.array_equal(prolong(psi, coarse, fine), whole)

@@ -11,9 +11,11 @@ from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.io import headers, images
+from accelsurf.io.formats import raster
 
 #: Formats that keep the whole grid; tests/io/test_raster.py is about the others.
-VOLUMES = [suffix for suffix in io.SUFFIXES if suffix not in io.pictures.SUFFIXES]
+VOLUMES = [suffix for suffix in io.SUFFIXES if suffix not in raster.SUFFIXES]
 DTYPES = ["uint8", "int16", "uint16", "int32", "float32", "float64"]
 
 
@@ -283,7 +285,7 @@ def huge(tmp_path, suffix):
     struct.pack_into("<8h", raw, 40, 3, 30000, 30000, 30000, 1, 1, 1, 1)
     (tmp_path / "a.nii").write_bytes(raw)
     if suffix == ".nii.gz":
-        io.headers.gzip_file(tmp_path / "a.nii", path)
+        headers.gzip_file(tmp_path / "a.nii", path)
     return path
 
 
@@ -296,7 +298,7 @@ def test_available_memory_without_proc(monkeypatch):
     def no_file(self, *args, **kwargs):
         raise FileNotFoundError(2, "No such file", str(self))
 
-    monkeypatch.setattr(io.Path, "read_text", no_file)
+    monkeypatch.setattr(images.Path, "read_text", no_file)
     assert io.available_memory() == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
@@ -306,7 +308,7 @@ def test_memory_that_runs_out_all_the_same(tmp_path, monkeypatch):
     def fail(image):
         raise MemoryError
 
-    monkeypatch.setattr(io.sitk, "GetArrayFromImage", fail)
+    monkeypatch.setattr(images.sitk, "GetArrayFromImage", fail)
     with pytest.raises(InputError, match="does not fit into memory"):
         io.read(tmp_path / "a.mha", memory_bytes=10**9)
 
@@ -365,7 +367,7 @@ def test_nothing_half_written_stays(tmp_path, monkeypatch, suffix, where, failur
     def fail(*args):
         raise failure
 
-    monkeypatch.setattr(io.os if where == "os.replace" else io, where.removeprefix("os."), fail)
+    monkeypatch.setattr(images.os if where == "os.replace" else images, where.removeprefix("os."), fail)
     with pytest.raises(raised) as caught:
         io.write(make(seed=2), path)
     if raised is OutputError:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
-from accelsurf import io
+from accelsurf import Volume, io
 from accelsurf.errors import GeometryError, InputError
 
 SPACING = np.array([1.0, 2.0, 3.0])
@@ -92,7 +92,7 @@ def test_codes_survive_also_from_a_big_endian_file(tmp_path):
 
 def test_a_file_of_ours_has_both_forms(tmp_path):
     """Nothing to give back: ITK's default, the scanner code for both."""
-    io.write(io.Volume.from_array(np.zeros((3, 4, 5), np.uint8), (3, 2, 1)), tmp_path / "a.nii")
+    io.write(Volume.from_array(np.zeros((3, 4, 5), np.uint8), (3, 2, 1)), tmp_path / "a.nii")
     assert struct.unpack_from("<2h", load(tmp_path / "a.nii"), 252) == (1, 1)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import differences
-from accelsurf.kernels.grid import TOGETHER, Band
+from accelsurf.kernels.grid import BATCH, Band
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -155,7 +155,7 @@ def test_upwind_norms_of_more_than_one_chunk():
     rng = np.random.default_rng(8)
     cells = np.flatnonzero(rng.random(psi.size) < 0.6)
     n = cells.size
-    assert n > 4 * TOGETHER and n % TOGETHER
+    assert n > 4 * BATCH and n % BATCH
     band = Band(cells, psi.ravel()[cells], np.zeros((n, 3), np.float32))
     beta, front = rng.standard_normal(n).astype(np.float32), rng.random(n) < 0.8
     beta[:5] = 0
@@ -169,7 +169,7 @@ def test_upwind_norms_of_more_than_one_chunk():
     assert (out[~front] == 1).all()
     at = np.stack(np.unravel_index(cells, shape), axis=1)
     inside = ((at > 1) & (at < np.array(shape) - 2)).all(axis=1) & front
-    chunks = [inside[first : first + TOGETHER] for first in range(0, n, TOGETHER)]
+    chunks = [inside[first : first + BATCH] for first in range(0, n, BATCH)]
     assert sum(bool(chunk.any() and not chunk.all()) for chunk in chunks) > 3
 
 

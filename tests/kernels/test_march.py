@@ -70,8 +70,8 @@ def marched(psi, spacing, half_width):
 def moved(psi, grid, cells, feet):
     """(feet, how they stand) by `closest_points`; what its memory held before is no matter."""
     count = len(cells)
-    memory = np.full(closest.ROWS * closest.TOGETHER, np.float32(np.nan))
-    rows = memory.reshape(closest.ROWS, closest.TOGETHER)
+    memory = np.full(closest.ROWS * closest.BATCH, np.float32(np.nan))
+    rows = memory.reshape(closest.ROWS, closest.BATCH)
     rows[:3] = -77
     rows[:3, :count] = np.transpose(feet)
     with np.errstate(all="ignore"):  # what the compiled code divides by 0 is not used
@@ -173,8 +173,8 @@ def test_closest_point_as_by_brute_force(spacing):
         raveled, near = around(grid, tuple(cell))
         assert march.first_guess(psi.ravel(), grid, raveled, *cell, near, foot)
     cells = np.ravel_multi_index(front.T, shape)
-    for first in range(0, len(cells), closest.TOGETHER):
-        some = slice(first, first + closest.TOGETHER)
+    for first in range(0, len(cells), closest.BATCH):
+        some = slice(first, first + closest.BATCH)
         feet[some], status = moved(psi, grid, cells[some], feet[some])
         assert (status == closest.FOUND).all()
     value, slope = reference.interpolate(psi, front + feet / spacing)
@@ -230,8 +230,8 @@ def test_closest_points_are_those_of_one_correction_after_the_other(shape, sigma
     index, guesses = start_feet(psi, grid)
     cells = np.ravel_multi_index(index.T, shape)
     compared, found = 0, 0
-    for first in range(0, len(cells), closest.TOGETHER):
-        some = slice(first, first + closest.TOGETHER)
+    for first in range(0, len(cells), closest.BATCH):
+        some = slice(first, first + closest.BATCH)
         feet, status = moved(psi, grid, cells[some], guesses[some])
         for cell, guess, foot, how in zip(index[some], guesses[some], feet, status, strict=True):
             want, stands, margin = reference.iterated(psi, spacing, cell, guess)
@@ -253,8 +253,8 @@ def test_closest_points_are_those_of_one_correction_after_the_other(shape, sigma
 def memory_of(iteration, seed):
     """Random memory of `correct`, rows by name: slopes of 1/5 and more, residues as after ``iteration`` corrections."""
     rng = np.random.default_rng(seed)
-    rows = np.zeros((closest.ROWS, closest.TOGETHER), np.float32)
-    n = closest.TOGETHER
+    rows = np.zeros((closest.ROWS, closest.BATCH), np.float32)
+    n = closest.BATCH
     gradient = rng.normal(0, 1, (3, n))
     gradient *= rng.uniform(0.25, 2, n) / np.linalg.norm(gradient, axis=0)
     rows[0:3] = rng.normal(0, 1, (3, n))
@@ -282,7 +282,7 @@ def test_a_correction_is_that_of_the_slow_twin(iteration):
     """To the rounding of float32 in sums of that size; decisions apart that it may turn."""
     grid, h = reference.grid_of((5, 5, 5), UNEQUAL), np.array(UNEQUAL)
     rows = memory_of(iteration, 2 + iteration)
-    before, count = rows.astype(float), closest.TOGETHER - 13
+    before, count = rows.astype(float), closest.BATCH - 13
     closest.correct(count, iteration, grid, rows.ravel())
     np.testing.assert_array_equal(rows[:, count:], before[:, count:])
     outcomes = []
@@ -321,9 +321,9 @@ def test_a_correction_is_that_of_the_slow_twin(iteration):
 def test_a_correction_leaves_feet_that_are_found_or_lost(iteration):
     grid = reference.grid_of((5, 5, 5), UNEQUAL)
     rows = memory_of(iteration, 3)
-    rows[3] = np.resize([closest.FOUND, closest.LOST], closest.TOGETHER)
+    rows[3] = np.resize([closest.FOUND, closest.LOST], closest.BATCH)
     before = rows.copy()
-    closest.correct(closest.TOGETHER, iteration, grid, rows.ravel())
+    closest.correct(closest.BATCH, iteration, grid, rows.ravel())
     np.testing.assert_array_equal(rows[:4], before[:4])
 
 
@@ -346,8 +346,8 @@ def test_closest_points_are_the_same_bytes_wherever_they_stand():
     shape = (9, 10, 11)
     psi, grid = reference.smooth_noise(shape, 8, 1.5), reference.grid_of(shape, UNEQUAL)
     index, guesses = start_feet(psi, grid)
-    cells, guesses = np.ravel_multi_index(index.T, shape)[: closest.TOGETHER], guesses[: closest.TOGETHER]
-    assert len(cells) == closest.TOGETHER
+    cells, guesses = np.ravel_multi_index(index.T, shape)[: closest.BATCH], guesses[: closest.BATCH]
+    assert len(cells) == closest.BATCH
     whole, status = moved(psi, grid, cells, guesses)
     for first, count in ((0, 1), (3, 7), (5, 31), (64, 64)):
         part = slice(first, first + count)
@@ -430,10 +430,10 @@ def test_levels_are_those_of_the_interpolant_at_every_foot(shape):
     feet = (rng.uniform(-1.5, 1.5, (psi.size, 3)) * UNEQUAL).astype(np.float32)
     feet[::5] = 0
     feet[1::5] = np.round(feet[1::5] / UNEQUAL) * UNEQUAL
-    for first in range(0, psi.size, closest.TOGETHER):
-        count = min(closest.TOGETHER, psi.size - first)
+    for first in range(0, psi.size, closest.BATCH):
+        count = min(closest.BATCH, psi.size - first)
         some = slice(first, first + count)
-        rows = np.full((closest.ROWS, closest.TOGETHER), np.float32(-77))
+        rows = np.full((closest.ROWS, closest.BATCH), np.float32(-77))
         rows[:3, :count], rows[3] = feet[some].T, closest.ACTIVE
         rows[3, :count:4] = closest.FOUND  # nothing is asked of those
         before = rows.copy()
@@ -550,7 +550,7 @@ def test_feet_are_the_same_bytes_however_the_range_is_cut():
     grid = reference.grid_of(psi.shape, UNEQUAL)
     dense, band, foot, state = front_of(psi)
     n = band.cells.size
-    assert n > 2 * march.TOGETHER
+    assert n > 2 * march.BATCH
     parts, states = np.zeros_like(foot), np.full_like(state, -1)
     find_feet(dense, grid, band, foot, state)
     for cut in ((0, 1), (1, 8), (8, 140), (140, 141), (141, n)):

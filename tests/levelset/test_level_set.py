@@ -38,11 +38,11 @@ def plane(shape, spacing, direction, offset):
 
 
 def volume(surface):
-    return surface.volume(surface.cut()[0])
+    return surface.volume(surface.fraction_and_area()[0])
 
 
 def area(surface):
-    return surface.cut()[1].sum()
+    return surface.fraction_and_area()[1].sum()
 
 
 def in_band(surface):
@@ -567,7 +567,7 @@ def test_volume_follows_the_band_as_it_moves():
     surface = LevelSet(reference.smooth_noise((20, 24, 22), 8, 3.0), (1.5, 1.0, 0.8))
     for value in (0.9, -0.9, -0.9, -0.9):
         steps(surface, constant(value), 0.4, 3, checks=6)
-        part, _ = surface.cut()
+        part, _ = surface.fraction_and_area()
         beyond = np.count_nonzero((surface.psi < 0) & ~in_band(surface))
         assert surface.volume(part) == pytest.approx((beyond + part.sum()) * 1.2, rel=1e-12)
 
@@ -650,7 +650,7 @@ def test_surfaces_that_cross_every_border_of_small_volumes(shape, spacing):
     for _ in range(3):
         front = surface.front()
         assert np.isfinite(surface.curvature(front)).all()
-        part, cut = surface.cut()
+        part, cut = surface.fraction_and_area()
         assert ((part >= 0) & (part <= 1) & (cut >= 0)).all()
         surface.extend_outwards(field, front)
         assert np.isfinite(field).all()
@@ -688,7 +688,7 @@ def test_inputs_are_not_modified():
     snapshot = surface.snapshot()
     held = snapshot.psi.copy(), snapshot.cells.copy()
     surface.curvature(front)
-    surface.cut()
+    surface.fraction_and_area()
     surface.advance(speed, 0.3)
     surface.remove_small()
     surface.redistance([speed])
@@ -716,7 +716,7 @@ def test_an_array_that_may_be_overwritten_gives_the_same_surface(dtype):
     one, other = surfaces
     assert one.psi.tobytes() == other.psi.tobytes()
     assert one.band.cells.tobytes() == other.band.cells.tobytes()
-    assert one.volume(one.cut()[0]) == other.volume(other.cut()[0])
+    assert one.volume(one.fraction_and_area()[0]) == other.volume(other.fraction_and_area()[0])
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int16])

@@ -14,8 +14,8 @@ from matplotlib import image as mpl_image
 from accelsurf.analysis.quality import Quality
 from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError
-from accelsurf.evolution.loop import Row, Stop
-from accelsurf.evolution.multilevel import Passed
+from accelsurf.evolution.loop import StepRecord, Stop
+from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import Upright
 from accelsurf.grid.pyramid import Level
@@ -32,23 +32,23 @@ KEYS = {
 
 def row(step, **changes):
     values = {
-        **dict(step=step, level=0, t=0.1 * step, dt=0.1, travel_dt=0.1),
+        **dict(step=step, level=0, t=0.1 * step, dt=0.1, cfl_dt=0.1),
         **dict(potential=100.0 / (step + 1), kinetic=1.0 + step, volume_mm3=10.0),
         **dict(area_mm2=5.0, speed=1.0, motion_voxels=0.5, limited_fraction=0.05, diffusion=2.0, band_cells=99),
         **dict(restarted=False, removed_components=0, seconds=0.01, cells_visited=500, clamped_fraction=0.0),
         **dict(mass_potential=0.0, weight=4.0, friction_work=0.5, smoothing_work=0.25, noise_work=0.0),
         **dict(mass=3.0, mass_correction=0.001),
     }
-    return Row(**{**values, **changes})
+    return StepRecord(**{**values, **changes})
 
 
 def finished(**changes):
     values = dict(
         config=RunConfig(seed=4, threads=2),
         energy="chan-vese",
-        ledger=[row(0), row(1), row(2, kinetic=0.25)],
+        history=[row(0), row(1), row(2, kinetic=0.25)],
         stop=Stop("converged", 2, 0.2, "it moved no more"),
-        levels=[Passed(Level(0, (1, 1, 1), (5, 4, 3), (2.0, 1.0, 0.5)), 2, "converged")],
+        levels=[LevelSummary(Level(0, (1, 1, 1), (5, 4, 3), (2.0, 1.0, 0.5)), 2, "converged")],
         seconds={"start": 0.1, "evolve": 2.0},
         warnings=["from the run"],
         volume_mm3=1.5,
@@ -58,7 +58,7 @@ def finished(**changes):
         components=1,
         touches_border=False,
         terms=[{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
-        chosen={"presmooth_mm": 0.5},
+        resolved_settings={"presmooth_mm": 0.5},
         quality=Quality(0.25, 0.5, 0.125, 1, 2.0, 0.01, None, False, ("border: 25% of it",)),
     )
     return SimpleNamespace(**{**values, **changes})
@@ -84,7 +84,7 @@ def test_every_key_is_there_with_and_without_a_result():
         **{"friction_work": 0.5, "smoothing_work": 0.25, "noise_work": 0.0},
         "terms": [{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
     }
-    assert full["chosen"] == {"presmooth_mm": 0.5}
+    assert full["resolved_settings"] == {"presmooth_mm": 0.5}
     assert full["mass"] is None  # constant density conserves none
     heavy = finished(config=RunConfig(flow="flowable-mass", gravity=1))
     flowable = document.build(status="ok", exit_code=0, result=heavy)
@@ -136,7 +136,7 @@ def test_describe_output_has_the_checksum_of_the_file(tmp_path):
 
 
 def test_trace_has_the_columns_of_a_row_in_order_and_loses_no_digit():
-    assert document.TRACE_COLUMNS == Row._fields
+    assert document.TRACE_COLUMNS == StepRecord._fields
     rows = [row(0, potential=1 / 3, restarted=True), row(1, dt=np.float64(1e-17), band_cells=np.int64(7))]
     text = document.trace_csv(rows)
     read = list(csv.DictReader(io.StringIO(text)))
@@ -159,7 +159,7 @@ def ball(shape=(12, 16, 20), spacing=(2.0, 1.0, 1.0), direction=None, radius=6.0
 def scene(psi, geometry, **changes):
     rows = [row(i, restarted=i == 3) for i in range(8)]
     surface = extract(psi, geometry) if (psi < 0).any() else None
-    values = dict(image=(psi < 0).astype(np.float32), psi=psi, geometry=geometry, ledger=rows, surface=surface)
+    values = dict(image=(psi < 0).astype(np.float32), psi=psi, geometry=geometry, history=rows, surface=surface)
     return preview.Scene(**{**values, "title": "a ball", **changes})
 
 
@@ -201,14 +201,14 @@ def test_preview_of_an_empty_result(reason):
 def test_preview_of_one_slice_and_of_a_gradient_flow():
     psi, geometry = ball(shape=(1, 16, 20))
     rows = [row(i, kinetic=0.0) for i in range(3)]
-    picture = pixels(preview.preview_png(scene(psi, geometry, ledger=rows)))
+    picture = pixels(preview.preview_png(scene(psi, geometry, history=rows)))
     assert share_of(picture, preview.ORANGE) > 1e-4
     assert share_of(picture, preview.VERMILION) == 0.0
 
 
 def test_preview_without_a_single_step_and_of_a_constant_slice():
     psi, geometry = ball()
-    preview.preview_png(scene(psi, geometry, ledger=[], image=np.zeros_like(psi)))
+    preview.preview_png(scene(psi, geometry, history=[], image=np.zeros_like(psi)))
 
 
 def test_comparison_has_a_column_for_each_run_and_the_reference():

@@ -60,7 +60,7 @@ def test_same_bytes_twice_and_for_any_number_of_threads(flow):
     for run in runs[1:]:
         assert run.labels.tobytes() == runs[0].labels.tobytes()
         assert run.psi.tobytes() == runs[0].psi.tobytes()
-        assert [row.potential for row in run.ledger] == [row.potential for row in runs[0].ledger]
+        assert [row.potential for row in run.history] == [row.potential for row in runs[0].history]
 
 
 def test_the_image_is_never_modified():
@@ -161,14 +161,14 @@ def test_on_step_may_end_the_run():
     result = segment(noisy(), start="ball:19,17,15,6", on_step=lambda row: rows.append(row) or len(rows) == 4)
     assert result.stop.reason == "interrupted" and result.stop.steps == 4
     assert result.report["status"] == "interrupted" and result.report["exit_code"] == 130
-    assert rows == result.ledger
+    assert rows == result.history
 
 
 def test_evolve_yields_the_same_run():
     options = {"start": "ball:19,17,15,6", "max_steps": 12}
     result = segment(noisy(), **options)
     steps = list(evolve(noisy(), **options))
-    assert [s.row.potential for s in steps] == [row.potential for row in result.ledger]
+    assert [s.row.potential for s in steps] == [row.potential for row in result.history]
     np.testing.assert_array_equal(steps[-1].surface.labels, result.labels)
 
 
@@ -216,17 +216,17 @@ def test_the_run_is_made_of_what_the_configuration_says():
 def test_the_report_has_what_the_run_took_from_image_and_grid():
     image = make(recipe_from({"kind": "ball", "radius": 12, "shape": [48, 48, 24], "spacing": [1, 1, 2]})).image
     image = image.with_array(image.array * 3.0 + 7.0)
-    chosen = segment(image, start="ball:0,0,0,6", presmooth="1.5vox").report["chosen"]
-    assert chosen["presmooth_mm"] == 1.5  # of the smallest spacing
-    (scale_,) = chosen["scale"]
+    found = segment(image, start="ball:0,0,0,6", presmooth="1.5vox").report["resolved_settings"]
+    assert found["presmooth_mm"] == 1.5  # of the smallest spacing
+    (scale_,) = found["scale"]
     smooth = presmoothed(image, 1.5)
     assert (scale_["at_0"], scale_["at_1"]) == pytest.approx(tuple(np.percentile(smooth, [0.5, 99.5])), rel=1e-5)
-    assert chosen["levels"] == 2 and chosen["diffusion"] == "free" and chosen["half_width_voxels"] == 3
-    assert chosen["stop"] == {"voxels": 0.1, "steps": 6} and chosen["step_voxels"] == 0.5
+    assert found["levels"] == 2 and found["diffusion"] == "free" and found["half_width_voxels"] == 3
+    assert found["stop"] == {"voxels": 0.1, "steps": 6} and found["step_voxels"] == 0.5
     other = {"start": "ball:0,0,0,6", "flow": "gradient", "levels": 1, "cfl": 0.3, "tolerance": 0.2, "half_width": 4}
-    chosen = segment(image, **other).report["chosen"]
-    assert chosen["levels"] == 1 and chosen["diffusion"] == 0.0 and chosen["half_width_voxels"] == 4
-    assert chosen["stop"] == {"voxels": 0.2, "steps": 20} and chosen["step_voxels"] == 0.3
+    found = segment(image, **other).report["resolved_settings"]
+    assert found["levels"] == 1 and found["diffusion"] == 0.0 and found["half_width_voxels"] == 4
+    assert found["stop"] == {"voxels": 0.2, "steps": 20} and found["step_voxels"] == 0.3
 
 
 def test_public_names():

@@ -8,7 +8,7 @@ import SimpleITK as sitk
 
 from accelsurf import cli, io
 from accelsurf.analysis.metrics import dice
-from accelsurf.energies.constraints.mask import fence_of
+from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
@@ -136,10 +136,10 @@ def test_bad_masks_are_told(tmp_path):
 def test_a_fence_is_half_a_voxel_from_the_centres_next_to_it():
     mask = np.zeros((5, 6, 7), bool)
     mask[1:4, 2:5, 2:6] = True
-    fence = fence_of(mask, (2.0, 1.0, 1.0))
+    fence = mask_distance(mask, (2.0, 1.0, 1.0))
     np.testing.assert_array_equal(fence < 0, mask)
     assert fence[2, 2, 3] == -0.5 and fence[2, 1, 3] == 0.5
-    assert (fence_of(np.ones((3, 3, 3), bool), (1.0, 1.0, 1.0)) < -1000).all()
+    assert (mask_distance(np.ones((3, 3, 3), bool), (1.0, 1.0, 1.0)) < -1000).all()
 
 
 # --------------------------------------------------------------------------------------------------------- channels
@@ -191,7 +191,7 @@ def test_the_same_channel_twice_is_the_same_as_once():
     words = dict(start="ball:15,15,15,5vox", max_steps=60, levels=1)
     once, twice = segment(first, **words), segment(first, channels=[first], **words)
     assert twice.volume_mm3 == pytest.approx(once.volume_mm3, rel=1e-3)
-    assert twice.ledger[0].potential == pytest.approx(once.ledger[0].potential, rel=1e-6)
+    assert twice.history[0].potential == pytest.approx(once.history[0].potential, rel=1e-6)
 
 
 def test_channels_on_other_grids_are_refused(tmp_path):

@@ -114,7 +114,7 @@ def test_mass_that_meets_mass_comes_to_rest_and_gains_no_energy(flow):
     for own, one in result.objects.items():
         assert one.stop.reason == "converged"
         assert dice(result.labels == own, truth == own) >= 0.95
-        rows = one.ledger
+        rows = one.history
         energy = np.array([row.potential + row.mass_potential + row.kinetic / row.weight for row in rows])
         # Within one box U compares; kinetic energy is never more than the potential that was won.
         assert max(row.kinetic / row.weight for row in rows) <= rows[0].potential
@@ -155,8 +155,8 @@ def test_same_bytes_for_any_number_of_threads_and_any_order_of_labels_in_memory(
     assert again.labels.tobytes() == result.labels.tobytes()
     for own, one in result.objects.items():
         assert again.objects[own].psi.tobytes() == one.psi.tobytes()
-        assert [row._replace(seconds=0) for row in again.objects[own].ledger] == [
-            row._replace(seconds=0) for row in one.ledger
+        assert [row._replace(seconds=0) for row in again.objects[own].history] == [
+            row._replace(seconds=0) for row in one.history
         ]
 
 
@@ -183,7 +183,7 @@ def test_objects_that_meet_at_the_border_come_to_rest():
     result = segment_objects(image, starts, spacing=(2.2, 1.0, 1.0), energy="threshold:0.5,", max_steps=120)
     assert result.stop.reason == "converged"
     assert np.count_nonzero(result.labels[:, :, 5:35]) >= 0.995 * 14 * 22 * 30
-    assert sum(row.removed_components for one in result.objects.values() for row in one.ledger) <= 5
+    assert sum(row.removed_components for one in result.objects.values() for row in one.history) <= 5
 
 
 def test_none_swallows_another_that_is_alike():
@@ -217,7 +217,7 @@ def test_cost_goes_with_the_surfaces_not_with_the_volume_times_their_number():
         image, _ = scene(shape, ISOTROPIC, centres, 6.0, noise=0.0)
         result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 4.0, range(1, count + 1)), max_steps=15)
         assert max(one.labels.shape[2] for one in result.objects.values()) < 45
-        return [sum(row.cells_visited for row in one.ledger) for one in result.objects.values()]
+        return [sum(row.cells_visited for row in one.history) for one in result.objects.values()]
 
     one, four = cells(1, 80), cells(4, 20)
     assert sum(four) == pytest.approx(4 * one[0], rel=0.15)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.analysis.metrics import dice
-from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, Momentum, Sobolev
+from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.solver_setup import half_width, make_flow
 from accelsurf.settings.run_config import ENERGIES, FLOWS, RunConfig
@@ -33,7 +33,7 @@ def test_every_flow_takes_every_energy(flow: str, energy: str, shape: tuple[int,
     result = segment(scan, flow=flow, energy=text, start=start, max_steps=300)
     found = dice(result.labels, truth)
     print(f"\n{flow}, {energy}, {shape}: Dice {found:.3f}, {result.stop}")
-    assert result.ledger[-1].potential < result.ledger[0].potential
+    assert result.history[-1].potential < result.history[0].potential
     # The geodesic energy alone lies about 2 sigma^2/r inside a small ball's edge; a narrow Gaussian takes none of the
     # voxels that are in between.
     assert found > {"geodesic": 0.88, "likelihood": 0.9}.get(energy, 0.95)
@@ -55,7 +55,7 @@ def test_settings_reach_the_flow() -> None:
         RunConfig(flow="momentum", blend=0.5)
     )
     assert isinstance(sobolev, Sobolev) and sobolev.length == 4
-    assert isinstance(momentum, Momentum) and momentum.blend == 0.5
+    assert isinstance(momentum, HeavyBall) and momentum.blend == 0.5
 
 
 def test_the_band_is_as_wide_as_the_flow_needs() -> None:

@@ -7,7 +7,7 @@ from accelsurf import io
 from accelsurf.energies import ChanVese
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.volume import Volume
-from accelsurf.levelset import LevelSet, keep, restore
+from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
 from accelsurf.levelset.checks import check_level_set
 from accelsurf.segmentation.api import result_of, segment
 from accelsurf.segmentation.run import Run
@@ -26,7 +26,7 @@ def volume(shape=(24, 30, 34), spacing=(1.5, 1.0, 1.0), seed=0):
 def state(run):
     """All that a run has, as bytes."""
     now, surface = run.evolution._now, run.evolution.surface
-    rows = [row._replace(seconds=0.0, cells_visited=0) for row in run.evolution.ledger]
+    rows = [row._replace(seconds=0.0, cells_visited=0) for row in run.evolution.history]
     fields = b"".join(np.ascontiguousarray(f).tobytes() for f in run.evolution.flow.fields)
     arrays = (surface.dense.psi, surface.dense.slot, *surface.band)
     return b"".join(a.tobytes() for a in arrays) + fields, rows, now._time, surface._inside_beyond_band
@@ -51,16 +51,16 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
         "none": 0 * far + 1,
     }[what]
     surface = LevelSet(psi, spacing)
-    kept = keep(surface)
+    kept = checkpoint_surface(surface)
     before = [a.copy() for a in (surface.dense.psi, surface.dense.slot, *surface.band)]
     beyond = surface._inside_beyond_band
     other = LevelSet(np.roll(5.0 - far, 3, axis=2), spacing, 4.0)
     for target in (surface, other):
         surface.dense.psi[:] = 7.0
-        restore(target, kept)
+        restore_surface(target, kept)
         for a, b in zip((target.dense.psi, target.dense.slot, *target.band), before, strict=True):
             assert a.dtype == b.dtype and np.array_equal(a, b)
-        assert target._inside_beyond_band == beyond and target.half_width == kept.asked_width * target._slant
+        assert target._inside_beyond_band == beyond and target.half_width == kept.requested_half_width * target._slant
         assert not check_level_set(target) or what in ("filled", "none", "hollow")
     assert kept.nbytes < 40 * surface.size + surface.psi.size / 4 + 64
 
@@ -80,11 +80,11 @@ def test_going_back_and_on_is_the_same_run(flow, energy):
     stepped(straight, 33)
     kept = {}
     for _ in range(33):
-        kept[back.step_number] = back.keep()
+        kept[back.step_number] = back.checkpoint()
         back.step()
     assert state(back) == state(straight)
     for k in (21, 5, 0, 30):
-        back.resume(kept[k])
+        back.restore(kept[k])
         assert back.step_number == k
         stepped(back, 33 - k)
         assert state(back) == state(straight), k
@@ -111,10 +111,10 @@ def test_going_back_with_any_energy_in_a_region_with_a_mask(energy, tmp_path):
     straight, back = _ended(Run(image, config)), Run(image, config)
     kept = {}
     for _ in range(20):
-        kept[back.step_number] = back.keep()
+        kept[back.step_number] = back.checkpoint()
         back.step()
     for k in (17, 12, 3):
-        back.resume(kept[k])
+        back.restore(kept[k])
         stepped(back, 20 - k)
     assert state(_ended(back)) == state(straight)
     labels = result_of(straight).labels
@@ -132,13 +132,13 @@ def test_going_back_from_the_end():
     run = Run(volume(), RunConfig(start="ball:17,15,16,6", levels=1))
     kept = {}
     while run.evolution.stop is None:
-        kept[run.step_number] = run.keep()
+        kept[run.step_number] = run.checkpoint()
         run.step()
     end, stop, last = state(run), run.evolution.stop, run.step_number - 1
     assert stop.reason == "converged"
     # Also from right before the stop, which looks back at a surface a window before.
     for k in (last, last - 7, 2):
-        run.resume(kept[k])
+        run.restore(kept[k])
         assert run.evolution.stop is None
         assert state(_ended(run)) == end and run.evolution.stop == stop
 
@@ -148,11 +148,11 @@ def test_keeping_changes_nothing_and_a_state_outlives_the_run():
     plain, kept = stepped(Run(volume(), config), 12), Run(volume(), config)
     states = []
     for _ in range(12):
-        states.append(kept.keep())
+        states.append(kept.checkpoint())
         kept.step()
     assert state(kept) == state(plain)
     other = Run(volume(), config)
-    other.resume(states[7])
+    other.restore(states[7])
     stepped(other, 5)
     assert state(other) == state(plain)
 
@@ -163,11 +163,11 @@ def test_an_energy_of_ones_own_goes_back_too():
         run = Run(volume(), RunConfig(start="ball:17,15,16,6", levels=1), lambda image, h: ChanVese(image, 0.1))
         kept = None
         for _ in range(9):
-            kept = kept or run.keep()
+            kept = kept or run.checkpoint()
             run.step()
         runs.append((run, kept))
     (run, kept), (straight, _) = runs
-    run.resume(kept)
+    run.restore(kept)
     assert state(stepped(run, 9)) == state(straight)
 
 
@@ -194,7 +194,7 @@ def test_edits_from_the_start_and_while_it_runs_are_the_same(flow):
         live.set_edits(tuple(edit for edit in edits if edit.step <= live.step_number))
         live.step()
     assert state(live) == state(given)
-    assert [row.edits for row in given.evolution.ledger] == [
+    assert [row.edits for row in given.evolution.history] == [
         sum(edit.step == step for edit in edits) for step in range(26)
     ]
     assert not check_level_set(given.evolution.surface)
@@ -213,11 +213,11 @@ def test_another_flow_and_energy_on_the_way_and_back_again(flow, other):
     stepped(straight, 26)
     kept = {}
     for _ in range(26):
-        kept[back.step_number] = back.keep()
+        kept[back.step_number] = back.checkpoint()
         back.step()
     assert state(back) == state(straight)
     for k in (19, 8, 12, 16, 3):
-        back.resume(kept[k])
+        back.restore(kept[k])
         stepped(back, 26 - k)
         assert state(back) == state(straight), k
     assert (straight.now.flow, straight.now.energy) == (flow, "chan-vese")
@@ -228,7 +228,7 @@ def test_the_account_goes_on_over_edits():
     result = segment(
         volume(), start="ball:17,15,16,6", levels=1, edit=edits, max_steps=40, diffusion=0, percentile=100
     )
-    rows = [row for row in result.ledger if row.level == 0][:36]
+    rows = [row for row in result.history if row.level == 0][:36]
     books = [
         r.potential + r.mass_potential + r.kinetic / r.weight + r.friction_work + r.smoothing_work - r.noise_work
         for r in rows
@@ -236,8 +236,8 @@ def test_the_account_goes_on_over_edits():
     won = abs(rows[0].potential)
     plain = segment(volume(), start="ball:17,15,16,6", levels=1, max_steps=40, diffusion=0, percentile=100)
     drift = max(
-        abs(r.potential + r.kinetic / r.weight + r.friction_work + r.smoothing_work - plain.ledger[0].potential)
-        for r in plain.ledger[:36]
+        abs(r.potential + r.kinetic / r.weight + r.friction_work + r.smoothing_work - plain.history[0].potential)
+        for r in plain.history[:36]
     )
     assert max(abs(b - books[0]) for b in books) < max(3 * drift, 0.01 * won), (drift / won, books)
 
@@ -257,9 +257,9 @@ def test_an_edit_begins_the_stop_rule_anew():
 def test_edits_on_levels_count_steps_over_all_of_them():
     edits = ["step=5 add=ball:26,15,16,4", "step=12 smoothness=0.2"]
     result = segment(volume((40, 40, 40), (1, 1, 1)), start="ball:17,15,16,8", levels=2, edit=edits, max_steps=60)
-    assert [row.step for row in result.ledger if row.edits] == [5, 12] and result.ledger[5].level == 1
+    assert [row.step for row in result.history if row.edits] == [5, 12] and result.history[5].level == 1
     assert result.edits_done == 2
-    assert result.ledger[5].volume_mm3 > result.ledger[4].volume_mm3 + 100
+    assert result.history[5].volume_mm3 > result.history[4].volume_mm3 + 100
 
 
 def test_a_ball_lands_where_it_was_put_on_any_grid():

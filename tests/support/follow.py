@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.energies import ChanVese, Energy, RegionField
-from accelsurf.evolution.loop import Evolution, Row
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Limits
+from accelsurf.evolution.loop import Evolution, StepRecord
+from accelsurf.flows import ConstantDensity, Flow, FlowableMass, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support import exact
 from tests.support.exact import Case
@@ -74,9 +74,9 @@ def surface_points(surface: LevelSet, lattice: Lattice) -> np.ndarray:
 
 def steps(
     surface: LevelSet, energy: Energy, flow: Flow, dt: float, t_end: float, cfl: float = 0.5
-) -> Iterator[tuple[float, Row]]:
+) -> Iterator[tuple[float, StepRecord]]:
     """Evolve with steps of ``dt`` up to ``t_end``: after each, the time now and the row of the step."""
-    evolution = Evolution(surface, energy, flow, Limits(cfl, percentile=100.0, dt_max=dt), max_steps=10_000)
+    evolution = Evolution(surface, energy, flow, StepLimits(cfl, percentile=100.0, dt_max=dt), max_steps=10_000)
     for step in evolution:
         assert step.row.dt > 0, evolution.stop
         now = step.row.t + step.row.dt

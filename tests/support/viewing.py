@@ -40,7 +40,7 @@ def run_frames(volume, center, **options):
     with run.workers:
         for step in run.evolution:
             frames.append(Frame.of(step, volume.geometry, run.evolution.flow))
-    return frames, run.evolution.ledger
+    return frames, run.evolution.history
 
 
 CHROMIUM_FLAGS = (

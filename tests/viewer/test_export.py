@@ -72,10 +72,10 @@ def test_colours_are_in_the_page(tmp_path):
     from accelsurf.viewer.frontends.export import write_html
 
     volume, center = viewing.ball_image()
-    frames, ledger = viewing.run_frames(volume, center, levels=1)
+    frames, history = viewing.run_frames(volume, center, levels=1)
     scene = Scene(volume)
     scene.color_by("speed")
-    scene.update(frames[3], ledger)
+    scene.update(frames[3], history)
     write_html(scene, tmp_path / "a.html")
     scene.close()
     _, document = page_of(tmp_path / "a.html")

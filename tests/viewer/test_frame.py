@@ -57,10 +57,10 @@ def test_looking_changes_nothing(flow):
     psi = looked[-1][0].surface.psi
     assert np.array_equal(run.evolution.surface.psi, psi)
 
-    def told(ledger):
-        return document.trace_csv([row._replace(seconds=0.0) for row in ledger])
+    def told(history):
+        return document.trace_csv([row._replace(seconds=0.0) for row in history])
 
-    assert told(run.evolution.ledger) == told([step.row for step, _ in looked])
+    assert told(run.evolution.history) == told([step.row for step, _ in looked])
 
 
 def test_coarse_frames_lie_where_the_image_is():

@@ -8,7 +8,7 @@ import pytest
 
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.requests import LEAST_SIZE, MOST_SIZE, SETTINGS, Steering
+from accelsurf.viewer.frontends.requests import MAX_SIZE, MIN_SIZE, SETTINGS, Steering
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
@@ -105,7 +105,7 @@ def test_nothing_that_is_sent_raises_or_leaves_the_folder(steering, tmp_path):
         steering.request(name)
     settle(steering)
     width, height = steering.scene.plotter.render_window.GetSize()
-    assert LEAST_SIZE[0] <= width <= MOST_SIZE[0] and LEAST_SIZE[1] <= height <= MOST_SIZE[1]
+    assert MIN_SIZE[0] <= width <= MAX_SIZE[0] and MIN_SIZE[1] <= height <= MAX_SIZE[1]
     assert np.isfinite(steering.scene.cursor).all()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["secret"] and outside.read_text() == "mine"
     steering.request("restart")

@@ -138,13 +138,13 @@ def test_slices_hang_as_radiologists_hang_them(scene_of):
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_pictures_show_the_run(scene_of, theme):
     volume, center = viewing.ball_image()
-    frames, ledger = viewing.run_frames(volume, center)
+    frames, history = viewing.run_frames(volume, center)
     scene = scene_of(volume, theme=theme, reference=volume.with_array(volume.array > 0), size=(960, 540))
     empty = scene.screenshot()
     assert empty.shape == (540, 960, 3)
     seen = [empty]
     for number in (0, 3, len(frames) - 1):
-        scene.update(frames[number], ledger[: number + 1])
+        scene.update(frames[number], history[: number + 1])
         seen.append(scene.screenshot())
         assert all((seen[-1] != other).any() for other in seen[:-1])
     assert scene.dice > 0.97
@@ -179,9 +179,9 @@ def test_dice_of_coarse_frames_is_near(scene_of):
 
 def test_what_may_be_switched_changes_the_picture(scene_of):
     volume, center = viewing.ball_image()
-    frames, ledger = viewing.run_frames(volume, center)
+    frames, history = viewing.run_frames(volume, center)
     scene = scene_of(volume, size=(640, 360))
-    scene.update(frames[-1], ledger)
+    scene.update(frames[-1], history)
     plain = scene.screenshot()
     for switch in (scene.show_volume, scene.show_planes):
         switch(True)
@@ -237,11 +237,11 @@ def test_one_slice_is_a_scene_too(scene_of, axis):
     where = np.indices(shape) - (np.array(shape).reshape(3, 1, 1, 1) - 1) / 2
     image = (np.linalg.norm(where, axis=0) < 12).astype(np.float32)
     volume = Volume.from_array(image, (1.0, 1.0, 1.0))
-    frames, ledger = viewing.run_frames(volume, volume.geometry.center_world(), levels=1)
+    frames, history = viewing.run_frames(volume, volume.geometry.center_world(), levels=1)
     scene = scene_of(volume, size=(800, 450), reference=volume)
     assert scene.space is None and len(scene.slice_tiles) == 1
     empty = scene.screenshot()
-    scene.update(frames[-1], ledger)
+    scene.update(frames[-1], history)
     assert (scene.screenshot() != empty).mean() > 0.01
     assert scene.dice > 0.97
     scene.show_volume(True)
@@ -251,12 +251,12 @@ def test_one_slice_is_a_scene_too(scene_of, axis):
 
 def test_no_surface_and_no_history_are_drawn(scene_of):
     volume, center = viewing.ball_image()
-    frames, ledger = viewing.run_frames(volume, center, smoothness=60, max_steps=150, levels=1)
+    frames, history = viewing.run_frames(volume, center, smoothness=60, max_steps=150, levels=1)
     assert not frames[-1].has_surface
     scene = scene_of(volume)
-    scene.update(frames[0], ledger[:1])
+    scene.update(frames[0], history[:1])
     there = scene.screenshot()
-    scene.update(frames[-1], ledger)
+    scene.update(frames[-1], history)
     assert (scene.screenshot() != there).any()
 
 

@@ -14,7 +14,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import FLOWS, RunConfig
-from accelsurf.viewer.core.history import KeptStates
+from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.session import Session
 
 
@@ -350,14 +350,14 @@ def test_frames_are_few_enough(session, monkeypatch):
 def states(count, **options):
     run = Run(volume(), RunConfig(start=START, levels=1, max_steps=10**6, **options))
     for _ in range(count):
-        yield run.keep()
+        yield run.checkpoint()
         run.step()
 
 
 def test_kept_states_stay_within_their_memory_fine_at_the_end_and_coarse_before():
     all_of_them = list(states(40))
     budget = sum(state.nbytes for state in all_of_them) / 4 / 1e6
-    kept = KeptStates(budget)
+    kept = CheckpointHistory(budget)
     for state in all_of_them:
         kept.add(state)
         assert kept.nbytes <= budget * 1e6 and kept.nbytes == sum(s.nbytes for s in kept)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.protocol import Energy, Restrained
+from accelsurf.energies.protocol import ConstrainedEnergy, Energy
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
@@ -21,11 +21,11 @@ Corner = tuple[int, int, int]
 class Flow(Protocol):
     """What a collision asks of a flow; see `accelsurf.flows.Flow`."""
 
-    def momentum(self, surface: LevelSet) -> np.ndarray:
+    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """Speed (n,) along the inward normal that the surface would keep without forces."""
         ...
 
-    def push(self, surface: LevelSet, speed: np.ndarray) -> None:
+    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
         """Add to it (n,)."""
         ...
 
@@ -35,11 +35,11 @@ class Neighbour(NamedTuple):
 
     surface: LevelSet
     corner: Corner
-    energy: Contested
+    energy: NonOverlap
     flow: Flow
 
 
-class Touch(NamedTuple):
+class Contact(NamedTuple):
     """Where a surface is near a neighbour: ``near`` (m,) of the places asked for; the neighbour's ``cells`` and
     ``slots`` there; ``share`` (m,), 1 where the two touch and 0 from `NEAR` on.
     """
@@ -51,7 +51,7 @@ class Touch(NamedTuple):
     share: NDArray[np.float32]
 
 
-class Contested(Restrained):
+class NonOverlap(ConstrainedEnergy):
     """Another energy among neighbours that pull at the same places.
 
     Where surfaces i and j touch neither can push the other back: i's force becomes max(f_i, -max(f_j, 0)), so that it
@@ -88,13 +88,12 @@ class Contested(Restrained):
         on = np.flatnonzero(front)
         held = np.zeros(on.size, np.float32)
         for touch in self._touching(surface, on):
-            held[touch.near] = np.maximum(
-                held[touch.near], against(own[on[touch.near]], touch.other.energy.force_in(touch.cells), touch.share)
-            )
+            theirs = touch.other.energy.force_in(touch.cells)
+            held[touch.near] = np.maximum(held[touch.near], contact_reaction(own[on[touch.near]], theirs, touch.share))
         own[on] += held
         return own
 
-    def _touching(self, surface: LevelSet, on: NDArray[np.intp]) -> Iterator[Touch]:
+    def _touching(self, surface: LevelSet, on: NDArray[np.intp]) -> Iterator[Contact]:
         """Where the surface, at slots ``on`` of its band, is near each neighbour."""
         if not self.neighbours:
             return
@@ -114,7 +113,7 @@ class Contested(Restrained):
             gap = ndimage.map_coordinates(other.surface.psi, place[near].T, order=1, mode="nearest")
             share = np.clip(1.0 - gap / (NEAR * steps.min()), 0.0, 1.0).astype(np.float32)
             touches = share > 0
-            yield Touch(other, near[touches], cells[touches], slots[touches], share[touches])
+            yield Contact(other, near[touches], cells[touches], slots[touches], share[touches])
 
     def force_in(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
         """The object's own force at some cells of its grid in its last step, 0 away from its front."""
@@ -123,32 +122,32 @@ class Contested(Restrained):
         at = np.minimum(np.searchsorted(self._cells, cells), self._cells.size - 1)
         return np.where(self._cells[at] == cells, self._forces[at], np.float32(0.0))
 
-    def collide(self, surface: LevelSet, flow: Flow) -> None:
+    def react_to_contact(self, surface: LevelSet, flow: Flow) -> None:
         """Let the surface's speed meet its neighbours'; after its motion."""
         if not self.neighbours or surface.size == 0:
             return
-        speed, front = np.asarray(flow.momentum(surface), np.float32), surface.front()
+        speed, front = np.asarray(flow.normal_velocity(surface), np.float32), surface.front()
         on = np.flatnonzero(front)
         own, pressed = speed[on], self.force_in(surface.band.cells[on]) < 0
         stopped, slowed = np.zeros(on.size, np.float32), np.zeros(on.size, np.float32)
         for other, near, cells, slots, share in self._touching(surface, on):
-            theirs = other.flow.momentum(other.surface)[slots]
-            stopped[near] = np.maximum(stopped[near], against(own[near], theirs, share))
+            theirs = other.flow.normal_velocity(other.surface)[slots]
+            stopped[near] = np.maximum(stopped[near], contact_reaction(own[near], theirs, share))
             both = pressed[near] & (other.energy.force_in(cells) < 0)
             slowed[near] = np.minimum(slowed[near], np.where(both, -share * np.maximum(own[near], 0.0), 0.0))
         push = np.zeros(surface.size, np.float32)
         push[on] = stopped + slowed
         if push.any():
             surface.extend_outwards(push, front)
-            flow.push(surface, push)
+            flow.add_velocity(surface, push)
 
-    def hold(self, surface: LevelSet) -> None:
+    def project(self, surface: LevelSet) -> None:
         """Give up half of what neighbours hold too; between the surface's motion and its redistancing."""
-        hold = getattr(self._energy, "hold", None)
-        if hold is not None:
-            hold(surface)
+        project = getattr(self._energy, "project", None)
+        if project is not None:
+            project(surface)
         for other in self.neighbours:
-            on, theirs = beside(surface, self._corner, other)
+            on, theirs = shared_cells(surface, self._corner, other)
             cells = surface.band.cells[on]
             mine = surface.dense.psi[cells]
             surface.dense.psi[cells] = np.maximum(mine, np.float32(0.5) * (mine - theirs))
@@ -157,19 +156,21 @@ class Contested(Restrained):
         """How deep, mm, neighbours are inside of the surface where it runs, within a voxel; 0 if none is."""
         deepest, on_surface = 0.0, surface.front(1.0)
         for other in self.neighbours:
-            on, theirs = beside(surface, self._corner, other)
+            on, theirs = shared_cells(surface, self._corner, other)
             near = on_surface[on]
             if near.any():
                 deepest = max(deepest, -float((surface.band.psi[on] + theirs)[near].min()))
         return deepest
 
 
-def against(mine: NDArray[np.float32], theirs: NDArray[np.float32], share: NDArray[np.float32]) -> NDArray[np.float32]:
+def contact_reaction(
+    mine: NDArray[np.float32], theirs: NDArray[np.float32], share: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """What makes a quantity along the inward normal max(mine, -max(theirs, 0)) where two touch, less off it."""
     return np.asarray(-share * np.minimum(mine + np.maximum(theirs, 0.0), 0.0))
 
 
-def beside(
+def shared_cells(
     surface: LevelSet, corner: Corner, other: Neighbour
 ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
     """Slots of the band cells that lie on a neighbour's grid too, and the neighbour's psi there, mm."""

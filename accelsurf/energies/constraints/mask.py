@@ -9,27 +9,27 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.front_samples import sample_at_front
-from accelsurf.energies.protocol import Energy, Restrained
+from accelsurf.energies.protocol import ConstrainedEnergy, Energy
 from accelsurf.levelset import LevelSet
 
 #: The surface stands at the fence when it is this close, voxels of the smallest spacing.
-AT_FENCE = 0.25
+AT_MASK = 0.25
 
 
-class Fenced(Restrained):
-    """Another energy within a fence: `hold` puts the surface back behind it, and no force pushes against it.
+class MaskConstraint(ConstrainedEnergy):
+    """Another energy within a fence: `project` puts the surface back behind it, and no force pushes against it.
 
     Parameters
     ----------
     energy : Energy
         What pulls the surface within the fence.
     fence : ndarray (nz, ny, nx), float32
-        Signed distance of the fence, mm, negative within; from `fence_of`, on the energy's grid.
+        Signed distance of the fence, mm, negative within; from `mask_distance`, on the energy's grid.
     """
 
-    def __init__(self, energy: Energy, fence: NDArray[np.float32]) -> None:
+    def __init__(self, energy: Energy, distance: NDArray[np.float32]) -> None:
         super().__init__(energy)
-        self._fence = np.ascontiguousarray(fence, np.float32).reshape(-1)
+        self._distance = np.ascontiguousarray(distance, np.float32).reshape(-1)
 
     def __getattr__(self, name: str) -> Any:
         # What others ask of the energy itself, such as its name.
@@ -40,22 +40,22 @@ class Fenced(Restrained):
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front; 0 where the surface stands at the fence and would grow."""
         force = self._energy.force(surface, front, curvature)
-        near = -AT_FENCE * min(surface.grid.hz, surface.grid.hy, surface.grid.hx)
-        held = front & (sample_at_front(self._fence, surface, front) > near) & (force < 0)
+        near = -AT_MASK * min(surface.grid.hz, surface.grid.hy, surface.grid.hx)
+        held = front & (sample_at_front(self._distance, surface, front) > near) & (force < 0)
         return np.where(held, np.float32(0.0), force)
 
-    def hold(self, surface: LevelSet) -> None:
+    def project(self, surface: LevelSet) -> None:
         """Cut off what has crossed the fence; between the surface's motion and its redistancing."""
         cells = surface.band.cells
-        surface.dense.psi[cells] = np.maximum(surface.dense.psi[cells], self._fence[cells])
+        surface.dense.psi[cells] = np.maximum(surface.dense.psi[cells], self._distance[cells])
 
 
-def fence_of(mask: NDArray[np.bool_], spacing: tuple[float, float, float]) -> NDArray[np.float32]:
+def mask_distance(mask: NDArray[np.bool_], spacing: tuple[float, float, float]) -> NDArray[np.float32]:
     """Signed distance (mm) to the boundary of a mask, negative within it, half a voxel from the centres next to it.
 
     Examples
     --------
-    >>> fence_of(np.array([[[False, True, True, False]]]), (1.0, 1.0, 2.0))
+    >>> mask_distance(np.array([[[False, True, True, False]]]), (1.0, 1.0, 2.0))
     array([[[ 1., -1., -1.,  1.]]], dtype=float32)
     """
     steps = [h for n, h in zip(mask.shape, spacing, strict=True) if n > 1]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.evolution.loop import Row, Step
+from accelsurf.evolution.loop import Step, StepRecord
 from accelsurf.flows import Flow
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
@@ -54,7 +54,7 @@ class Frame:
         interest only.
     """
 
-    row: Row
+    row: StepRecord
     grid: pyramid.Level
     offset: tuple[int, int, int]
     step: int
@@ -98,9 +98,9 @@ class Frame:
         surface, row = step.surface, step.row
         grid = pyramid.levels(geometry.shape, geometry.spacing, row.level + 1)[row.level]
         quantities = {}
-        if step.felt is not None:
-            quantities["speed"] = OnBand(step.felt.cells, -step.felt.speed)
-            quantities["force"] = OnBand(step.felt.cells, -np.asarray(step.felt.force, np.float32))
+        if step.step_fields is not None:
+            quantities["speed"] = OnBand(step.step_fields.cells, -step.step_fields.speed)
+            quantities["force"] = OnBand(step.step_fields.cells, -np.asarray(step.step_fields.force, np.float32))
         density = getattr(flow, "density", None)
         if density is not None and density.size == surface.size:
             quantities["density"] = OnBand(surface.band.cells, density.copy())
@@ -115,7 +115,7 @@ class Frame:
         return cls(row, grid, (ranges[0][0], ranges[1][0], ranges[2][0]), stride, psi, quantities, first)
 
     @classmethod
-    def of_psi(cls, psi: NDArray[np.float32], geometry: Geometry, row: Row) -> Frame:
+    def of_psi(cls, psi: NDArray[np.float32], geometry: Geometry, row: StepRecord) -> Frame:
         """The frame of a run that has ended, of its last ``row`` and psi (nz, ny, nx) on the image's grid."""
         grid = pyramid.levels(geometry.shape, geometry.spacing, 1)[0]
         inside = psi < 0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from accelsurf.segmentation.run import KeptRun
+from accelsurf.segmentation.run import RunCheckpoint
 
 
-class KeptStates:
+class CheckpointHistory:
     """States by step, within a budget.
 
     When it is spent the state goes whose neighbours lie closest together for how long ago it was; the first and the
@@ -21,7 +21,7 @@ class KeptStates:
 
     def __init__(self, budget_mb: float) -> None:
         self.budget = budget_mb * 1e6
-        self._states: dict[int, KeptRun] = {}
+        self._states: dict[int, RunCheckpoint] = {}
         self._bytes = 0
 
     @property
@@ -37,10 +37,10 @@ class KeptStates:
     def __len__(self) -> int:
         return len(self._states)
 
-    def __iter__(self) -> Iterator[KeptRun]:
+    def __iter__(self) -> Iterator[RunCheckpoint]:
         return iter(self._states.values())
 
-    def add(self, state: KeptRun) -> None:
+    def add(self, state: RunCheckpoint) -> None:
         """Keep a state; one of that step which is there already is the same."""
         if state.step in self._states:
             return
@@ -52,7 +52,7 @@ class KeptStates:
         while self._bytes > self.budget and len(self._states) > 2:
             self._thin()
 
-    def nearest(self, step: int, level: int) -> KeptRun | None:
+    def nearest(self, step: int, level: int) -> RunCheckpoint | None:
         """Return the last state at or before a step that is of this level."""
         found = [s for s in self if s.step <= step and s.level == level]
         return found[-1] if found else None

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.evolution.loop import Row, Stop
+from accelsurf.evolution.loop import StepRecord, Stop
 from accelsurf.grid.volume import Volume
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
@@ -75,7 +75,7 @@ class View(NamedTuple):
     """What is to be drawn: the ``frame``, the ``rows`` of the trace up to it, and the ``status`` then."""
 
     frame: Frame
-    rows: tuple[Row, ...]
+    rows: tuple[StepRecord, ...]
     status: Status
 
 
@@ -381,8 +381,8 @@ class Session:
             self._tell(error)
             self._status, self._wanted = self._status_now(), False
             return
-        ledger = run.evolution.ledger
-        rows = tuple(ledger) if run.stop is not None else (*ledger, step.row)
+        history = run.evolution.history
+        rows = tuple(history) if run.stop is not None else (*history, step.row)
         with self._handing:
             self._view, self._wanted, self._shown = View(frame, rows, self._status), False, self._version
         spent = time.perf_counter() - now + self._drawing

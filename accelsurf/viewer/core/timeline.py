@@ -8,11 +8,11 @@ from typing import Any
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.volume import Volume
-from accelsurf.segmentation.run import KeptRun, Run
+from accelsurf.segmentation.run import Run, RunCheckpoint
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
-from accelsurf.viewer.core.history import KeptStates
+from accelsurf.viewer.core.history import CheckpointHistory
 
 #: Why a run ended for good: there is nothing to go on from.
 ENDED = ("vanished", "filled", "diverged", "leaked")
@@ -36,7 +36,7 @@ class Timeline:
     Attributes
     ----------
     run : Run
-    kept : KeptStates
+    kept : CheckpointHistory
     running : bool
         Whether more steps are to be made (by `advance`).
     until : int
@@ -48,11 +48,11 @@ class Timeline:
     def __init__(
         self, volume: Volume, config: RunConfig, kept_mb: float, channels: Sequence[Volume] = ()
     ) -> None:
-        self.volume, self._channels, self.kept = volume, tuple(channels), KeptStates(kept_mb)
+        self.volume, self._channels, self.kept = volume, tuple(channels), CheckpointHistory(kept_mb)
         self.running, self.until, self.message = False, -1, ""
         self._past: list[tuple[RunConfig, int]] = []
         self._own: set[Path] = set()
-        self._here: KeptRun
+        self._here: RunCheckpoint
         self.run = Run(volume, config, None, self._channels)
         self._arrive()
 
@@ -96,12 +96,12 @@ class Timeline:
     def _arrive(self) -> None:
         """At the start of a run."""
         self.kept.clear()
-        self._here = self.run.keep()
+        self._here = self.run.checkpoint()
         self.kept.add(self._here)
 
     def _keep(self) -> None:
         """Keep the state before the edits of the coming step."""
-        state = self.run.keep()
+        state = self.run.checkpoint()
         if state.level != self._here.level:
             # States of a coarser level cannot be taken back on this one.
             self.kept.clear()
@@ -121,7 +121,7 @@ class Timeline:
         if stop is not None and stop.reason in ENDED:
             raise UsageError(f"the run has ended: {stop.message}", "go back, change the settings, or restart")
         if stop is not None and stop.reason == "max-steps":
-            run.resume(self._here)
+            run.restore(self._here)
         elif stop is not None:
             self._edit((*self._edits_so_far(), Edit(step=self.place)))
         if self.place >= run.evolution.max_steps:
@@ -167,7 +167,7 @@ class Timeline:
         if state is None:
             self._build(run.config)
         else:
-            run.resume(state)
+            run.restore(state)
             self._here = state
         if self.place < step:
             self.running, self.until = True, step
@@ -186,7 +186,7 @@ class Timeline:
                 run.check(edit)
         before.replace(edit=edits)
         if run.stop is not None or run.edits_done > self._here.done:
-            run.resume(self._here)
+            run.restore(self._here)
         run.set_edits(edits)
         self.kept.drop_after(place)
         self._past.append((before, place))

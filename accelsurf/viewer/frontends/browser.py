@@ -42,7 +42,7 @@ PAUSE = 0.02
 #: Seconds after the last change until edges are drawn smoothly, and until a page that shows nothing is given up on.
 CALM, PATIENCE = 0.4, 2.0
 #: Bytes of the longest message that a page may send: its requests have a few numbers each.
-MOST_BYTES = 16384
+MAX_BYTES = 16384
 #: What a page's messages may ask of trame; the first says the token.
 METHODS = ("wslink.hello", "trame.state.get", "trame.trigger", "trame.lifecycle.update", "trame.state.update")
 #: Those whose arguments are not listened to, and what is put in their place.
@@ -280,7 +280,7 @@ def _guarded(handler: Any) -> Any:
                 raise ValueError("text")
             _, offset, total = _HEADER.unpack_from(message.data)
             body = message.data[_HEADER.size :]
-            if offset or total != len(body) or total > MOST_BYTES:
+            if offset or total != len(body) or total > MAX_BYTES:
                 raise ValueError("size")
             call = msgpack.unpackb(body)
             if not isinstance(call["id"], str) or not isinstance(call.get("args", []), list):

@@ -16,7 +16,7 @@ from PIL import Image, features
 
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.evolution.loop import Row
+from accelsurf.evolution.loop import StepRecord
 from accelsurf.io.files import staging
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -25,7 +25,7 @@ from accelsurf.viewer.scene.scene import SIZE, Scene
 
 FORMATS = (".mp4", ".gif", ".webp")
 #: Smallest and largest side of a movie, pixels: below text cannot be read, above encoders give up.
-LEAST_SIDE, MOST_SIDE = 160, 4096
+MIN_SIDE, MAX_SIDE = 160, 4096
 
 Picture = NDArray[np.uint8]
 
@@ -65,9 +65,9 @@ class Film:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise UsageError(f"{name}: {value:g} was given, expected {low:g} to {high:g}")
-        if any(not LEAST_SIDE <= side <= MOST_SIDE for side in self.size):
+        if any(not MIN_SIDE <= side <= MAX_SIDE for side in self.size):
             given = "x".join(str(side) for side in self.size)
-            raise UsageError(f"size: {given} was given, expected sides of {LEAST_SIDE} to {MOST_SIDE} pixels")
+            raise UsageError(f"size: {given} was given, expected sides of {MIN_SIDE} to {MAX_SIDE} pixels")
 
 
 def check_target(path: Path, size: tuple[int, int]) -> None:
@@ -90,7 +90,7 @@ def check_target(path: Path, size: tuple[int, int]) -> None:
 
 
 def pictures(
-    run: Run, scene: Scene, film: Film, on_step: Callable[[Row], bool | None] | None = None
+    run: Run, scene: Scene, film: Film, on_step: Callable[[StepRecord], bool | None] | None = None
 ) -> Iterator[Picture]:
     """Run, drawing as it goes.
 
@@ -114,7 +114,7 @@ def pictures(
             if on_step is not None and on_step(step.row):
                 evolution.ask_to_stop()
             if step.row.step % film.every == 0 or evolution.stop is not None:
-                scene.update(Frame.of(step, run.geometry, evolution.flow, first=run.prepared.first), evolution.ledger)
+                scene.update(Frame.of(step, run.geometry, evolution.flow, first=run.prepared.first), evolution.history)
                 yield scene.screenshot()
                 scene.orbit(turn)
     for _ in range(math.ceil(film.hold * film.fps)):
@@ -122,7 +122,7 @@ def pictures(
         scene.orbit(turn)
 
 
-def run_to_last(run: Run, scene: Scene, on_step: Callable[[Row], bool | None] | None = None) -> None:
+def run_to_last(run: Run, scene: Scene, on_step: Callable[[StepRecord], bool | None] | None = None) -> None:
     """Run to the end and put its last frame into a scene; parameters as of `pictures`."""
     evolution = run.evolution
     with run.workers:
@@ -130,7 +130,7 @@ def run_to_last(run: Run, scene: Scene, on_step: Callable[[Row], bool | None] | 
             if on_step is not None and on_step(step.row):
                 evolution.ask_to_stop()
             if evolution.stop is not None:
-                scene.update(Frame.of(step, run.geometry, evolution.flow, first=run.prepared.first), evolution.ledger)
+                scene.update(Frame.of(step, run.geometry, evolution.flow, first=run.prepared.first), evolution.history)
 
 
 def write(path: Path, frames: Iterable[Picture], film: Film) -> int:

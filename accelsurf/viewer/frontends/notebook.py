@@ -89,7 +89,7 @@ def show(
         )
     scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size)
     if isinstance(what, Result):
-        scene.update(Frame.of_psi(what.psi, what.geometry, what.ledger[-1]), what.ledger)
+        scene.update(Frame.of_psi(what.psi, what.geometry, what.history[-1]), what.history)
     scene.show_volume(volume)
     scene.show_planes(planes)
     if plotter is not None:

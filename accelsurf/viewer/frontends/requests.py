@@ -23,9 +23,9 @@ from accelsurf.viewer.scene.space import VIEWS
 
 #: Settings that a page may change, those of sliders and lists, and the most letters of a value.
 SETTINGS = ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")
-MOST_LETTERS = 40
+MAX_LETTERS = 40
 #: Smallest and largest size of a picture, pixels.
-LEAST_SIZE, MOST_SIZE = (480, 272), (2560, 1600)
+MIN_SIZE, MAX_SIZE = (480, 272), (2560, 1600)
 _FAR = 1e6
 
 
@@ -129,7 +129,7 @@ class Steering:
         key = _word(key, SETTINGS)
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             value = str(_number(value, -_FAR, _FAR))
-        if not isinstance(value, str) or len(value) > MOST_LETTERS or not value.isprintable():
+        if not isinstance(value, str) or len(value) > MAX_LETTERS or not value.isprintable():
             raise UsageError(f"{key}: {_short(value)} was given, expected a number or a word")
         self._ask(self.session.change(**{key: value.strip()}))
 
@@ -177,7 +177,7 @@ class Steering:
         # In steps, so that a window that is drawn larger is not drawn anew for every pixel.
         sides = [
             int(min(max(_number(side, 0, 1e6), low), high)) // 8 * 8
-            for side, low, high in zip((width, height), LEAST_SIZE, MOST_SIZE, strict=True)
+            for side, low, high in zip((width, height), MIN_SIZE, MAX_SIZE, strict=True)
         ]
         self.scene.resize(*sides)
 
@@ -188,7 +188,7 @@ class Steering:
 
 
 def _number(value: Any, low: float, high: float) -> float:
-    if isinstance(value, str) and len(value) <= MOST_LETTERS:
+    if isinstance(value, str) and len(value) <= MAX_LETTERS:
         try:
             value = float(value)
         except ValueError:
@@ -211,4 +211,4 @@ def _word(value: Any, words: tuple[str, ...]) -> str:
 def _short(value: Any) -> str:
     """What was given, in a few letters."""
     text = value if isinstance(value, str) else type(value).__name__ if isinstance(value, (list, dict)) else repr(value)
-    return "".join(c if c.isprintable() else "?" for c in text[:MOST_LETTERS])
+    return "".join(c if c.isprintable() else "?" for c in text[:MAX_LETTERS])

@@ -10,9 +10,9 @@ import numpy as np
 import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
-from accelsurf.evolution.loop import Row
+from accelsurf.evolution.loop import StepRecord
 from accelsurf.viewer.scene.colors import Theme
-from accelsurf.viewer.scene.overlay import LEAST_TEXT, TEXT, round_length
+from accelsurf.viewer.scene.overlay import MIN_TEXT, TEXT, round_length
 
 
 class EnergyChart:
@@ -38,7 +38,7 @@ class EnergyChart:
         self._kinetic = self._charts[1].line([0.0, 1.0], [0.0, 0.0], width=2.0)
         self.paint(theme)
 
-    def update(self, history: Sequence[Row]) -> None:
+    def update(self, history: Sequence[StepRecord]) -> None:
         """Show the rows of a run. Each level has its own image, with energies of its own: the line has gaps there."""
         top, below = self._charts
         groups = [list(rows) for _, rows in groupby(history, key=lambda row: row.level)]
@@ -61,7 +61,7 @@ class EnergyChart:
 
     def fit(self, height: int) -> None:
         """Make text readable in a window of so many pixels."""
-        size = max(LEAST_TEXT, round(height * TEXT))
+        size = max(MIN_TEXT, round(height * TEXT))
         for chart in self._charts:
             chart.GetTitleProperties().SetFontSize(size)
             for axis in (chart.x_axis, chart.y_axis):

@@ -12,7 +12,7 @@ from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMa
 from accelsurf.grid.orientation import LETTERS
 
 #: Height of text, parts of the window's height, and the least that can be read, pixels.
-TEXT, LEAST_TEXT = 1 / 50, 12
+TEXT, MIN_TEXT = 1 / 50, 12
 
 
 class Label:
@@ -73,7 +73,7 @@ class Label:
 
     def fit(self, height: int) -> None:
         """Make the text readable in a window of so many pixels."""
-        self._actor.GetTextProperty().SetFontSize(max(LEAST_TEXT, round(height * TEXT)))
+        self._actor.GetTextProperty().SetFontSize(max(MIN_TEXT, round(height * TEXT)))
 
     def move(self, right: float, up: float) -> None:
         """Go to another place."""

@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.analysis.surface_mesh import write_atomically
 from accelsurf.errors import InputError, UsageError, check_known
-from accelsurf.evolution.loop import Row
+from accelsurf.evolution.loop import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import Upright
 from accelsurf.grid.volume import Volume
-from accelsurf.io.headers import of_patient
+from accelsurf.io.headers import is_anatomical
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import REFERENCE, SURFACE, Theme, theme_named
@@ -105,14 +105,14 @@ class Scene:
             )
         self.volume, self.geometry = volume, volume.geometry
         self.frame: Frame | None = None
-        self._history: Sequence[Row] = ()
+        self._history: Sequence[StepRecord] = ()
         self._color = "plain"
         self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
         self._reference = None if reference is None else np.asarray(reference.array > 0)
         self._reference_voxels = 0 if self._reference is None else int(self._reference.sum())
-        self.anatomical = of_patient(volume.metadata)
+        self.anatomical = is_anatomical(volume.metadata)
         if plotter is None:
             require_graphics()
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
@@ -156,7 +156,7 @@ class Scene:
 
     # -- what is drawn -------------------------------------------------------------------------------------
 
-    def update(self, frame: Frame, history: Sequence[Row] = ()) -> None:
+    def update(self, frame: Frame, history: Sequence[StepRecord] = ()) -> None:
         """Draw a frame.
 
         Parameters

@@ -15,7 +15,7 @@ from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
 
 #: Voxels along an axis of the image as it is drawn in 3D: more take longer than a person wants to wait.
-MOST_ALONG = 160
+MAX_ALONG = 160
 #: Where the camera looks from, as a direction (x, y, z) in LPS, and what is up there; `corner` is where it begins.
 VIEWS = {
     "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
@@ -136,7 +136,7 @@ class SpaceTile:
             self._volume.SetVisibility(on)
 
     def _made_volume(self) -> pv.Volume:
-        stride = [max(1, -(-n // MOST_ALONG)) for n in self._grey.shape]
+        stride = [max(1, -(-n // MAX_ALONG)) for n in self._grey.shape]
         grey = np.ascontiguousarray(self._grey[tuple(slice(None, None, s) for s in stride)])
         steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
         image = pv.ImageData(dimensions=grey.shape[::-1], spacing=steps[::-1])
