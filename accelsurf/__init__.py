@@ -30,17 +30,19 @@ _HOMES = {
     "RunConfig": "accelsurf.settings.run_config",
     "Surface": "accelsurf.analysis.surface_mesh",
     "Contours": "accelsurf.analysis.contours",
-    "Result": "accelsurf.segmentation.api",
+    "Result": "accelsurf.segmentation.result",
     "segment": "accelsurf.segmentation.api",
     "evolve": "accelsurf.segmentation.api",
-    "ObjectsResult": "accelsurf.segmentation.several",
-    "segment_objects": "accelsurf.segmentation.several",
+    "segment_objects": "accelsurf.segmentation.api",
     "evaluate": "accelsurf.analysis.metrics",
     "report_of": "accelsurf.report.document",
     "show": "accelsurf.viewer.frontends.notebook",
 }
 
-__all__ = ["__version__", *_HOMES]
+#: Public name -> the one that it is another name of: a result of several objects is a Result.
+_SAME = {"ObjectsResult": "Result"}
+
+__all__ = ["__version__", *_HOMES, *_SAME]
 
 if TYPE_CHECKING:
     from accelsurf.analysis.contours import Contours as Contours
@@ -58,17 +60,19 @@ if TYPE_CHECKING:
     from accelsurf.io import read_labels as read_labels
     from accelsurf.io import write as write
     from accelsurf.report.document import report_of as report_of
-    from accelsurf.segmentation.api import Result as Result
     from accelsurf.segmentation.api import evolve as evolve
     from accelsurf.segmentation.api import segment as segment
-    from accelsurf.segmentation.several import ObjectsResult as ObjectsResult
-    from accelsurf.segmentation.several import segment_objects as segment_objects
+    from accelsurf.segmentation.api import segment_objects as segment_objects
+    from accelsurf.segmentation.result import Result as Result
+
+    ObjectsResult = Result
     from accelsurf.settings.run_config import RunConfig as RunConfig
     from accelsurf.viewer.frontends.notebook import show as show
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name from its module the first time it is asked for."""
+    name = _SAME.get(name, name)
     home = _HOMES.get(name)
     if home is None:
         raise AttributeError(f"module 'accelsurf' has no attribute {name!r}")

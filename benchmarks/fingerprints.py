@@ -188,10 +188,7 @@ def _history(result) -> Any:
 
 def fingerprint(result: Any) -> dict[str, str]:
     """The hashes of a result, of each object for several."""
-    objects = getattr(result, "objects", {})
-    parts = list(objects.values() if isinstance(objects, dict) else objects)
-    if not parts:
-        return _of_one(result)
+    parts = result.objects
     if len(parts) > 1:
         out = {"labels": _digest(result.labels)}
         for one in parts:

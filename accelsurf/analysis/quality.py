@@ -12,7 +12,7 @@ from scipy import ndimage
 from accelsurf.energies.geodesic import largest_spacing, smoothed
 
 if TYPE_CHECKING:
-    from accelsurf.evolution.loop import StepRecord, Stop
+    from accelsurf.evolution.records import StepRecord, Stop
 
 #: What makes a warning: more of the surface than this on the border or without an edge; less contrast than this, in
 #: parts of the image's range; more growth than this in the last steps.

@@ -17,7 +17,7 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
     """
     from accelsurf import io
     from accelsurf.cli import EXIT_CODES
-    from accelsurf.evolution.loop import StopReason
+    from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts
     from accelsurf.phantoms import recipes
     from accelsurf.report.document import to_json, versions

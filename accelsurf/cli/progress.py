@@ -14,7 +14,7 @@ from accelsurf.cli.options import Display
 from accelsurf.report.document import to_json
 
 if TYPE_CHECKING:
-    from accelsurf.evolution.loop import StepRecord
+    from accelsurf.evolution.records import StepRecord
 
 
 #: What the bar says until the first step: the one place where a run may seem to hang.

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf import io
-from accelsurf.energies.constraints.contact import Corner
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid.geometry import Box, Geometry
+from accelsurf.grid.boxes import Corner, corner_of, meeting, shared, widened
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io.files import naming
@@ -78,19 +78,6 @@ def read(objects: str | Volume | NDArray[Any], geometry: Geometry, room: int) ->
         psi = np.where(places[grown] == place, -half, half)
         out.append(ObjectStart(int(own), corner_of(grown), psi))
     return out
-
-
-def corner_of(box: Box) -> Corner:
-    """First voxel of a box."""
-    return box[0].start, box[1].start, box[2].start
-
-
-def widened(box: Box, shape: tuple[int, int, int], room: tuple[int, int, int]) -> Box:
-    """A box with so many voxels more to either side of each axis, as far as the grid goes."""
-    a, b, c = (
-        slice(max(s.start - m, 0), min(s.stop + m, n)) for s, n, m in zip(box, shape, room, strict=True)
-    )
-    return a, b, c
 
 
 def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[str, NDArray[np.integer]]:
@@ -212,37 +199,3 @@ def _apart(objects: list[ObjectStart], name: str, geometry: Geometry) -> list[Ob
                 f"objects {name}: other objects take all of object {one.id}", "move them apart, or give smaller ones"
             )
     return out
-
-
-def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[int]]:
-    """For each of some boxes, given by their first voxels (n, 3) and those after their last, which others it meets.
-
-    Examples
-    --------
-    >>> meeting(np.array([[0, 0, 0], [2, 0, 0], [5, 0, 0]]), np.array([[3, 3, 3], [5, 1, 1], [6, 1, 1]]))
-    [[1], [0], []]
-    """
-    out = []
-    for i in range(len(low)):
-        meets = ((low < high[i]) & (high > low[i])).all(axis=1)
-        meets[i] = False
-        out.append([int(j) for j in np.flatnonzero(meets)])
-    return out
-
-
-def shared(
-    corner: Corner, shape: tuple[int, ...], other: Corner, other_shape: tuple[int, ...]
-) -> tuple[Box, Box]:
-    """Voxels that two boxes that meet share, as each counts them.
-
-    Examples
-    --------
-    >>> shared((0, 0, 0), (4, 4, 4), (3, 0, 0), (2, 4, 4))[0]
-    (slice(3, 4, None), slice(0, 4, None), slice(0, 4, None))
-    """
-    mine, theirs = [], []
-    for a, n, b, m in zip(corner, shape, other, other_shape, strict=True):
-        low, high = max(a, b), min(a + n, b + m)
-        mine.append(slice(low - a, high - a))
-        theirs.append(slice(low - b, high - b))
-    return (mine[0], mine[1], mine[2]), (theirs[0], theirs[1], theirs[2])

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import Corner
 from accelsurf.grid.pyramid import Level
 from accelsurf.kernels import transport
 from accelsurf.kernels.grid import Grid
@@ -36,3 +37,26 @@ def transfer_fields(
     on, missing = (slot, Grid(*coarse.shape, *coarse.spacing)), np.array(absent, np.float32)
     new.workers.run(transport.fields_between, new.size, on, new.band, new.grid, place, values, missing, out)
     return list(out)
+
+
+def shift_fields(
+    fields: Sequence[NDArray[np.float32]], old: LevelSet, at: Corner, new: LevelSet, corner: Corner
+) -> list[NDArray[np.float32]]:
+    """Fields (n,) of a band on the band of the same surface on another grid, whose first voxels are ``at``, ``corner``.
+
+    What is new there gets the value of the front along the normal.
+    """
+    index = np.unravel_index(new.band.cells, new.shape)
+    place = np.stack([i + (c - a) for i, a, c in zip(index, at, corner, strict=True)])
+    there = ((place >= 0) & (place < np.array(old.shape)[:, None])).all(axis=0)
+    cells = np.ravel_multi_index(tuple(np.where(there, place, 0)), old.shape)
+    slot = np.minimum(np.searchsorted(old.band.cells, cells), max(old.size - 1, 0))
+    there &= old.band.cells[slot] == cells
+    out = []
+    for field in fields:
+        values = np.where(there, field[slot], np.float32(0.0))
+        known = np.where(there, np.float32(1.0), np.float32(0.0))
+        spread = values.copy()
+        new.extend_outwards(spread, new.front())
+        out.append(np.where(known > 0, values, spread).astype(np.float32))
+    return out

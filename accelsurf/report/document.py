@@ -15,17 +15,16 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.io import sha256
 
 if TYPE_CHECKING:
     from accelsurf.analysis.quality import Quality
-    from accelsurf.evolution.loop import StepRecord
+    from accelsurf.evolution.records import StepRecord
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.segmentation.api import Result
-    from accelsurf.segmentation.several import ObjectsResult
+    from accelsurf.segmentation.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 
 SCHEMA_VERSION = 1
@@ -73,7 +72,7 @@ def build(
     argv: Sequence[str] = (),
     config: RunConfig | None = None,
     source: Mapping[str, Any] | None = None,
-    result: Result | ObjectsResult | None = None,
+    result: Result | None = None,
     error: Mapping[str, str] | None = None,
     seconds: Mapping[str, float] | None = None,
     outputs: Sequence[Mapping[str, str]] = (),
@@ -131,7 +130,7 @@ def build(
     }
 
 
-def report_of(result: Result | ObjectsResult) -> dict[str, Any]:
+def report_of(result: Result) -> dict[str, Any]:
     """Return the document of a run that ended or was interrupted, without files."""
     interrupted = result.stop.reason == "interrupted"
     return build(
@@ -143,7 +142,7 @@ def report_of(result: Result | ObjectsResult) -> dict[str, Any]:
 
 
 def describe_config(
-    config: RunConfig | None, result: Result | ObjectsResult | None
+    config: RunConfig | None, result: Result | None
 ) -> dict[str, Any] | None:
     """Return the settings of a run; ``energy`` is what the run had: ``custom: ClassName`` for one of the user's own."""
     if config is None:
@@ -152,7 +151,7 @@ def describe_config(
     return settings if result is None else {**settings, "energy": result.energy}
 
 
-def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
+def describe_result(result: Result | None) -> dict[str, Any]:
     """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
     ``resolved_settings`` has what the run took for settings that image and grid decide: ``presmooth_mm``; ``scale``,
@@ -161,13 +160,12 @@ def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
 
     Parameters
     ----------
-    result : Result or ObjectsResult or None
+    result : Result or None
         Of several objects the sums, and an entry for each in ``objects``. With None every value is null.
     """
     if result is None:
         keys = ("stop", "resolved_settings", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2")
         return dict.fromkeys((*keys, "enclosed_mm2", "length_mm", "components", "touches_border", "quality", "objects"))
-    many = cast("ObjectsResult", result) if hasattr(result, "objects") else None
     last = result.history[-1] if result.history else None
     # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
     first = next((row for row in result.history if row.level == 0), None)
@@ -203,7 +201,7 @@ def describe_result(result: Result | ObjectsResult | None) -> dict[str, Any]:
         "components": result.components,
         "touches_border": result.touches_border,
         "quality": describe_quality(result.quality),
-        "objects": None if many is None else describe_objects(many),
+        "objects": describe_objects(result) if result.has_ids else None,
     }
 
 
@@ -212,11 +210,11 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     return None if quality is None else {**quality._asdict(), "warnings": list(quality.warnings)}
 
 
-def describe_objects(result: ObjectsResult) -> list[dict[str, Any]]:
+def describe_objects(result: Result) -> list[dict[str, Any]]:
     """Return an entry for each of several objects, in order of their ids; ``centroid`` is (x, y, z) mm, LPS."""
     return [
         {
-            "id": own,
+            "id": one.id,
             "reason": one.stop.reason,
             "steps": one.stop.steps,
             "message": one.stop.message,
@@ -231,11 +229,11 @@ def describe_objects(result: ObjectsResult) -> list[dict[str, Any]]:
             "terms": one.terms,
             "quality": describe_quality(one.quality if one.labels.any() else None),
         }
-        for own, one in result.objects.items()
+        for one in result.objects
     ]
 
 
-def _centroid(result: Result) -> list[float] | None:
+def _centroid(result: SegmentedObject) -> list[float] | None:
     inside = result.labels.nonzero()
     if inside[0].size == 0:
         return None
@@ -243,7 +241,7 @@ def _centroid(result: Result) -> list[float] | None:
     return [float(v) for v in result.geometry.index_to_world(middle)]
 
 
-def describe_levels(result: Result | ObjectsResult) -> list[dict[str, Any]]:
+def describe_levels(result: Result) -> list[dict[str, Any]]:
     """Return the part of the report about the grids that the run went over, coarsest first; 0 is the image's own."""
     return [
         {
@@ -258,7 +256,7 @@ def describe_levels(result: Result | ObjectsResult) -> list[dict[str, Any]]:
     ]
 
 
-def describe_mass(result: Result | ObjectsResult) -> dict[str, Any] | None:
+def describe_mass(result: Result) -> dict[str, Any] | None:
     """Return the part of the report about conserved mass; None for a flow that has none.
 
     ``correction`` is the part of the mass that had to be added to conserve it, ``cure`` what is done where the mass

@@ -19,8 +19,7 @@ from accelsurf.settings.run_config import LabelFormat, RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.segmentation.api import Result
-    from accelsurf.segmentation.several import ObjectsResult
+    from accelsurf.segmentation.result import Result
 
 CONTOUR_FORMATS = ("vtp", "csv")
 SURFACE_FORMATS = ("ply", "stl", "obj", "vtp")
@@ -217,17 +216,17 @@ def write_result(
         yield kind.partition("-")[0], folder / names[kind]
 
 
-def told(name: str, result: Result | ObjectsResult) -> str:
+def told(name: str, result: Result) -> str:
     """Return the heading of a picture: how the run ended."""
     return f"{name}: {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
 
 
-def scene(result: Result | ObjectsResult, title: str, reference: Any = None) -> preview.Scene:
+def scene(result: Result, title: str, reference: Any = None) -> preview.Scene:
     """Return what a picture of a result shows.
 
     Parameters
     ----------
-    result : Result or ObjectsResult
+    result : Result
     title : str
         Its heading.
     reference : ndarray, optional
@@ -244,5 +243,5 @@ def scene(result: Result | ObjectsResult, title: str, reference: Any = None) -> 
         title=title,
         anatomical=is_anatomical(result.volume.metadata),
         reference=reference,
-        labels=result.labels if hasattr(result, "objects") else None,
+        labels=result.labels if result.has_ids else None,
     )

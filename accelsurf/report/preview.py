@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from accelsurf.analysis.surface_mesh import Surface
-    from accelsurf.evolution.loop import StepRecord
+    from accelsurf.evolution.records import StepRecord
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 _INK, _GRID = "#222222", "#D9D9D9"

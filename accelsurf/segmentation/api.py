@@ -1,179 +1,25 @@
-"""segment(): from an image and a rough start to labels, a mesh and the story of the run."""
+"""segment(), segment_objects(), evolve(): from an image and rough starts to labels, meshes and the run's history."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from accelsurf.analysis import contours
-from accelsurf.analysis.contours import Contours
-from accelsurf.analysis.quality import Quality, assess
-from accelsurf.analysis.surface_mesh import Surface, extract
-from accelsurf.errors import InputError
-from accelsurf.evolution.loop import Step, StepRecord, Stop
-from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.grid.geometry import Geometry
+from accelsurf.errors import InputError, UsageError
+from accelsurf.evolution.records import Step, StepRecord, Stop
+from accelsurf.grid.geometry import Box
 from accelsurf.grid.volume import Volume
-from accelsurf.segmentation.preprocessing import PreprocessedInput
-from accelsurf.segmentation.run import EnergyLike, Run
+from accelsurf.segmentation.region import cropped
+from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run import AROUND, EnergyLike, ObjectsLike, Run
 from accelsurf.segmentation.solver_setup import half_width, stop_rule
 from accelsurf.settings.run_config import RunConfig
 
-__all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment"]
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What a run left.
-
-    Attributes
-    ----------
-    labels : ndarray (nz, ny, nx), uint8
-        1 where a voxel's centre is inside.
-    psi : ndarray (nz, ny, nx), float32
-        Signed distance in the band, mm, negative inside; +-gamma outside it.
-    image : ndarray (nz, ny, nx), float32
-        The image as the energy saw it: presmoothed, 0 and 1 at its `preprocessing.SCALE_PERCENTILES`.
-    geometry : Geometry
-    config : RunConfig
-    energy : str
-        Name of the energy: that of ``config``, or ``custom: ClassName``.
-    history : list of Row
-        One row per step; the last records the final state.
-    stop : Stop
-        Why the run ended.
-    levels : list of Passed
-        The grids that it ran on, coarsest first, with the steps made on each; the last is the image's own.
-    kernels : dict of str to float
-        Seconds in each kernel while it evolved.
-    seconds : dict of str to float
-        Wall time of the parts ``start`` and ``evolve``.
-    warnings : list of str
-    volume : Volume
-        The input.
-    start : ndarray or None
-        psi of the start, for an image of one slice; None for volumes, where it would cost memory.
-    edits_done : int
-        How many of the edits of ``config`` the run came to.
-    terms : list of dict
-        The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
-    resolved_settings : dict
-        What the run took for settings that image and grid decide: see `document.describe_result`.
-    learned : (float, float) or None
-        Values, on the scale of ``image``, between which those of the object should lie by what it was learned from.
-    """
-
-    labels: NDArray[np.uint8]
-    psi: NDArray[np.float32]
-    image: NDArray[np.float32]
-    geometry: Geometry
-    config: RunConfig
-    energy: str
-    history: list[StepRecord]
-    stop: Stop
-    seconds: dict[str, float]
-    volume: Volume
-    levels: list[LevelSummary] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    start: NDArray[np.float32] | None = None
-    edits_done: int = 0
-    kernels: dict[str, float] = field(default_factory=dict)
-    terms: list[dict[str, Any]] = field(default_factory=list)
-    resolved_settings: dict[str, Any] = field(default_factory=dict)
-    learned: tuple[float, float] | None = None
-
-    @cached_property
-    def surface(self) -> Surface:
-        """The surface as a closed mesh in world mm (LPS), normals outward; extracted once."""
-        return extract(self.psi, self.geometry)
-
-    @cached_property
-    def contours(self) -> Contours:
-        """The contours of an image of one slice, in world mm (LPS), the object on their left; extracted once.
-
-        Raises
-        ------
-        InputError
-            For a volume: it has a `surface`.
-        """
-        return contours.extract(self.psi, self.geometry)
-
-    def labels_volume(self) -> Volume:
-        """The labels on the input's grid with its header."""
-        return self.volume.with_array(self.labels)
-
-    @property
-    def volume_mm3(self) -> float:
-        """Volume of the object, mm3, sub-voxel."""
-        return self.history[-1].volume_mm3
-
-    @property
-    def area_mm2(self) -> float:
-        """Area of its surface, mm2: the mesh's, with the caps where the volume's border cuts the object.
-
-        In one slice, where caps would be all of it: the contour's length times the thickness of the slice.
-        """
-        if not self.labels.any():
-            return 0.0
-        if self.length_mm is not None and self._thickness is not None:
-            return self.length_mm * self._thickness
-        return self.surface.area
-
-    @property
-    def length_mm(self) -> float | None:
-        """Length of the contours of an image of one slice, mm, with what runs along its border; None for a volume."""
-        if self._thickness is None:
-            return None
-        return self.contours.length if self.labels.any() else 0.0
-
-    @property
-    def enclosed_mm2(self) -> float | None:
-        """Area of the object in an image of one slice, mm2, sub-pixel; None for a volume."""
-        return None if self._thickness is None else self.volume_mm3 / self._thickness
-
-    @property
-    def _thickness(self) -> float | None:
-        axis = self.geometry.slice_axis
-        return None if axis is None else self.geometry.spacing[axis]
-
-    @cached_property
-    def components(self) -> int:
-        """Number of 6-connected parts of the label map."""
-        return int(ndimage.label(self.labels)[1])
-
-    @cached_property
-    def touches_border(self) -> bool:
-        """Whether a voxel of the object lies on the volume's border (axes with one slice do not count)."""
-        axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
-        return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
-
-    def plot(self, **options: Any) -> Any:
-        """Show the result in a notebook or a window, or write a picture or a page; options as of `accelsurf.show`."""
-        # By its public name: this module does not know the viewer, and loads it for those who ask for pictures only.
-        import accelsurf
-
-        return accelsurf.show(self, **options)
-
-    @cached_property
-    def quality(self) -> Quality:
-        """What tells, without a reference, whether to trust the result."""
-        return assess(self.labels, self.image, self.geometry.spacing, self.history, self.stop, self.learned)
-
-    @property
-    def report(self) -> dict[str, Any]:
-        """The run as the JSON report has it, without files."""
-        # By its public name: what is told of a result lies above it.
-        import accelsurf
-
-        described: dict[str, Any] = accelsurf.report_of(self)
-        return described
+__all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "segment_objects"]
 
 
 def segment(
@@ -229,12 +75,11 @@ def segment(
     ('converged', 1, True)
     """
     first = as_volume(volume, spacing)
-    run = Run(first, *resolved(config, energy, options), [as_channel(one, first) for one in channels])
-    with run.workers:
+    with Run(first, *with_options(config, energy, options), [as_channel(one, first) for one in channels]) as run:
         for step in run:
-            if on_step is not None and on_step(step.row):
-                run.evolution.ask_to_stop()
-    return result_of(run)
+            if on_step is not None and on_step(step.record):
+                run.request_stop()
+        return result_of(run)
 
 
 def evolve(
@@ -256,8 +101,9 @@ def evolve(
     Yields
     ------
     Step
-        ``step.row`` is the line of the trace; ``step.surface`` the surface now (``.psi``, ``.labels``): copy what is
-        to be kept, the next step moves it. While ``step.row.level`` is above 0 it lies on a coarser grid than the
+        ``step.record`` is the record of the step, a line of the trace; ``step.object_id`` says whose it is;
+        ``step.surface`` the surface now (``.psi``, ``.labels``): copy what is
+        to be kept, the next step moves it. While ``step.record.level`` is above 0 it lies on a coarser grid than the
         image; with ``levels=1`` it never does.
 
     Examples
@@ -266,15 +112,83 @@ def evolve(
     >>> z, y, x = np.indices((24, 24, 24)) - 11.5
     >>> image = (x**2 + y**2 + z**2 < 8**2) * 100.0
     >>> for step in evolve(image, start="ball:9,9,9,4vox"):
-    ...     if step.row.volume_mm3 > 1000:
+    ...     if step.record.volume_mm3 > 1000:
     ...         break
     >>> step.surface.labels.shape
     (24, 24, 24)
     """
     first = as_volume(volume, spacing)
-    run = Run(first, *resolved(config, energy, options), [as_channel(one, first) for one in channels])
-    with run.workers:
+    with Run(first, *with_options(config, energy, options), [as_channel(one, first) for one in channels]) as run:
         yield from run
+
+
+def segment_objects(
+    volume: Volume | NDArray[Any],
+    objects: ObjectsLike | None = None,
+    *,
+    spacing: float | tuple[float, float, float] | None = None,
+    channels: Sequence[Volume | NDArray[Any]] = (),
+    config: RunConfig | None = None,
+    energy: EnergyLike | None = None,
+    on_step: Callable[[StepRecord, int], bool | None] | None = None,
+    **options: Any,
+) -> Result:
+    """Segment several objects that do not overlap.
+
+    Parameters
+    ----------
+    volume : Volume or ndarray (nz, ny, nx)
+        The image; never modified.
+    objects : str, Volume or ndarray, optional
+        Their first voxels: a label map, or a file as for ``--objects``. By default that of ``config``.
+    spacing : float or (hz, hy, hx), optional
+        mm, for an array only; 1 by default.
+    channels : sequence of Volume or ndarray, optional
+        Further channels of the image, on the same grid.
+    config : RunConfig, optional
+        Settings of each object; the defaults otherwise. ``max_steps`` and ``max_volume`` count for each by itself.
+    energy : str or callable, optional
+        A name, over that of ``config``; or a class or function that makes an energy of ``(image, spacing)`` for each
+        object's part of the image: see `accelsurf.segment`.
+    on_step : callable, optional
+        Called with each `StepRecord` and the id of its object; a true return value ends the run.
+    **options
+        Settings by name, over those of ``config``.
+
+    Returns
+    -------
+    Result
+        With a tuple of objects; ``result.by_id[ID]`` is one of them.
+
+    Raises
+    ------
+    UsageError
+        When no objects are given, an option is unknown, or an energy lacks something.
+    InputError
+        As `accelsurf.segment`, and when the starts are no good.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z, y, x = np.indices((20, 20, 36)) - np.array([9.5, 9.5, 0])[:, None, None, None]
+    >>> image = (z**2 + y**2 + np.minimum(abs(x - 10), abs(x - 25))**2 < 7**2) * 100.0
+    >>> starts = np.zeros(image.shape, int)
+    >>> starts[8:12, 8:12, 8:12], starts[8:12, 8:12, 24:28] = 3, 700
+    >>> result = segment_objects(image, starts)
+    >>> {one.id: one.stop.reason for one in result.objects}, result.labels.dtype
+    ({3: 'converged', 700: 'converged'}, dtype('uint16'))
+    """
+    first = as_volume(volume, spacing)
+    if isinstance(objects, str):
+        options, objects = {**options, "objects": objects}, None
+    settings, own = with_options(config, energy, options)
+    if objects is None and settings.objects is None:
+        raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
+    with Run(first, settings, own, [as_channel(one, first) for one in channels], objects) as run:
+        for step in run:
+            if on_step is not None and on_step(step.record, step.object_id):
+                run.request_stop()
+        return result_of(run)
 
 
 def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
@@ -292,7 +206,7 @@ def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
     return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)
 
 
-def resolved(
+def with_options(
     config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any]
 ) -> tuple[RunConfig, EnergyLike | None]:
     """The configuration, and the energy if it is not one with a name."""
@@ -304,45 +218,85 @@ def resolved(
 def result_of(run: Run) -> Result:
     """Return what a run left, or has reached between two steps: then with the reason ``interrupted``.
 
-    The history is a copy; ``psi`` may be a view of the surface, which goes on if the run does.
+    Histories are copies; ``psi`` of an object that is alone may be a view of its surface, which goes on with the run.
     """
-    stop, history = run.stop, list(run.evolution.history)
-    if stop is None:
-        row = run.look().row
-        history.append(row)
-        stop = Stop("interrupted", row.step, row.t, f"looked at after {row.step} steps")
-    missed = run.config.edit[run.edits_done :]
-    prepared = run.prepared
-    psi = prepared.finished(run.evolution.surface.psi)
+    config, missed = run.config, run.config.edit[run.edits_done :]
+    image = run.prepared.picture()
+    objects = _separate_objects(run, image) if run.has_ids else (_single_object(run, image),)
+    steps = max(one.stop.steps for one in objects)
+    summaries = run.summaries()
     return Result(
-        labels=(psi < 0).view(np.uint8),
-        psi=psi,
-        image=prepared.shown(),
+        objects=objects,
+        has_ids=run.has_ids,
+        image=image,
         geometry=run.volume.geometry,
-        config=run.config,
+        config=config,
         energy=run.energy_name,
-        history=history,
-        stop=stop,
-        levels=run.evolution.level_summaries,
+        levels=summaries,
         seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
         volume=run.volume,
-        start=prepared.start,
-        resolved_settings=resolved_settings_of(prepared, run.config, len(run.evolution.level_summaries)),
-        learned=prepared.learned,
-        terms=prepared.context.terms,
-        kernels=dict(run.workers.seconds),
+        start=run.prepared.start,
+        resolved_settings=resolved_settings_of(run, len(summaries)),
+        kernels=run.seconds_by_kernel(),
         edits_done=run.edits_done,
-        warnings=run.evolution.warnings
+        warnings=run.level_warnings
         + [
-            f"{key} was given, but means nothing to flow {run.config.flow} with energy {run.energy_name}"
-            for key in run.config.unused()
+            f"{key} was given, but means nothing to flow {config.flow} with energy {run.energy_name}"
+            for key in config.unused()
         ]
-        + [f"edit at step {edit.step} was not made: the run ended after {stop.steps} steps" for edit in missed],
+        + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
     )
 
 
-def resolved_settings_of(prepared: PreprocessedInput, config: RunConfig, levels: int) -> dict[str, Any]:
+def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
+    """History and reason to stop of each object; of one that goes on, its state now."""
+    out = []
+    for one, step in zip(run.objects, run.current(), strict=True):
+        history, stop = list(one.evolution.history), one.stop
+        if stop is None:
+            record = step.record
+            history.append(record)
+            stop = Stop("interrupted", record.step, record.t, f"looked at after {record.step} steps")
+        out.append((history, stop))
+    return out
+
+
+def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
+    """The object of a run of one, on the whole grid."""
+    (one,), ((history, stop),) = run.objects, _ending(run)
+    psi = run.prepared.on_whole_grid(one.psi_on_finest()[1])
+    box = tuple(slice(0, n) for n in psi.shape)
+    learned = run.prepared.learned_by(one.context)
+    return SegmentedObject(
+        1, (box[0], box[1], box[2]), psi, image, run.volume.geometry, history, stop, one.made.terms, learned
+    )
+
+
+def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
+    """The objects of a run of several, each on a part of the grid a little larger than its own."""
+    geometry, objects = run.volume.geometry, []
+    for one, (corner, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
+        at = [c + s.start for c, s in zip(corner, run.prepared.box, strict=True)]
+        low = [max(c - AROUND, 0) for c in at]
+        high = [min(c + n + AROUND, m) for c, n, m in zip(at, psi.shape, geometry.shape, strict=True)]
+        # What the region of interest cuts ends half a voxel beyond it.
+        before = [(c - a, b - c - n) for a, b, c, n in zip(low, high, at, psi.shape, strict=True)]
+        around = np.abs(np.pad(psi, before, mode="edge"))
+        around[tuple(slice(k, k + n) for (k, _), n in zip(before, psi.shape, strict=True))] = psi
+        z, y, x = (slice(a, b) for a, b in zip(low, high, strict=True))
+        box: Box = (z, y, x)
+        learned = run.prepared.learned_by(one.context)
+        objects.append(
+            SegmentedObject(
+                one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned
+            )
+        )
+    return tuple(objects)
+
+
+def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
     """Return what a run on so many levels took for settings that image and grid decide."""
+    config, prepared = run.config, run.prepared
     diffusion = config.diffusion
     if diffusion == "auto":
         diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0

@@ -122,10 +122,10 @@ class ImageContext:
             part._inside, part._learned = ((z, y, x), start), {}
         return part
 
-    def on(self, box: Box) -> ImageContext:
-        """The same facts for energies on a box of the image's own grid; what they choose is kept in common."""
+    def with_channels(self, images: Sequence[Image]) -> ImageContext:
+        """The same for energies on another grid, where the channels after the first are ``images``."""
         part = copy.copy(self)
-        part.others = lambda shape, spacing: [np.ascontiguousarray(image[box]) for image in self.images[1:]]
+        part.others = lambda shape, spacing: list(images)
         return part
 
     def once(self, make: Callable[..., Kept], channel: int, *args: Any) -> Kept:

@@ -1,8 +1,9 @@
-"""What a run begins with: the image as energies see it, the first surface, the fence and the region of interest."""
+"""Preprocessing: from the files' volumes to what a run begins with, in pure stages that return frozen records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf import io
-from accelsurf.energies import Energy
-from accelsurf.energies.constraints.mask import MaskConstraint, mask_distance
-from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.grid import pyramid
+from accelsurf.energies.constraints.mask import mask_distance
+from accelsurf.errors import AccelsurfError, GeometryError, InputError
 from accelsurf.grid.geometry import Box, Geometry
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.initialization import starts
 from accelsurf.segmentation.energy_assembly import ImageContext, Mask, Scale
+from accelsurf.segmentation.region import cropped, region_of_interest
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
@@ -25,149 +25,44 @@ from accelsurf.settings.run_config import RunConfig
 SCALE_PERCENTILES = (0.5, 99.5)
 
 
+@dataclass(frozen=True, eq=False)
 class PreprocessedInput:
-    """Everything that a run begins with, on the grid of its region of interest.
-
-    Parameters
-    ----------
-    volume : Volume
-        The first channel, whole.
-    others : sequence of Volume
-        The other channels, on the same grid.
-    config : RunConfig
-    start : ndarray (nz, ny, nx), optional
-        psi of the first surfaces on the whole grid, in place of the start of ``config``.
+    """What every surface of a run sees, on the grid of the region of interest.
 
     Attributes
     ----------
+    volumes : tuple of Volume
+        The channels as they were read, whole.
     box : tuple of slice
         Voxels of the region of interest.
     geometry : Geometry
         Of the region of interest.
-    image : ndarray (nz, ny, nx), float32
-        The first channel there, as energies see it.
-    psi : ndarray (nz, ny, nx), float32
-        The first surface there; whoever uses up its memory takes it away.
-    facts : Facts
-        For the energies.
+    images : tuple of ndarray (nz, ny, nx), float32
+        The channels there as energies see them: smoothed, 0 and 1 at their percentiles.
+    context : ImageContext
+        What energies are told of the image besides.
+    mask_distance : ndarray (nz, ny, nx), float32, or None
+        Signed distance of the mask, mm, negative within; None without a mask.
     presmooth : float
         Sigma that the image was smoothed by, mm.
-
-    Raises
-    ------
-    UsageError, InputError
-        As `accelsurf.segment` says.
+    smoothed : ndarray or None
+        The first channel, smoothed, on the whole grid; only where that is larger than the region of interest.
+    start : ndarray or None
+        psi of the start on the whole grid, for an image of one slice; for volumes it would cost memory.
+    learns : bool
+        Whether a model of the energy is learned once, from given voxels or from the start.
     """
 
-    def __init__(
-        self,
-        volume: Volume,
-        others: Sequence[Volume],
-        config: RunConfig,
-        start: NDArray[np.float32] | None = None,
-    ) -> None:
-        for one in (volume, *others):
-            check_image(one)
-            if not one.geometry.matches(volume.geometry):
-                raise GeometryError(
-                    f"channel {one.source or ''}: on another grid than the image: "
-                    f"{one.geometry.difference(volume.geometry)}",
-                    "resample it to the image's grid first",
-                )
-        self._files = [volume, *others]
-        self._whole, self.box = volume.geometry, region_of_interest(config.roi, volume.geometry)
-        self.geometry = cropped(volume.geometry, self.box)
-        self.presmooth = in_mm(config.presmooth, volume.geometry)
-        smoothed = presmoothed(volume, self.presmooth)
-        psi = starts.build(config.start, volume, smoothed) if start is None else start
-        foreground, background = (
-            _cut(_learned_from(name, texts, volume, smoothed), self.box) if texts else None
-            for name, texts in (("foreground", config.foreground), ("background", config.background))
-        )
-        mask = read_mask(config.mask, volume.geometry) if config.mask is not None else None
-        self._fences = None if mask is None else [mask_distance(_cut(mask, self.box), self.geometry.spacing)]
-        self.psi = self._started(_cut(psi, self.box), config)
-        #: psi of the start on the whole grid, for an image of one slice; for volumes it would cost memory.
-        self.start = psi.copy() if volume.geometry.slice_axis is not None else None
-        # What lies around a region of interest is shown at the end.
-        self._smoothed = smoothed if config.roi is not None else None
-        values = _cut(smoothed, self.box) if config.roi is None else smoothed[self.box].copy()
-        scales = [scale_of(values)]
-        self.image = apply(values, scales[0])
-        del smoothed, psi, values
-        images = [self.image]
-        for one in others:
-            values = _cut(presmoothed(one, self.presmooth), self.box)
-            scales.append(scale_of(values))
-            images.append(apply(values, scales[-1]))
-        self._grids = pyramid.levels(self.geometry.shape, self.geometry.spacing)
-        self._others: list[list[NDArray[np.float32]]] = [images[1:]]
-        # Fixed models learn from the start where nothing else is given.
-        self._terms = terms = energy_expression.parse(config.energy)
-        self._learns = any(energy_expression.learns(term) for term in terms)
-        learns_from_start = foreground is None and self._learns
-        if learns_from_start:
-            foreground = self.psi < 0
-        self.context = ImageContext(
-            images, scales, self.geometry.spacing, foreground, background, self._others_on, self._raw,
-            is_start=learns_from_start,
-        )
-
-    def _raw(self, channel: int, box: Box, mask: Mask) -> NDArray[Any]:
-        """Values of a channel before presmoothing, on the scale that energies see, where a box's mask is set."""
-        low, width = self.context.scales[channel]
-        values = self._files[channel].array[self.box][box][mask].astype(np.float32)
-        return np.asarray((values - np.float32(low)) / np.float32(width))
-
-    @property
-    def learned(self) -> tuple[float, float] | None:
-        """Values of the first channel between which the object's should lie; None where no model is learned once."""
-        return self.learned_by(self.context)
-
-    def learned_by(self, context: ImageContext) -> tuple[float, float] | None:
-        """The same for one of several objects."""
-        # What is given with --foreground is learned from by likelihood unless it updates, and then it is refused.
-        names = {term.name for term in self._terms}
-        learns = self._learns or "likelihood" in names
-        return context.learned(0) if learns and context.foreground is not None else None
-
-    def _started(self, psi: NDArray[np.float32], config: RunConfig) -> NDArray[np.float32]:
-        """The start within region and fence, which must leave something of it."""
-        where, what = "the region of interest", config.objects or " + ".join(config.start)
-        if self._fences is not None:
-            psi = np.maximum(psi, self._fences[0])
-            where = "the mask" if config.roi is None else "the mask and the region of interest"
-        inside = psi < 0
-        if not inside.any():
-            raise InputError(f"start {what}: nothing of it lies in {where}", "start within it")
-        if inside.all():
-            raise InputError(
-                f"start {what}: it takes in all of {where}", "leave some background outside"
-            )
-        return np.ascontiguousarray(psi)
-
-    def _level_of(self, shape: tuple[int, ...]) -> int:
-        return next(i for i, grid in enumerate(self._grids) if grid.shape == tuple(shape))
-
-    def _others_on(self, shape: tuple[int, ...], spacing: tuple[float, float, float]) -> list[NDArray[np.float32]]:
-        """The other channels on the grid of a level."""
-        level = self._level_of(shape)
-        while len(self._others) <= level:
-            fine, coarse = self._grids[len(self._others) - 1], self._grids[len(self._others)]
-            self._others.append([pyramid.restrict(image, fine, coarse) for image in self._others[-1]])
-        return self._others[level]
-
-    def fenced(self, energy: Energy, shape: tuple[int, ...]) -> Energy:
-        """An energy on the grid of a level with the fence around it, if there is one."""
-        return energy if self._fences is None else MaskConstraint(energy, self._fence_on(shape))
-
-    def _fence_on(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        assert self._fences is not None
-        level = self._level_of(shape)
-        while len(self._fences) <= level:
-            fine, coarse = self._grids[len(self._fences) - 1], self._grids[len(self._fences)]
-            self._fences.append(pyramid.restrict(self._fences[-1], fine, coarse))
-        return self._fences[level]
+    volumes: tuple[Volume, ...]
+    box: Box
+    geometry: Geometry
+    images: tuple[NDArray[np.float32], ...]
+    context: ImageContext
+    mask_distance: NDArray[np.float32] | None
+    presmooth: float
+    smoothed: NDArray[np.float32] | None
+    start: NDArray[np.float32] | None
+    learns: bool
 
     @property
     def first(self) -> tuple[int, int, int]:
@@ -175,95 +70,156 @@ class PreprocessedInput:
         z, y, x = self.box
         return z.start, y.start, x.start
 
-    def project(self, psi: NDArray[np.float32]) -> None:
-        """Cut psi (in place) on the grid of a level off at the fence, if there is one."""
-        if self._fences is not None:
-            np.maximum(psi, self._fence_on(psi.shape), out=psi)
+    def learned_by(self, context: ImageContext) -> tuple[float, float] | None:
+        """Values of the first channel between which an object's should lie; None where no model is learned once."""
+        return context.learned(0) if self.learns and context.foreground is not None else None
 
-    def fence(self, box: Box) -> NDArray[np.float32] | None:
-        """The fence on a box of the region of interest; None where there is none."""
-        return None if self._fences is None else self._fences[0][box]
-
-    def finished(self, psi: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Psi of the last surface on the whole grid: cut at the fence, and half a voxel beyond the region's voxels."""
-        if self._fences is not None:
-            psi = np.maximum(psi, self._fences[0])
-        if self.geometry.shape == self._whole.shape:
+    def on_whole_grid(self, psi: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Psi of the last surface on the whole grid: cut at the mask, and half a voxel beyond the region's voxels."""
+        if self.mask_distance is not None:
+            psi = np.maximum(psi, self.mask_distance)
+        whole = self.volumes[0].geometry
+        if self.geometry.shape == whole.shape:
             return psi
-        out = np.full(self._whole.shape, np.abs(psi).max(), np.float32)
+        out = np.full(whole.shape, np.abs(psi).max(), np.float32)
         around = tuple(
-            slice(max(s.start - 1, 0), min(s.stop + 1, n)) for s, n in zip(self.box, self._whole.shape, strict=True)
+            slice(max(s.start - 1, 0), min(s.stop + 1, n)) for s, n in zip(self.box, whole.shape, strict=True)
         )
         before = [(s.start - a.start, a.stop - s.stop) for s, a in zip(self.box, around, strict=True)]
         out[around] = np.abs(np.pad(psi, before, mode="edge"))
         out[self.box] = psi
         return out
 
-    def shown(self) -> NDArray[np.float32]:
+    def picture(self) -> NDArray[np.float32]:
         """The first channel as energies see it on the whole grid, for pictures."""
-        if self._smoothed is None:
-            return self.image
-        return apply(self._smoothed.copy(), self.context.scales[0])
+        if self.smoothed is None:
+            return self.images[0]
+        return apply(self.smoothed.copy(), self.context.scales[0])
 
 
-def region_of_interest(text: str | None, geometry: Geometry) -> Box:
-    """Voxels of a box, the whole grid for None; on an oblique grid all between the box's corners along its axes.
+def preprocess(
+    volumes: Sequence[Volume], config: RunConfig, start: NDArray[np.float32] | None = None
+) -> tuple[PreprocessedInput, NDArray[np.float32]]:
+    """Prepare the image, the first surface and the mask of a run.
+
+    Parameters
+    ----------
+    volumes : sequence of Volume
+        The channels, on one grid.
+    config : RunConfig
+    start : ndarray (nz, ny, nx), optional
+        psi of the first surfaces on the whole grid, in place of the start of ``config``.
+
+    Returns
+    -------
+    prepared : PreprocessedInput
+    psi : ndarray (nz, ny, nx), float32
+        The first surface on the grid of the region of interest; the caller's, to be used up.
 
     Raises
     ------
-    UsageError
-        When the text is no box.
-    InputError
-        When fewer than two voxels along an axis (with more than one) are in it.
-
-    Examples
-    --------
-    >>> region_of_interest("1,1,0,3,4,9", Geometry((8, 6, 4), (1.0, 1.0, 1.0)))
-    (slice(0, 8, None), slice(1, 5, None), slice(1, 4, None))
+    UsageError, InputError
+        As `accelsurf.segment` says.
     """
-    if text is None:
-        return slice(0, geometry.shape[0]), slice(0, geometry.shape[1]), slice(0, geometry.shape[2])
-    try:
-        box = starts.parse(f"box:{text}")
-    except UsageError:
-        raise UsageError(
-            f"roi: {text} was given, expected X0,Y0,Z0,X1,Y1,Z1 with the first corner below the second",
-            "world mm, or voxel indices with the suffix vox",
-        ) from None
-    corners = np.array([[box.numbers[3 * (i >> axis & 1) + axis] for axis in range(3)] for i in range(8)])
-    index = corners[:, ::-1] if box.vox else np.array([geometry.world_to_index(corner) for corner in corners])
-    slices = []
-    for axis, n in enumerate(geometry.shape):
-        low = max(int(np.ceil(index[:, axis].min() - 1e-6)), 0)
-        high = min(int(np.floor(index[:, axis].max() + 1e-6)), n - 1)
-        if high - low + 1 < min(n, 2):
-            raise InputError(
-                f"roi: {text} was given, which holds fewer than two of the image's voxels along {'zyx'[axis]}",
-                "accelsurf reads world mm (LPS); the suffix vox takes voxel indices",
+    check_channels(volumes)
+    first, whole = volumes[0], volumes[0].geometry
+    box = region_of_interest(config.roi, whole)
+    geometry = cropped(whole, box)
+    presmooth = in_mm(config.presmooth, whole)
+    smoothed = presmoothed(first, presmooth)
+    psi = starts.build(config.start, first, smoothed) if start is None else start
+    foreground, background = (
+        _crop(_training_voxels(name, texts, first, smoothed), box) if texts else None
+        for name, texts in (("foreground", config.foreground), ("background", config.background))
+    )
+    mask = read_mask(config.mask, whole) if config.mask is not None else None
+    distance = None if mask is None else mask_distance(_crop(mask, box), geometry.spacing)
+    psi = _start_within(_crop(psi, box), distance, config)
+    values = _crop(smoothed, box) if config.roi is None else smoothed[box].copy()
+    # What lies around a region of interest is shown at the end.
+    around = smoothed if config.roi is not None else None
+    del smoothed
+    scales = [scale_of(values)]
+    images = [apply(values, scales[0])]
+    del values
+    for one in volumes[1:]:
+        other = _crop(presmoothed(one, presmooth), box)
+        scales.append(scale_of(other))
+        images.append(apply(other, scales[-1]))
+    terms = energy_expression.parse(config.energy)
+    learns = any(energy_expression.learns(term) for term in terms)
+    # Fixed models learn from the start where nothing else is given.
+    from_start = foreground is None and learns
+    if from_start:
+        foreground = psi < 0
+    context = ImageContext(
+        images, scales, geometry.spacing, foreground, background, None, _raw_values(volumes, box, scales),
+        is_start=from_start,
+    )
+    # What is given with --foreground is learned from by likelihood unless it updates, and then it is refused.
+    learns = learns or any(term.name == "likelihood" for term in terms)
+    shown = psi.copy() if whole.slice_axis is not None else None
+    prepared = PreprocessedInput(
+        tuple(volumes), box, geometry, tuple(images), context, distance, presmooth, around, shown, learns
+    )
+    return prepared, psi
+
+
+def check_channels(volumes: Sequence[Volume]) -> None:
+    """Refuse images that cannot be used, or that lie on different grids.
+
+    Raises
+    ------
+    InputError
+        When one has voxels that are not finite, or is no image; GeometryError when its grid differs from the first's.
+    """
+    for one in volumes:
+        check_image(one)
+        if not one.geometry.matches(volumes[0].geometry):
+            raise GeometryError(
+                f"channel {one.source or ''}: on another grid than the image: "
+                f"{one.geometry.difference(volumes[0].geometry)}",
+                "resample it to the image's grid first",
             )
-        slices.append(slice(low, high + 1))
-    return slices[0], slices[1], slices[2]
 
 
-def cropped(geometry: Geometry, box: Box) -> Geometry:
-    """The grid of some of the voxels of another."""
-    shape = tuple(s.stop - s.start for s in box)
-    if shape == geometry.shape:
-        return geometry
-    origin = geometry.index_to_world(np.array([float(s.start) for s in box]))
-    corner = (float(origin[0]), float(origin[1]), float(origin[2]))
-    return Geometry((shape[0], shape[1], shape[2]), geometry.spacing, corner, geometry.direction)
+def _raw_values(volumes: Sequence[Volume], box: Box, scales: Sequence[Scale]) -> Any:
+    """What gives the values of a channel before smoothing, on the scale that energies see, where a mask is set."""
+    files = list(volumes)
+
+    def raw(channel: int, part: Box, mask: Mask) -> NDArray[Any]:
+        low, width = scales[channel]
+        values = files[channel].array[box][part][mask].astype(np.float32)
+        return np.asarray((values - np.float32(low)) / np.float32(width))
+
+    return raw
 
 
-def _learned_from(name: str, texts: Sequence[str], volume: Volume, image: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Voxels that are written as a start; what is wrong with them is told of ``name``, the option."""
+def _start_within(
+    psi: NDArray[np.float32], distance: NDArray[np.float32] | None, config: RunConfig
+) -> NDArray[np.float32]:
+    """The start within region and mask, which must leave something of it."""
+    where, what = "the region of interest", config.objects or " + ".join(config.start)
+    if distance is not None:
+        psi = np.maximum(psi, distance)
+        where = "the mask" if config.roi is None else "the mask and the region of interest"
+    inside = psi < 0
+    if not inside.any():
+        raise InputError(f"start {what}: nothing of it lies in {where}", "start within it")
+    if inside.all():
+        raise InputError(f"start {what}: it takes in all of {where}", "leave some background outside")
+    return np.ascontiguousarray(psi)
+
+
+def _training_voxels(name: str, texts: Sequence[str], volume: Volume, image: NDArray[np.float32]) -> Mask:
+    """Voxels that are written as a start; an error names the option ``name``."""
     try:
         return np.asarray(starts.build(texts, volume, image) < 0)
     except AccelsurfError as error:
         raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
 
 
-def _cut(array: NDArray[Any], box: Box) -> NDArray[Any]:
+def _crop(array: NDArray[Any], box: Box) -> NDArray[Any]:
     return np.ascontiguousarray(array[box])
 
 

@@ -1,4 +1,4 @@
-"""A run made ready: image prepared, start built, parts chosen; steered by edits, put aside and taken back."""
+"""A run of one or several objects: preprocessed, stepped, edited, put into checkpoints and restored."""
 
 from __future__ import annotations
 
@@ -13,17 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import Energy
-from accelsurf.errors import InputError, UsageError
-from accelsurf.evolution.loop import Kept, Restart, Step, Stop
-from accelsurf.evolution.multilevel import Multilevel, SolverSetup
+from accelsurf.energies.local_region import TENT
+from accelsurf.errors import UsageError
+from accelsurf.evolution.convergence import Restart
+from accelsurf.evolution.multilevel import LevelSummary
+from accelsurf.evolution.records import Step, StepRecord, Stop
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import StepLimits
 from accelsurf.grid import pyramid
+from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.initialization import starts
+from accelsurf.initialization import object_starts
 from accelsurf.io.channels import read_further
-from accelsurf.levelset import LevelSet, Workers
-from accelsurf.segmentation.preprocessing import PreprocessedInput
+from accelsurf.levelset import Workers
+from accelsurf.segmentation import edit_checks
+from accelsurf.segmentation.energy_assembly import WINDOW_VOXELS, ImageContext
+from accelsurf.segmentation.ensemble import Ensemble, overall_stop, union_of, within
+from accelsurf.segmentation.evolving_object import EvolvingObject, MadeEnergy, ObjectCheckpoint, ObjectStart
+from accelsurf.segmentation.level_arrays import LevelInputs
+from accelsurf.segmentation.preprocessing import preprocess
 from accelsurf.segmentation.solver_setup import (
     ENERGY_SETTINGS,
     half_width,
@@ -40,34 +49,49 @@ from accelsurf.settings.run_config import RunConfig
 #: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
 #: `Result.image`, and the spacing, (hz, hy, hx) mm.
 EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
+#: What `segment_objects` takes for the first voxels of objects: a file, a label map.
+ObjectsLike = str | Volume | NDArray[Any]
+#: Voxels around an object's grid in what is kept of it.
+AROUND = 2
 
 
 class RunCheckpoint(NamedTuple):
-    """A run between two steps, before the edits of the coming one: the number of that ``step``; the settings ``now`` in
-    force; how many edits were ``done``; and the ``evolution``.
+    """A run between two steps, before the edits of the coming one.
+
+    Attributes
+    ----------
+    step : int
+        Number of the coming step.
+    settings : RunConfig
+        In force.
+    edits_done : int
+        How many edits were applied.
+    level : int
+    objects : tuple of ObjectCheckpoint
+    summaries : tuple of LevelSummary
+        Of the levels before.
+    warnings : tuple of str
     """
 
     step: int
-    now: RunConfig
-    done: int
-    evolution: Kept
-
-    @property
-    def level(self) -> int:
-        """The level that it is of."""
-        return int(self.evolution.scalars["level"])
+    settings: RunConfig
+    edits_done: int
+    level: int
+    objects: tuple[ObjectCheckpoint, ...]
+    summaries: tuple[LevelSummary, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes."""
-        return self.evolution.nbytes
+        """Memory that it takes at most."""
+        return sum(one.nbytes for one in self.objects)
 
 
 class Run:
-    """A run, one step at a time; iterate over it to run to the end.
+    """A run of n >= 1 objects; iterate over it to run to the end.
 
-    Between two steps it can be put aside (`checkpoint`) and taken back (`restore`), and its edits can be changed
-    (`set_edits`): those whose step has come are applied right before it.
+    Between two steps it can be put into a checkpoint and restored, and its edits can be changed (`set_edits`): those
+    whose step has come are applied right before it.
 
     Parameters
     ----------
@@ -77,18 +101,25 @@ class Run:
         In place of the energy that ``config`` names; see `accelsurf.segment`.
     channels : sequence of Volume, optional
         Further channels, before those that ``config`` names.
+    objects : str, Volume or ndarray, optional
+        First voxels of several objects, in place of those that ``config`` names.
 
     Attributes
     ----------
     config : RunConfig
         As given, with the edits there are now, and with the seed that was drawn if none was given.
-    now : RunConfig
+    settings : RunConfig
         The settings in force.
-    prepared : Prepared
-        Image, start and fence, on the grid of the region of interest.
-    evolution : Multilevel
+    has_ids : bool
+        Whether objects with ids were given: labels are then ids, and none overlap.
+    prepared : PreprocessedInput
+        Image and mask, on the grid of the region of interest.
+    objects : tuple of EvolvingObject
+        In order of their ids.
+    level : int
+        The present level; 0 is the image's own grid.
     workers : Workers
-        To be closed at the end.
+        To be closed at the end (`close`).
     start_seconds, began : float
         What the preparation took, and the clock (`time.perf_counter`) when it was done.
     """
@@ -99,38 +130,68 @@ class Run:
         config: RunConfig,
         energy: EnergyLike | None = None,
         channels: Sequence[Volume] = (),
+        objects: ObjectsLike | None = None,
     ) -> None:
         began = time.perf_counter()
-        if config.objects is not None:
-            raise UsageError(
-                f"objects: {config.objects} was given to a run of one object",
-                "`accelsurf segment --objects` and accelsurf.segment_objects move several; to watch one, start it "
-                "alone with --start label:FILE@ID or --start ball:X,Y,Z,R",
-            )
         config = seeded(config)
         self.volume, self.config, self._energy = volume, config, energy
-        self.now, self._done, self._leaked = config.model_copy(update={"edit": ()}), 0, False
-        self.prepared = PreprocessedInput(volume, [*channels, *read_further(config.channel)], config)
+        self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
+        given = config.objects if objects is None else objects
+        self.has_ids = given is not None
+        several = [] if given is None else object_starts.read(given, volume.geometry, AROUND)
+        union = union_of(several, volume.geometry) if several else None
+        channels = [volume, *channels, *read_further(config.channel)]
+        self.prepared, psi = preprocess(channels, config, union)
+        starts = [ObjectStart(one.id, one.corner, one.psi) for one in (within(o, self.prepared) for o in several)]
         for edit in config.edit:
-            self.check(edit)
-        self.workers = Workers(available_cores() if config.threads == "auto" else config.threads)
-        grids = self._grids(self.prepared.psi, energy)
+            self.check(edit, [one.id for one in starts] or [1])
+        threads = available_cores() if config.threads == "auto" else config.threads
+        self.workers = Workers(threads)
+        grids = self._grids(psi if not starts else None)
         self._levels = len(grids)
-        self.evolution = Multilevel(
-            grids, self.prepared.image, self.prepared.psi, self._parts(self.now), config.max_steps, self.workers
-        )
-        # The evolution uses its memory up.
-        del self.prepared.psi
+        self._inputs = LevelInputs(self.prepared.images, self.prepared.mask_distance, grids)
+        if not starts:
+            starts = [ObjectStart(1, (0, 0, 0), psi)]
+        del psi, union, several
+        self._max_steps = config.max_steps
+        self.objects = tuple(self._object(place, start) for place, start in enumerate(starts))
+        del starts
+        self.level_summaries: list[LevelSummary] = []
+        self.level_warnings: list[str] = []
+        self.level = self._levels - 1
+        self._ensemble = Ensemble(self.objects, self.workers, self.geometry.steps, self.has_ids)
+        self._stop_requested = False
+        self._steps_made = 0
+        self._begin_first_level()
         self.start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
         self.began = time.perf_counter()
 
-    def _grids(self, psi: NDArray[np.float32], energy: EnergyLike | None) -> list[pyramid.Level]:
-        """The levels that the configuration asks for; see record 0015 for what ``auto`` is."""
+    def _object(self, place: int, start: ObjectStart) -> EvolvingObject:
+        context = self.prepared.context
+        if self.has_ids:
+            context = context.of_object(start.corner, start.psi < 0)
+        return EvolvingObject(
+            start,
+            self._inputs,
+            context,
+            self._setup(self.settings, place),
+            self._energy_maker(self.settings),
+            Workers(1) if self.has_ids else self.workers,
+            self._max_steps,
+            self.config.max_volume,
+            self.has_ids,
+        )
+
+    def _grids(self, psi: NDArray[np.float32] | None) -> list[pyramid.Level]:
+        """The levels that the configuration asks for; see record 0015 for what ``auto`` is.
+
+        Several objects (``psi`` is None) run on the image's own grid unless told otherwise.
+        """
         shape, spacing, wanted = self.geometry.shape, self.geometry.spacing, self.config.levels
         if wanted == "auto":
             terms = energy_expression.parse(self.config.energy)
-            if energy is not None or any(term.name == "geodesic" for term in terms):
+            if psi is None or self._energy is not None or any(term.name == "geodesic" for term in terms):
                 return pyramid.levels(shape, spacing, 1)
             grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
             return grids[: pyramid.resolved(grids, psi)]
@@ -142,92 +203,221 @@ class Run:
             )
         return grids
 
-    def _parts(self, now: RunConfig) -> SolverSetup:
-        """What moves the surface under these settings."""
+    def _setup(self, settings: RunConfig, place: int) -> SolverSetup:
+        """How the object at a place moves under these settings; each has random numbers of its own."""
+        seed = None if settings.seed is None else settings.seed + place
         return SolverSetup(
-            self._energy_maker(now),
-            make_flow(now),
-            StepLimits(now.cfl, now.percentile),
-            Restart() if now.restart == "auto" else None,
-            half_width(now),
-            stop_rule(now, self._levels),
+            make_flow(settings.replace(seed=seed) if place else settings),
+            StepLimits(settings.cfl, settings.percentile),
+            Restart() if settings.restart == "auto" else None,
+            half_width(settings),
+            stop_rule(settings, self._levels),
         )
 
     def _energy_maker(
-        self, now: RunConfig
-    ) -> Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]:
-        """What makes the energy of each level; an energy that is made already is only for one."""
-        energy, prepared = self._energy, self.prepared
-        self.energy_name: str = now.energy
+        self, settings: RunConfig
+    ) -> Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy]:
+        """What makes the energy on each grid; an energy that is made already is only for one."""
+        energy = self._energy
         if energy is None or isinstance(energy, str):
-            context = prepared.context
-            return lambda image, spacing: prepared.fenced(make_energy(now, image, spacing, context), image.shape)
-        if self._levels > 1 and not is_maker(energy):
+            return functools.partial(_named_energy, settings)
+        if (self._levels > 1 or self.has_ids) and not is_maker(energy):
+            levels = self._levels > 1
+            what = f"levels: {self._levels} was given, expected 1" if levels else "objects: several were given"
             raise UsageError(
-                f"levels: {self._levels} was given, expected 1: the energy has one image, and each level needs its own",
-                "give a class or function that makes the energy of (image, spacing), or levels=1",
+                f"{what}: the energy has one image, and each {'level' if levels else 'object'} needs its own",
+                "give a class or function that makes the energy of (image, spacing), or levels=1 and one object",
             )
-
-        def made(image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
-            own = own_energy(energy, now, image, spacing)
-            self.energy_name = own.name
-            return prepared.fenced(own, image.shape)
-
-        return made
+        return functools.partial(_own_energy, energy, settings)
 
     @property
     def geometry(self) -> Geometry:
-        """The grid that the surface lives on, on the finest level: that of the region of interest."""
+        """The grid that the surfaces live on, on the finest level: that of the region of interest."""
         return self.prepared.geometry
+
+    @property
+    def grid(self) -> pyramid.Level:
+        """The grid of the present level."""
+        return self._inputs.grids[self.level]
+
+    @property
+    def energy_name(self) -> str:
+        """Name of the energy: that of the settings, or ``custom: ClassName``."""
+        return self.objects[0].made.name
 
     @property
     def stop(self) -> Stop | None:
         """Why the run ended; None while it goes on."""
-        stop = self.evolution.stop
-        if stop is not None and self._leaked and stop.reason == "interrupted":
-            message = f"the object grew beyond {self.now.max_volume:g} mm3, the largest volume it may have"
-            return stop._replace(reason="leaked", message=message)
-        return stop
+        stops = [one.stop for one in self.objects]
+        ended = [stop for stop in stops if stop is not None]
+        if len(ended) < len(stops):
+            return None
+        return ended[0] if not self.has_ids else overall_stop(ended)
+
+    @property
+    def history(self) -> list[StepRecord]:
+        """Every step so far of the first object; see `objects` for those of others."""
+        return self.objects[0].evolution.history
 
     # -- to run --------------------------------------------------------------------------------------------
 
     @property
     def step_number(self) -> int:
         """Number of the step that comes next."""
-        return len(self.evolution.history)
+        return self._steps_made
+
+    @property
+    def max_steps(self) -> int:
+        """Limit of the steps of each object, on all levels together."""
+        return self._max_steps
+
+    def extend(self, max_steps: int) -> None:
+        """Have another limit of the steps."""
+        self._max_steps = max_steps
+        for one in self.objects:
+            one.set_max_steps(max_steps)
+
+    def request_stop(self) -> None:
+        """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
+        self._stop_requested = True
+        for one in self.objects:
+            one.request_stop()
+
+    def close(self) -> None:
+        """End the run's threads."""
+        self._ensemble.close()
+        self.workers.close()
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
     def __iter__(self) -> Iterator[Step]:
-        """Run, yielding a Step after each step of the surface."""
-        while (step := self.step()) is not None:
-            yield step
+        """Run, yielding a Step after each step of each object."""
+        while steps := self.step():
+            yield from steps
 
-    def step(self) -> Step | None:
-        """Apply the edits that come before it and make one step; None when the run has ended.
+    def step(self) -> tuple[Step, ...]:
+        """Apply the edits that come before it and make one step of each object that moves.
 
-        The run ends when the object is larger than it may be.
+        Returns
+        -------
+        tuple of Step
+            In the order in which they were made; empty when the run has ended.
         """
-        self.apply()
-        step, most = self.evolution.step(), self.now.max_volume
-        if step is not None and most is not None and step.row.volume_mm3 > most and not self._leaked:
-            self._leaked = True
-            self.evolution.ask_to_stop()
-        return step
+        self.apply_edits()
+        steps = self._ensemble.step(not self._stop_requested)
+        while not steps and self.level > 0:
+            self._next_level()
+            steps = self._ensemble.step(not self._stop_requested)
+        if steps:
+            self._steps_made += 1
+        return steps
 
-    def apply(self) -> None:
-        """Apply the edits whose step has come, if that has not been done; `step` does it by itself."""
-        while self.evolution.stop is None and self._done < len(self.config.edit):
-            edit = self.config.edit[self._done]
+    def current(self) -> tuple[Step, ...]:
+        """The state now of each object: its last record once it has ended, else one of a step that moves nothing."""
+        steps = []
+        for one in self.objects:
+            now = one.evolution
+            ended = one.stop is not None
+            step = Step(now.history[-1], now.surface, now.state.fields) if ended else now.current()
+            steps.append(step._replace(object_id=one.id))
+        return tuple(steps)
+
+    def seconds_by_kernel(self) -> dict[str, float]:
+        """Seconds in each kernel so far, over all objects and threads."""
+        total = dict(self.workers.seconds)
+        for one in self.objects if self.has_ids else ():
+            for name, seconds in one.workers.seconds.items():
+                total[name] = total.get(name, 0.0) + seconds
+        return total
+
+    # -- levels --------------------------------------------------------------------------------------------
+
+    def _begin_first_level(self) -> None:
+        """Begin on the coarsest level whose grid has something of each start, inside and outside."""
+        while self.level > 0 and not all(one.start_is_resolved() for one in self.objects):
+            self._warn("the start is not resolved there", "began")
+            self.level_summaries.append(LevelSummary(self.grid, 0, None))
+            self.level -= 1
+            for one in self.objects:
+                one.skip_level()
+        self._enter_level()
+        for one in self.objects:
+            one.begin()
+
+    def _enter_level(self) -> None:
+        self._inputs.release_coarser(self.level)
+        reach = self._window_reach() if self.has_ids else 0.0
+        for one in self.objects if self.has_ids else ():
+            one.set_min_room(reach)
+
+    def _next_level(self) -> None:
+        """Take every object to the next finer level, from where it ended, or from its start if that failed."""
+        for one in self.objects:
+            failed = one.failed_on_level()
+            if failed is not None:
+                name = f"object {one.id}: " if self.has_ids else ""
+                self._warn(f"{name}{failed.message}", "went on from the start")
+        self.level_summaries.append(self._summary())
+        self.level -= 1
+        self._enter_level()
+        for one in self.objects:
+            one.next_level()
+
+    def _summary(self) -> LevelSummary:
+        stops = [one.evolution.stop for one in self.objects]
+        ended = [stop for stop in stops if stop is not None]
+        reason = None
+        if len(ended) == len(stops):
+            reason = ended[0].reason if not self.has_ids else overall_stop(ended).reason
+        return LevelSummary(self.grid, max(one.steps_on_level() for one in self.objects), reason)
+
+    def summaries(self) -> list[LevelSummary]:
+        """The levels so far, coarsest first."""
+        return [*self.level_summaries, self._summary()]
+
+    def _warn(self, what: str, then: str) -> None:
+        size = " x ".join(str(n) for n in reversed(self.grid.shape))
+        self.level_warnings.append(
+            f"level {self.grid.number} ({size} voxels): {what}; the run {then} on the next finer level"
+        )
+
+    def _window_reach(self) -> float:
+        """How far, mm, windows of the energy reach beyond an object; they are cut by it half a width off, and reach as
+        far again.
+        """
+        usual = WINDOW_VOXELS * max(self.geometry.steps)
+        terms = [t for t in energy_expression.parse(self.settings.energy) if t.name == "local-region"]
+        return max((2.0 * TENT * float(term.settings.get("R", usual)) for term in terms), default=0.0)
+
+    # -- edits ---------------------------------------------------------------------------------------------
+
+    def apply_edits(self) -> None:
+        """Apply the edits whose step has come, if that has not been done; `step` does it too."""
+        while self.stop is None and self._edits_done < len(self.config.edit):
+            edit = self.config.edit[self._edits_done]
             if edit.step > self.step_number:
                 break
-            now = self.now.replace(**edit.settings, seed=self.config.seed) if edit.settings else self.now
-            push = functools.partial(self._push, edit.balls) if edit.balls else None
-            self.evolution.edit(self._parts(now), _energy_key(now) != _energy_key(self.now), push)
-            self.now, self._done = now, self._done + 1
+            settings = self.settings
+            if edit.settings:
+                settings = settings.replace(**edit.settings, seed=self.config.seed)
+            new_energy = _energy_key(settings) != _energy_key(self.settings)
+            balls = edit_checks.balls_of(edit, self.geometry)
+            for place, one in enumerate(self.objects):
+                own = balls if not self.has_ids else edit_checks.balls_for(one.id, edit, balls)
+                stopped = one.evolution.stop
+                if stopped is not None and (stopped.reason not in ("converged", "stalled") or not one.surface.size):
+                    continue
+                one.edit(self._setup(settings, place), self._energy_maker(settings), new_energy, own)
+            self.settings, self._edits_done = settings, self._edits_done + 1
 
     @property
     def edits_done(self) -> int:
         """How many of the edits have been applied."""
-        return self._done
+        return self._edits_done
 
     def set_edits(self, edits: tuple[Edit, ...]) -> None:
         """Have other edits; those that have been applied must stay as they are.
@@ -245,68 +435,57 @@ class Run:
         for edit in edits[same:]:
             self.check(edit)
         config = seeded(self.config.replace(edit=edits))
-        if config.edit[: self._done] != self.config.edit[: self._done]:
+        if config.edit[: self._edits_done] != self.config.edit[: self._edits_done]:
             raise ValueError("an edit that has been applied cannot change: go back to before it first")
         self.config = config
 
-    def look(self) -> Step:
-        """Return the state now: the last row once the run has ended, else one of a step that moves nothing."""
-        if self.evolution.stop is None:
-            return self.evolution.look()
-        return Step(self.evolution.history[-1], self.evolution.surface, self.evolution.step_fields)
+    def check(self, edit: Edit, ids: Sequence[int] = ()) -> None:
+        """Refuse what this run cannot do: a ball outside the grid, an energy or a setting that it has nothing for."""
+        ids = ids or [one.id for one in self.objects]
+        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self._energy)
+
+    # -- checkpoints ---------------------------------------------------------------------------------------
 
     def checkpoint(self) -> RunCheckpoint:
-        """Put the state aside, between two steps and before the edits of the coming one are applied."""
-        return RunCheckpoint(self.step_number, self.now, self._done, self.evolution.checkpoint())
+        """The state between two steps, before the edits of the coming one are applied, as a value."""
+        return RunCheckpoint(
+            self.step_number,
+            self.settings,
+            self._edits_done,
+            self.level,
+            tuple(one.checkpoint() for one in self.objects),
+            tuple(self.level_summaries),
+            tuple(self.level_warnings),
+        )
 
-    def restore(self, kept: RunCheckpoint) -> None:
-        """Go back to a state of this run and level: the same edits then make the same steps, bit for bit."""
-        changed = _energy_key(kept.now) != _energy_key(self.now)
-        self.evolution.restore(kept.evolution, self._parts(kept.now), changed)
-        self.now, self._done, self._leaked = kept.now, kept.done, False
+    def restore(self, checkpoint: RunCheckpoint) -> None:
+        """Go back to a state of this run: the same edits then make the same steps, bit for bit.
 
-    def check(self, edit: Edit) -> None:
-        """Refuse what this run cannot do: a ball outside the grid, an energy or a setting that it has nothing for."""
-        terms = energy_expression.parse(str(edit.settings.get("energy", self.config.energy)))
-        if self.prepared.context.foreground is None and any(term.settings.get("update") == "no" for term in terms):
-            raise UsageError(
-                f"edit at step {edit.step}: likelihood:update=no was given, and the run has nothing to learn from",
-                "give --foreground to the run, or use update=yes",
-            )
-        for _, ball in edit.balls:
-            try:
-                starts.ball_of(ball, self.geometry)
-            except (UsageError, InputError) as error:
-                raise type(error)(f"edit at step {edit.step}: {error.message}", error.hint) from None
-        if self._energy is not None and not isinstance(self._energy, str):
-            for key in edit.settings:
-                if key == "energy" or key in ENERGY_SETTINGS:
-                    raise UsageError(
-                        f"edit at step {edit.step}: {key} was given, but the energy is one of your own",
-                        "it has its own settings, which do not change while it runs",
-                    )
+        Raises
+        ------
+        ValueError
+            When the state is of a coarser level than the present one, whose images are gone.
+        """
+        if checkpoint.level > self.level:
+            raise ValueError(f"a checkpoint of level {checkpoint.level}, and the run is on {self.level}")
+        changed = _energy_key(checkpoint.settings) != _energy_key(self.settings)
+        if checkpoint.level < self.level:
+            self.level = checkpoint.level
+            self._enter_level()
+            for one in self.objects:
+                one.release_to(self.level)
+        for place, (one, state) in enumerate(zip(self.objects, checkpoint.objects, strict=True)):
+            settings = checkpoint.settings
+            one.restore(state, self._setup(settings, place), self._energy_maker(settings), changed)
+        self._stop_requested = False
+        self.settings, self._edits_done = checkpoint.settings, checkpoint.edits_done
+        self._steps_made = checkpoint.step
+        self.level_summaries = list(checkpoint.summaries)
+        self.level_warnings = list(checkpoint.warnings)
 
-    def _push(self, balls: tuple[tuple[str, str], ...], surface: LevelSet) -> None:
-        """Unite the object with balls, or take them away from it: psi near them, negative inside."""
-        level = self.evolution.level
-        psi = surface.dense.psi.reshape(surface.shape)
-        for kind, text in balls:
-            centre, radius = starts.ball_of(text, self.geometry)
-            middle = (np.array(centre) + 0.5) / level.factors - 0.5
-            reach = (radius + float(surface.gamma)) / np.array(level.spacing)
-            low = np.maximum(np.floor(middle - reach), 0).astype(int)
-            high = np.minimum(np.ceil(middle + reach) + 1, surface.shape).astype(int)
-            box = tuple(slice(a, max(a, b)) for a, b in zip(low, high, strict=True))
-            axes = [np.arange(s.start, s.stop) for s in box]
-            squares = [((x - m) * h) ** 2 for x, m, h in zip(axes, middle, level.spacing, strict=True)]
-            far = np.sqrt(squares[0][:, None, None] + squares[1][None, :, None] + squares[2][None, None, :])
-            inside = (far - radius).astype(np.float32)
-            part = psi[box]
-            if kind == "add":
-                np.minimum(part, inside, out=part)
-            else:
-                np.maximum(part, -inside, out=part)
-        self.prepared.project(psi)
+    def separated(self) -> list[tuple[Corner, NDArray[np.float32]]]:
+        """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
+        return self._ensemble.separated(self.prepared.mask_distance)
 
 
 def seeded(config: RunConfig) -> RunConfig:
@@ -315,13 +494,31 @@ def seeded(config: RunConfig) -> RunConfig:
     return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config
 
 
-def _energy_key(config: RunConfig) -> tuple[Any, ...]:
-    """The settings that make the energy what it is."""
-    return tuple(getattr(config, key) for key in ("energy", *ENERGY_SETTINGS))
-
-
 def available_cores() -> int:
     """How many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _named_energy(
+    settings: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float], context: ImageContext
+) -> MadeEnergy:
+    energy = make_energy(settings, image, spacing, context)
+    return MadeEnergy(energy, settings.energy, context.terms)
+
+
+def _own_energy(
+    energy: Any,
+    settings: RunConfig,
+    image: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    context: ImageContext,
+) -> MadeEnergy:
+    own = own_energy(energy, settings, image, spacing)
+    return MadeEnergy(own, own.name, [])
+
+
+def _energy_key(config: RunConfig) -> tuple[Any, ...]:
+    """The settings that make the energy what it is."""
+    return tuple(getattr(config, key) for key in ("energy", *ENERGY_SETTINGS))

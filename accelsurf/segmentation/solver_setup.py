@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelsurf.energies import CheckedEnergy
 from accelsurf.errors import UsageError
-from accelsurf.evolution.loop import StopRule
+from accelsurf.evolution.convergence import StopRule
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Noise, Sobolev
 from accelsurf.segmentation.energy_assembly import area_weight, make_energy
 from accelsurf.settings.run_config import RunConfig

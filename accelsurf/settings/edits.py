@@ -33,6 +33,9 @@ class Edit(BaseModel):
         Number of the step, as in the history, before which it happens; 0 is the start.
     add, remove : str, optional
         A ball, ``ball:X,Y,Z,R`` as a start's: united with the object, or taken away from it.
+    object : int, optional
+        Id of the object that the ball is added to or removed from, where there are several; what one gains is taken
+        from the others.
     **settings
         Fields of RunConfig, but for those in `FIXED`, that are in force from this step on. A ball comes after them.
 
@@ -52,6 +55,7 @@ class Edit(BaseModel):
     step: int
     add: str | None = None
     remove: str | None = None
+    object: int | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -66,7 +70,7 @@ class Edit(BaseModel):
 
     @model_serializer
     def _table(self) -> dict[str, Any]:
-        given = {"step": self.step, **self.settings, "add": self.add, "remove": self.remove}
+        given = {"step": self.step, **self.settings, "add": self.add, "remove": self.remove, "object": self.object}
         return {key: value for key, value in given.items() if value is not None}
 
     def __str__(self) -> str:
@@ -115,7 +119,12 @@ def _edit(value: Any) -> Edit:
         ball = table.get(key)
         if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
             raise UsageError(f"edit at step {step}: {key} {_shown(ball)} was given, expected ball:X,Y,Z,R", FORM)
-    return Edit(**{**table, "step": step})
+    own = table.get("object")
+    if isinstance(own, str) and own.isdecimal():
+        own = int(own)
+    if own is not None and (not isinstance(own, int) or isinstance(own, bool) or own < 1):
+        raise UsageError(f"edit at step {step}: object {_shown(own)} was given, expected an object's id", FORM)
+    return Edit(**{**table, "step": step, "object": own})
 
 
 def _words(text: str) -> dict[str, str]:

@@ -303,15 +303,6 @@ class RunConfig(BaseModel):
                 f"start: {' + '.join(self.start)} was given with objects {self.objects}, expected one of the two",
                 "objects are starts: put what is to be segmented into that file",
             )
-        if self.objects is not None and self.edit:
-            raise UsageError(
-                "edit: one was given with objects, expected none", "edits are made in a run of one object"
-            )
-        if self.objects is not None and self.levels not in ("auto", 1):
-            raise UsageError(
-                f"levels: {self.levels} was given with objects, expected 1 or auto",
-                "several objects run on the image's own grid, each on its own part of it",
-            )
         if self.t0 == 0 and self.k <= 1:
             raise UsageError(
                 f"t0: 0 was given, expected a number greater than 0 with k = {self.k:g}",

@@ -16,7 +16,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from accelsurf.energies import ChanVese
-from accelsurf.evolution.loop import Evolution, Restart
+from accelsurf.evolution.convergence import Restart
+from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Sobolev, StepLimits
 from accelsurf.levelset import LevelSet
 from benchmarks.figures.common import COLOURS, write

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies import ChanVese
-from accelsurf.evolution.loop import Evolution, Restart
+from accelsurf.evolution.convergence import Restart
+from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import ConstantDensity, Flow, StepLimits
 from accelsurf.levelset import LevelSet, Workers
 from benchmarks.peers.measure import MissingError

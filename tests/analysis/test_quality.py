@@ -5,7 +5,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.analysis.quality import assess
-from accelsurf.evolution.loop import Stop
+from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment

@@ -16,7 +16,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from accelsurf.energies import Energy, RegionField
-from accelsurf.evolution.loop import Evolution, StepRecord
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, Gradient, StepInput, StepLimits, StepPlan
 from accelsurf.levelset import LevelSet
 from tests.support import exact

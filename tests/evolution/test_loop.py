@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from accelsurf.energies import ChanVese, RegionField
-from accelsurf.evolution.loop import Evolution, Restart, StepRecord, StopRule
+from accelsurf.evolution.convergence import Restart, StopRule
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev, StepLimits
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checks import check_level_set

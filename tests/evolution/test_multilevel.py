@@ -9,7 +9,8 @@ from accelsurf.analysis.metrics import dice
 from accelsurf.cli import run
 from accelsurf.errors import UsageError
 from accelsurf.evolution import multilevel
-from accelsurf.evolution.loop import Evolution, StopRule
+from accelsurf.evolution.convergence import StopRule
+from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import StepLimits
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts

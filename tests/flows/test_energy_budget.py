@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from accelsurf.energies import RegionField
-from accelsurf.evolution.loop import Evolution, Restart, StepRecord
+from accelsurf.evolution.convergence import Restart
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Noise, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.evolution.test_exact_solutions import BentWrongly, spheroid

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from accelsurf.energies import RegionField
-from accelsurf.evolution.loop import Evolution, StepRecord
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, FlowableMass, Noise, StepLimits
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.api import segment

@@ -14,8 +14,8 @@ from matplotlib import image as mpl_image
 from accelsurf.analysis.quality import Quality
 from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError
-from accelsurf.evolution.loop import StepRecord, Stop
 from accelsurf.evolution.multilevel import LevelSummary
+from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import Upright
 from accelsurf.grid.pyramid import Level

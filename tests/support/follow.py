@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.energies import ChanVese, Energy, RegionField
-from accelsurf.evolution.loop import Evolution, StepRecord
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support import exact

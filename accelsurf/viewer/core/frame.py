@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.evolution.loop import Step, StepRecord
+from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.flows import Flow
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry

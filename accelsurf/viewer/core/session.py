@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.evolution.loop import StepRecord, Stop
+from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.volume import Volume
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig

@@ -16,7 +16,7 @@ from PIL import Image, features
 
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.evolution.loop import StepRecord
+from accelsurf.evolution.records import StepRecord
 from accelsurf.io.files import staging
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig

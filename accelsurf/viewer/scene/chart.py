@@ -10,7 +10,7 @@ import numpy as np
 import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
-from accelsurf.evolution.loop import StepRecord
+from accelsurf.evolution.records import StepRecord
 from accelsurf.viewer.scene.colors import Theme
 from accelsurf.viewer.scene.overlay import MIN_TEXT, TEXT, round_length
 

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.analysis.surface_mesh import write_atomically
 from accelsurf.errors import InputError, UsageError, check_known
-from accelsurf.evolution.loop import StepRecord
+from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import Upright
 from accelsurf.grid.volume import Volume

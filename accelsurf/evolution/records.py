@@ -1,0 +1,111 @@
+"""What the loop yields and writes down: the record of a step, why a run stopped, what acted on the surface."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from accelsurf.levelset import LevelSet
+
+StopReason = Literal["converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked"]
+
+
+class StepRecord(NamedTuple):
+    """One line of the trace: the state at the beginning of a step and the move that followed.
+
+    Attributes
+    ----------
+    step : int
+    level : int
+        Grid that the step was made on: 0 is the image's own, 1 the next coarser one; see `accelsurf.grid.pyramid`.
+    t, dt, cfl_dt : float
+        Flow time, the step's length, and the length that the surface's way alone would allow: where dt is less, waves,
+        diffusion, noise or density bound it. Both are 0 in the last row, which only records the final state.
+    potential, kinetic, mass_potential, weight : float
+        U, the paper's T, U_mass, and the factor w of the potentials, at time t: E = U + U_mass + T/w never rises.
+    friction_work, smoothing_work, noise_work : float
+        What friction has taken from E so far; what diffusion, the limiter, restarts, changes of level and edits have;
+        what noise has put in: E + friction_work + smoothing_work - noise_work stays what it was.
+    mass, mass_correction : float
+        Mass of the surface, and the part that the flow has had to add so far to conserve it (relative).
+    clamped_fraction : float
+        Share of the surface where a negative tension of the mass potential was clamped.
+    volume_mm3, area_mm2 : float
+    speed : float
+        The limiter's percentile of the speed (sign dropped) on the front, mm per unit time.
+    motion_voxels : float
+        Mean motion of the surface in the step, voxels along the normal.
+    limited_fraction : float
+        Share of front cells held to the CFL limit.
+    diffusion : float
+        Velocity diffusion used, mm2 per unit time.
+    band_cells, cells_visited : int
+        Size of the band, and the cells that the step's passes over it visited in all: its cost, on any machine.
+    restarted : bool
+        True when momentum was set to zero before this step.
+    removed_components : int
+        Components removed as smaller than the grid resolves.
+    seconds : float
+        Wall time of the step.
+    edits : int
+        Changes made by hand right before this step; see `accelsurf.settings.edits`.
+    """
+
+    step: int
+    level: int
+    t: float
+    dt: float
+    cfl_dt: float
+    potential: float
+    kinetic: float
+    mass_potential: float
+    weight: float
+    friction_work: float
+    smoothing_work: float
+    noise_work: float
+    mass: float
+    mass_correction: float
+    volume_mm3: float
+    area_mm2: float
+    speed: float
+    motion_voxels: float
+    limited_fraction: float
+    clamped_fraction: float
+    diffusion: float
+    band_cells: int
+    cells_visited: int
+    restarted: bool
+    removed_components: int
+    seconds: float
+    edits: int = 0
+
+
+class Stop(NamedTuple):
+    """Why a run ended: ``reason``, after how many ``steps``, at flow time ``time``, in words (``message``)."""
+
+    reason: StopReason
+    steps: int
+    time: float
+    message: str
+
+
+class StepFields(NamedTuple):
+    """What acted in a step, per cell of the band that it began on: raveled ``cells`` (n,) in raster order, ``force``
+    (n,), which counts at the front, and ``speed`` (n,), mm per unit time; along N, so that above 0 shrinks.
+    """
+
+    cells: np.ndarray
+    force: np.ndarray
+    speed: np.ndarray
+
+
+class Step(NamedTuple):
+    """What the loop yields: the ``record`` of the step, the ``surface`` as it is now, and the ``fields`` that moved it
+    last on this grid (not to be changed; None where no step was made on the grid yet); ``object_id`` says whose it is.
+    """
+
+    record: StepRecord
+    surface: LevelSet
+    fields: StepFields | None = None
+    object_id: int = 1

@@ -1,0 +1,22 @@
+"""How a surface is moved under given settings."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from accelsurf.evolution.convergence import Restart, StopRule
+from accelsurf.flows import Flow, StepLimits
+
+
+class SolverSetup(NamedTuple):
+    """What moves a surface besides its energy.
+
+    ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
+    each level; stop ``rule`` of the finest level, None to run to the last step.
+    """
+
+    flow: Flow
+    limits: StepLimits
+    restart: Restart | None
+    half_width: float
+    rule: StopRule | None

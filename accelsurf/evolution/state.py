@@ -1,0 +1,99 @@
+"""What the loop needs of the past, as a value: copied for a checkpoint, passed on to the next grid."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from accelsurf.evolution.energy_budget import EnergyBudget
+from accelsurf.evolution.records import StepFields, StepRecord
+from accelsurf.levelset import Snapshot, SurfaceState
+
+
+@dataclass
+class LoopState:
+    """State of the loop between two steps.
+
+    Attributes
+    ----------
+    history : list of StepRecord
+        Every step so far, on all levels.
+    time : float
+        Flow time.
+    potential : float
+        U at the last look.
+    gained_before : float
+        Potential won on earlier grids and before edits.
+    potential_before : float
+        E as it was on the grid before, to be compared with the first value here; NaN when there is nothing to compare.
+    first, seen : int
+        Number of the first step on this grid, and of the one at which convergence was last looked at.
+    snapshot : Snapshot or None
+        The surface then.
+    fields : StepFields or None
+        What moved the surface last on this grid.
+    edits : int
+        Edits made since the last step.
+    budget : EnergyBudget
+    """
+
+    history: list[StepRecord] = field(default_factory=list)
+    time: float = 0.0
+    potential: float = 0.0
+    gained_before: float = 0.0
+    potential_before: float = math.nan
+    first: int = 0
+    seen: int = 0
+    snapshot: Snapshot | None = None
+    fields: StepFields | None = None
+    edits: int = 0
+    budget: EnergyBudget = field(default_factory=EnergyBudget)
+
+    def copy(self) -> LoopState:
+        """An independent copy; arrays and records are shared, as nothing writes to them."""
+        other = copy.copy(self)
+        other.history, other.budget = list(self.history), copy.copy(self.budget)
+        return other
+
+    @property
+    def gained(self) -> float:
+        """Potential won so far, over all grids."""
+        here = self.history[self.first :]
+        return self.gained_before + (max(here[0].potential - self.potential, 0.0) if here else 0.0)
+
+    def on_next_grid(self, with_fields: bool) -> LoopState:
+        """The state with which an evolution goes on elsewhere: on another grid, or under other settings.
+
+        Parameters
+        ----------
+        with_fields : bool
+            Whether momentum goes on too; then the energy budget does.
+        """
+        count = len(self.history)
+        following = LoopState(self.history, self.time, gained_before=self.gained, edits=self.edits)
+        following.first = following.seen = count
+        if with_fields:
+            following.budget, following.potential_before = self.budget, self.potential
+        return following
+
+
+class Checkpoint(NamedTuple):
+    """An evolution between two steps: the states of its four owners; see `Evolution.checkpoint`."""
+
+    level: int
+    loop: LoopState
+    surface: SurfaceState
+    flow: dict[str, Any]
+    energy: Any
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes at most; records are not counted, and what checkpoints may share is."""
+        fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
+        before, acting = self.loop.snapshot, self.loop.fields
+        shared = (12 * before.psi.size if before else 0) + (16 * acting.speed.size if acting else 0)
+        return self.surface.nbytes + fields + 8 * len(self.loop.history) + shared

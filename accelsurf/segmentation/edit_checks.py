@@ -1,0 +1,82 @@
+"""Whether a run can do what an edit asks for, and which balls an object gets of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.initialization import starts
+from accelsurf.segmentation.evolving_object import Ball
+from accelsurf.segmentation.preprocessing import PreprocessedInput
+from accelsurf.segmentation.solver_setup import ENERGY_SETTINGS
+from accelsurf.settings import energy_expression
+from accelsurf.settings.edits import Edit
+from accelsurf.settings.run_config import RunConfig
+
+
+def check(edit: Edit, config: RunConfig, prepared: PreprocessedInput, ids: Sequence[int], energy: Any) -> None:
+    """Refuse what a run cannot do: a ball outside the grid, an energy or a setting that it has nothing for.
+
+    Parameters
+    ----------
+    edit : Edit
+    config : RunConfig
+        Of the run.
+    prepared : PreprocessedInput
+    ids : sequence of int
+        Of its objects; none for a run of one object without an id.
+    energy : Energy or callable or str or None
+        An energy of the user's own, if the run has one.
+
+    Raises
+    ------
+    UsageError
+        When the edit makes no sense here.
+    InputError
+        When a ball lies outside the volume.
+    """
+    where = f"edit at step {edit.step}"
+    terms = energy_expression.parse(str(edit.settings.get("energy", config.energy)))
+    if prepared.context.foreground is None and any(term.settings.get("update") == "no" for term in terms):
+        raise UsageError(
+            f"{where}: likelihood:update=no was given, and the run has nothing to learn from",
+            "give --foreground to the run, or use update=yes",
+        )
+    for _, ball in edit.balls:
+        try:
+            starts.ball_of(ball, prepared.geometry)
+        except (UsageError, InputError) as error:
+            raise type(error)(f"{where}: {error.message}", error.hint) from None
+    _check_object(edit, ids, where)
+    if energy is not None and not isinstance(energy, str):
+        for key in edit.settings:
+            if key == "energy" or key in ENERGY_SETTINGS:
+                raise UsageError(
+                    f"{where}: {key} was given, but the energy is one of your own",
+                    "it has its own settings, which do not change while it runs",
+                )
+
+
+def _check_object(edit: Edit, ids: Sequence[int], where: str) -> None:
+    """Whether the object that an edit names is there, and named where there are several."""
+    if edit.object is not None and edit.object not in (ids or (1,)):
+        known = ", ".join(str(one) for one in ids[:8]) + (", ..." if len(ids) > 8 else "")
+        raise UsageError(f"{where}: object {edit.object} was given, expected one of {known or '1'}", "as in object=3")
+    if edit.object is None and edit.balls and len(ids) > 1:
+        raise UsageError(
+            f"{where}: a ball was given without its object", "write which one it is added to, as in object=3"
+        )
+
+
+def balls_of(edit: Edit, geometry: Geometry) -> tuple[Ball, ...]:
+    """The balls of an edit on the grid of the region of interest."""
+    return tuple(Ball(kind, *starts.ball_of(text, geometry)) for kind, text in edit.balls)
+
+
+def balls_for(own: int, edit: Edit, balls: Sequence[Ball]) -> tuple[Ball, ...]:
+    """What the balls of an edit are for the object ``own`` of several: what one gains is taken from the others."""
+    if edit.object is None or edit.object == own:
+        return tuple(balls)
+    return tuple(ball._replace(kind="remove") for ball in balls if ball.kind == "add")

@@ -1,0 +1,191 @@
+"""Objects that move beside each other and never overlap.
+
+They are moved in rounds, one step each. Those that are near each other take turns, in the order of their ids, and
+see each other as they are; the others move at the same time in threads. So the result does not depend on their number.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.evolution.records import Step, Stop, StopReason
+from accelsurf.grid.boxes import Corner, meeting, shared
+from accelsurf.grid.geometry import Geometry
+from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.levelset import Workers
+from accelsurf.segmentation.evolving_object import EvolvingObject
+from accelsurf.segmentation.preprocessing import PreprocessedInput
+
+#: Voxels by which a band may grow in a round, and stencils reach.
+REACH = 3
+#: A neighbour that is this deep inside, voxels of the smallest spacing, wakes an object that had converged.
+PUSHED = 0.5
+#: Reasons that are told of the whole run if they are any object's, the worst first.
+WORST: tuple[StopReason, ...] = ("interrupted", "diverged", "leaked", "stalled", "max-steps", "filled")
+T = TypeVar("T")
+
+
+class Ensemble:
+    """Steps all objects of a run.
+
+    Parameters
+    ----------
+    objects : sequence of EvolvingObject
+        In order of their ids.
+    workers : Workers
+        The threads to use.
+    steps : sequence of float
+        Spacings of the axes that count, mm.
+    meet : bool
+        Whether they see each other; False for one that is alone.
+    """
+
+    def __init__(
+        self, objects: Sequence[EvolvingObject], workers: Workers, steps: Sequence[float], meet: bool
+    ) -> None:
+        self._objects, self._workers, self._meets = tuple(objects), workers, meet
+        self._smallest = min(steps)
+        several = meet and workers.threads > 1
+        self._pool = ThreadPoolExecutor(workers.threads) if several else None
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def step(self, wake: bool = True) -> tuple[Step, ...]:
+        """One step of each object that moves; none when all have ended on their level.
+
+        Objects that have converged move again when others run into them, unless ``wake`` is false.
+        """
+        if not self._meets:
+            steps = [one.step() for one in self._objects]
+            return tuple(step for step in steps if step is not None)
+        moving = [one for one in self._objects if one.moves]
+        if not moving:
+            return ()
+        meets = self._meet()
+        steps = [step for batch in self._batches(meets) for step in self._each(EvolvingObject.step, batch)]
+        self._each(EvolvingObject.grow_grid, [one for one in moving if one.moves])
+        if wake:
+            self._wake(meets)
+        return tuple(step for step in steps if step is not None)
+
+    def _each(self, work: Callable[[EvolvingObject], T], batch: list[EvolvingObject]) -> list[T]:
+        """Do something with objects that do not see each other; one alone gets all threads."""
+        if self._pool is None or len(batch) > 1:
+            return list(map(work, batch) if self._pool is None else self._pool.map(work, batch))
+        with ExitStack() as stack:
+            for one in batch:
+                stack.enter_context(one.workers.helped_by(self._workers))
+            return [work(one) for one in batch]
+
+    def _meet(self) -> list[list[int]]:
+        """Tell each object its neighbours; those of each by their places."""
+        bands = [one.extent() for one in self._objects]
+        low, high = np.array([band[0] for band in bands]), np.array([band[1] for band in bands])
+        there = np.array([one.surface.size > 0 for one in self._objects])
+        boxes = meeting(low - REACH, high + REACH)
+        meets = [[j for j in near if there[i] and there[j]] for i, near in enumerate(boxes)]
+        for one, near in zip(self._objects, meets, strict=True):
+            others = (self._objects[j] for j in near)
+            one.contact.neighbours = [other.as_neighbour for other in others]
+        return meets
+
+    def _batches(self, meets: list[list[int]]) -> list[list[EvolvingObject]]:
+        """Objects that move, shared out so that none in a batch sees another there; lower ids come first."""
+        batch: dict[int, int] = {}
+        for i, one in enumerate(self._objects):
+            if one.moves:
+                taken = {batch[j] for j in meets[i] if j in batch}
+                batch[i] = next(k for k in range(len(taken) + 1) if k not in taken)
+        out: list[list[EvolvingObject]] = [[] for _ in range(max(batch.values()) + 1)]
+        for i, k in batch.items():
+            out[k].append(self._objects[i])
+        return out
+
+    def _wake(self, meets: list[list[int]]) -> None:
+        """Wake what has converged and was run into."""
+        deepest = PUSHED * self._smallest
+        for i, one in enumerate(self._objects):
+            stop = one.evolution.stop
+            if stop is None or stop.reason != "converged" or stop.steps >= one.evolution.max_steps:
+                continue
+            moving = [self._objects[j] for j in meets[i] if self._objects[j].moves]
+            one.contact.neighbours = [other.as_neighbour for other in moving]
+            if one.contact.overlap(one.surface) > deepest:
+                one.wake()
+
+    def separated(self, mask_distance: NDArray[np.float32] | None) -> list[tuple[Corner, NDArray[np.float32]]]:
+        """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
+        parts = [one.psi_on_finest() for one in self._objects]
+        low = np.array([corner for corner, _ in parts])
+        high = low + np.array([psi.shape for _, psi in parts])
+        out = []
+        for i, near in enumerate(meeting(low, high)):
+            corner, own = parts[i]
+            psi = own.copy()
+            for j in near:
+                at, theirs_psi = parts[j]
+                mine, theirs = shared(corner, own.shape, at, theirs_psi.shape)
+                a, b = own[mine], theirs_psi[theirs]
+                np.maximum(psi[mine], np.float32(0.5) * (a - b), out=psi[mine])
+                # Where both are equally deep the lower id has the voxel.
+                tie = (a == b) & (a < 0)
+                psi[mine][tie] = np.float32(-1e-6 if i < j else 1e-6) * np.float32(self._smallest)
+            if mask_distance is not None:
+                box = tuple(slice(c, c + n) for c, n in zip(corner, psi.shape, strict=True))
+                psi = np.maximum(psi, mask_distance[box])
+            out.append((corner, psi))
+        return out
+
+
+def union_of(starts: Sequence[ObjectStart], geometry: Geometry) -> NDArray[np.float32]:
+    """Psi of the union of first surfaces on the whole grid."""
+    union = np.full(geometry.shape, np.float32(0.5 * min(geometry.steps)), np.float32)
+    for one in starts:
+        box = tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))
+        np.minimum(union[box], one.psi, out=union[box])
+    return union
+
+
+def within(one: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
+    """A start on the grid of the region of interest, within the mask.
+
+    Raises
+    ------
+    InputError
+        When nothing of it lies there.
+    """
+    box, roi = tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True)), prepared.box
+    a, b, c = (slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(box, roi, strict=True))
+    if all(s.start < s.stop for s in (a, b, c)):
+        psi = one.psi[tuple(slice(s.start - k, s.stop - k) for s, k in zip((a, b, c), one.corner, strict=True))]
+        at = (a.start - roi[0].start, b.start - roi[1].start, c.start - roi[2].start)
+        distance = prepared.mask_distance
+        inside = psi
+        if distance is not None:
+            inside = np.maximum(psi, distance[tuple(slice(k, k + n) for k, n in zip(at, psi.shape, strict=True))])
+        if (inside < 0).any():
+            return ObjectStart(one.id, at, psi)
+    raise InputError(
+        f"object {one.id}: nothing of its start lies in the mask and the region of interest", "start within them"
+    )
+
+
+def overall_stop(stops: Sequence[Stop]) -> Stop:
+    """How several ended: ``converged`` if all that are left did, ``vanished`` if none is left, else the worst."""
+    counts: Counter[StopReason] = Counter(stop.reason for stop in stops)
+    worst = next((reason for reason in WORST if counts[reason]), None)
+    left: StopReason = "converged" if counts["converged"] else "vanished"
+    message = ", ".join(f"{count} {reason}" for reason, count in sorted(counts.items()))
+    steps, longest = max(stop.steps for stop in stops), max(stop.time for stop in stops)
+    return Stop(worst or left, steps, longest, f"of {len(stops)} objects {message}")

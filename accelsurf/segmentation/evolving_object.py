@@ -1,0 +1,526 @@
+"""One object of a run: its surface on its own box of the present level's grid, what pulls it and how it moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies import Energy
+from accelsurf.energies.constraints.contact import Neighbour, NonOverlap
+from accelsurf.energies.constraints.mask import MaskConstraint
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.multilevel import FAILED, prolong_surface, rule_on_level
+from accelsurf.evolution.records import Step, Stop
+from accelsurf.evolution.setup import SolverSetup
+from accelsurf.evolution.state import Checkpoint, LoopState
+from accelsurf.flows import Flow
+from accelsurf.grid.boxes import Corner, corner_of, shared, widened
+from accelsurf.grid.geometry import Box
+from accelsurf.grid.pyramid import Level, prolong, restrict
+from accelsurf.levelset import LevelSet, Workers
+from accelsurf.levelset.transfer import shift_fields
+from accelsurf.segmentation.energy_assembly import ImageContext
+from accelsurf.segmentation.level_arrays import LevelInputs
+
+#: Voxels around an object's band at least, and as part of its extent; nearer than this the grid is made larger.
+ROOM, ROOM_PART, GUARD = 10, 0.5, 3
+
+
+class MadeEnergy(NamedTuple):
+    """An energy with its ``name`` and the ``terms`` that it is made of, with every setting resolved."""
+
+    energy: Energy
+    name: str
+    terms: list[dict[str, Any]]
+
+
+class Ball(NamedTuple):
+    """A ball to be added to an object or removed from it: ``centre`` (z, y, x) as voxel index, ``radius`` in mm."""
+
+    kind: str
+    centre: tuple[float, float, float]
+    radius: float
+
+
+class ObjectCheckpoint(NamedTuple):
+    """An object between two steps: first voxel and shape of its grid, and its evolution there."""
+
+    corner: Corner
+    shape: tuple[int, int, int]
+    leaked: bool
+    evolution: Checkpoint
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes at most."""
+        return self.evolution.nbytes
+
+
+@dataclass(frozen=True)
+class ObjectStart:
+    """What an object begins with.
+
+    Attributes
+    ----------
+    id : int
+    corner : (z, y, x)
+        First voxel of ``psi`` on the finest level.
+    psi : ndarray (nz, ny, nx), float32
+        Of the first surface, mm, negative inside; its memory is used up.
+    """
+
+    id: int
+    corner: Corner
+    psi: NDArray[np.float32]
+
+
+class EvolvingObject:
+    """An object that evolves, alone or among others.
+
+    Parameters
+    ----------
+    start : ObjectStart
+        Alone: on the whole grid.
+    inputs : LevelInputs
+        Images and mask by level.
+    context : ImageContext
+        What its energy is told of the image.
+    setup : SolverSetup
+    make_energy : callable
+        Makes a `MadeEnergy` of (image, spacing, context).
+    workers : Workers
+    max_steps : int
+        Of all levels together.
+    max_volume : float or None
+        Leak guard, mm3.
+    among_others : bool
+        Whether it lives on a box of its own, which grows with it, beside others that it must not overlap.
+    """
+
+    def __init__(
+        self,
+        start: ObjectStart,
+        inputs: LevelInputs,
+        context: ImageContext,
+        setup: SolverSetup,
+        make_energy: Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy],
+        workers: Workers,
+        max_steps: int,
+        max_volume: float | None,
+        among_others: bool,
+    ) -> None:
+        self.id, self.workers, self.context = start.id, workers, context
+        self.max_volume, self.leaked = max_volume, False
+        self._inputs, self._setup, self._make_energy = inputs, setup, make_energy
+        self._among_others = among_others
+        self._max_steps, self._stop_requested = max_steps, False
+        self._min_room = (ROOM, ROOM, ROOM)
+        #: First voxel and psi of the start on each level, finest first; the present level last.
+        self._starts = self._restricted(start)
+        self.level = len(self._starts) - 1
+        self.corner: Corner = (0, 0, 0)
+        self.made: MadeEnergy
+        self.evolution: Evolution
+
+    # -- what it is ----------------------------------------------------------------------------------------
+
+    @property
+    def surface(self) -> LevelSet:
+        """The surface now, on its own box."""
+        return self.evolution.surface
+
+    @property
+    def flow(self) -> Flow:
+        """How it moves."""
+        return self.evolution.flow
+
+    @property
+    def grid(self) -> Level:
+        """The grid of the present level, of which the object's is a box."""
+        return self._inputs.grids[self.level]
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has not stopped on this level."""
+        return self.evolution.stop is None
+
+    @property
+    def stop(self) -> Stop | None:
+        """Why it ended; None while it goes on, on this level or the next."""
+        stop = self.evolution.stop
+        if stop is None or self.level > 0:
+            return None
+        if self.leaked and stop.reason == "interrupted":
+            message = f"the object grew beyond {self.max_volume:g} mm3, the largest volume it may have"
+            return stop._replace(reason="leaked", message=message)
+        return stop
+
+    @property
+    def contact(self) -> NonOverlap:
+        """Its energy among others."""
+        energy = self.evolution.energy
+        if not isinstance(energy, NonOverlap):
+            raise TypeError("an object that is alone has no contact")
+        return energy
+
+    @property
+    def as_neighbour(self) -> Neighbour:
+        """What others see of it."""
+        return Neighbour(self.surface, self.corner, self.contact, self.flow)
+
+    def extent(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First voxel of the band and the one after its last, in the level's grid; of no band an empty box."""
+        if self.surface.size == 0:
+            return np.array(self.corner), np.array(self.corner)
+        index = np.unravel_index(self.surface.band.cells, self.surface.shape)
+        low, high = ([int(f(i)) + c for i, c in zip(index, self.corner, strict=True)] for f in (np.min, np.max))
+        return np.array(low), np.array(high) + 1
+
+    # -- starts and levels ---------------------------------------------------------------------------------
+
+    def _restricted(self, start: ObjectStart) -> list[tuple[Corner, NDArray[np.float32]]]:
+        """The start on every level, finest first; a box is made of whole blocks of the coarsest level."""
+        grids = self._inputs.grids
+        corner, psi = start.corner, start.psi
+        if len(grids) > 1:
+            corner, psi = _aligned(corner, psi, grids)
+        starts = [(corner, psi)]
+        for fine, coarse in zip(grids, grids[1:], strict=False):
+            corner, psi = starts[-1]
+            ratio = [c // f for c, f in zip(coarse.factors, fine.factors, strict=True)]
+            small = fine._replace(shape=psi.shape)
+            counts = tuple(-(-n // r) for n, r in zip(psi.shape, ratio, strict=True))
+            blocks = coarse._replace(shape=counts)
+            at = tuple(c // r for c, r in zip(corner, ratio, strict=True))
+            starts.append(((at[0], at[1], at[2]), restrict(psi, small, blocks)))
+        return starts
+
+    def start_is_resolved(self) -> bool:
+        """Whether the start has something inside and outside on the present level."""
+        inside = self._starts[-1][1] < 0
+        return bool(inside.any() and not inside.all())
+
+    def skip_level(self) -> None:
+        """Begin on the next finer level instead."""
+        self._starts.pop()
+        self.level -= 1
+
+    def begin(self) -> None:
+        """Begin on the present level, from the start."""
+        self._begin_from_start(None)
+
+    def _begin_from_start(self, state: LoopState | None) -> None:
+        corner, psi = self._starts[-1]
+        if self.level == 0:
+            # The last to need it: a whole volume less while the finest level runs.
+            self._starts = [(corner, np.zeros((0, 0, 0), np.float32))]
+        if not self._among_others:
+            self.corner = corner
+            self._evolve(LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True), state)
+            return
+        inside = np.argwhere(psi < 0)
+        low, high = inside.min(axis=0) + corner, inside.max(axis=0) + 1 + corner
+        self._lay_out(self._boxed(low, high), psi, corner, None, state)
+
+    def next_level(self) -> None:
+        """Go on on the next finer level, from where this one ended, or from the start if that failed."""
+        before, coarse = self.evolution, self.grid
+        if before.stop is None:
+            raise ValueError(f"object {self.id} has not ended on level {self.level}")
+        self._starts.pop()
+        self.level -= 1
+        if before.stop.reason in FAILED:
+            self._begin_from_start(before.state.on_next_grid(with_fields=False))
+            return
+        # The start there is not needed any more; a whole volume on the finest level.
+        self._starts[-1] = (self.corner, np.zeros((0, 0, 0), np.float32))
+        ratio = [c // f for c, f in zip(coarse.factors, self.grid.factors, strict=True)]
+        first = [c * r for c, r in zip(self.corner, ratio, strict=True)]
+        nz, ny, nx = (
+            min(n * r, whole - c)
+            for n, r, whole, c in zip(before.surface.shape, ratio, self.grid.shape, first, strict=True)
+        )
+        mine, theirs = coarse._replace(shape=before.surface.shape), self.grid._replace(shape=(nz, ny, nx))
+        self.corner = (first[0], first[1], first[2])
+        surface, fields = prolong_surface(before.surface, before.flow, mine, theirs, self._setup.half_width)
+        self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
+
+    def failed_on_level(self) -> Stop | None:
+        """How the level ended without a surface to go on from; None if there is one."""
+        stop = self.evolution.stop
+        return stop if stop is not None and stop.reason in FAILED else None
+
+    def steps_on_level(self) -> int:
+        """Steps made on the present level."""
+        return sum(record.level == self.level and record.dt > 0 for record in self.evolution.history)
+
+    # -- on a grid -----------------------------------------------------------------------------------------
+
+    def set_min_room(self, reach: float) -> None:
+        """Have so much room, mm, around the object, for its energy to see what it would see on the whole grid."""
+        z, y, x = (max(ROOM, math.ceil(reach / h) + GUARD) for h in self.grid.spacing)
+        self._min_room = (z, y, x)
+
+    def _boxed(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> Box:
+        """The box of the grid for an object between two voxels."""
+        a, b, c = (slice(int(i), int(j)) for i, j in zip(low, high, strict=True))
+        room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(self._min_room, low, high, strict=True)]
+        return widened((a, b, c), self.grid.shape, (room[0], room[1], room[2]))
+
+    def _box(self) -> Box:
+        z, y, x = (slice(c, c + n) for c, n in zip(self.corner, self.surface.shape, strict=True))
+        return z, y, x
+
+    def _lay_out(
+        self, box: Box, known: NDArray[np.float32], at: Corner, before: Evolution | None, state: LoopState | None
+    ) -> None:
+        """Put the surface, known from voxel ``at`` on, on a box of the grid, and go on there from ``before``."""
+        self.corner = corner_of(box)
+        # Beyond what is known all is outside.
+        psi = np.full(tuple(s.stop - s.start for s in box), np.abs(known[np.isfinite(known)]).max(), np.float32)
+        mine, theirs = shared(self.corner, psi.shape, at, known.shape)
+        psi[mine] = np.minimum(known[theirs], psi[mine])
+        distance = self._inputs.mask_distance(self.level, box)
+        if distance is not None:
+            np.maximum(psi, distance, out=psi)
+        surface = LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True)
+        fields = None
+        if before is not None:
+            fields = shift_fields(before.flow.fields, before.surface, at, surface, self.corner)
+        self._evolve(surface, state, fields)
+
+    def _evolve(
+        self, surface: LevelSet, state: LoopState | None, fields: list[NDArray[np.float32]] | None = None
+    ) -> None:
+        """Begin an evolution on a surface, with an energy for its grid."""
+        z, y, x = (slice(c, c + n) for c, n in zip(self.corner, surface.shape, strict=True))
+        setup = self._setup
+        self.evolution = Evolution(
+            surface,
+            self._energy_on((z, y, x)),
+            setup.flow,
+            setup.limits,
+            self._max_steps,
+            setup.restart,
+            rule_on_level(setup.rule, self.level),
+            self.level,
+            state,
+            fields,
+        )
+        if self._among_others:
+            # Others see it before its first step.
+            self.evolution.initialize()
+        if self._stop_requested:
+            self.evolution.request_stop()
+
+    def _energy_on(self, box: Box) -> Energy:
+        """The energy on a box of the present level's grid."""
+        inputs = self._inputs
+        images = inputs.images(self.level, box)
+        self.made = self._make_energy(images[0], self.grid.spacing, self.context.with_channels(images[1:]))
+        energy, distance = self.made.energy, inputs.mask_distance(self.level, box)
+        if distance is not None:
+            energy = MaskConstraint(energy, distance)
+        return NonOverlap(energy, self.corner) if self._among_others else energy
+
+    # -- to run --------------------------------------------------------------------------------------------
+
+    def request_stop(self) -> None:
+        """End after the present step, with the reason ``interrupted``."""
+        self._stop_requested = True
+        self.evolution.request_stop()
+
+    def step(self) -> Step | None:
+        """Make a step; None when the object has ended on this level."""
+        step = self.evolution.step()
+        if self._among_others:
+            self.contact.react_to_contact(self.surface, self.flow)
+            if self.evolution.stop is not None and self.surface.size:
+                # Neighbours would follow what is left of its speed, into a surface that stands still.
+                self.evolution.zero_momentum()
+        if step is None:
+            return None
+        limit = self.max_volume
+        if limit is not None and step.record.volume_mm3 > limit and not self.leaked:
+            self.leaked = True
+            self.request_stop()
+        return step._replace(object_id=self.id)
+
+    def grow_grid(self, low: NDArray[np.int64] | None = None, high: NDArray[np.int64] | None = None) -> None:
+        """Go over to a larger grid when the band, or what lies between two voxels, comes near the edge of this one."""
+        if low is None or high is None:
+            low, high = self.extent()
+        corner, shape = np.array(self.corner), np.array(self.surface.shape)
+        ends = np.array(self.grid.shape)
+        near = ((low - corner < GUARD) & (corner > 0)) | ((corner + shape - high < GUARD) & (corner + shape < ends))
+        if near.any():
+            box = self._boxed(np.minimum(low, corner + GUARD), np.maximum(high, corner + shape - GUARD))
+            before, at = self.evolution, self.corner
+            before.measure()
+            self._lay_out(box, before.surface.psi, at, before, before.state.on_next_grid(with_fields=True))
+
+    def wake(self) -> None:
+        """Move again after it had converged: a neighbour ran into it."""
+        before = self.evolution
+        if self.level == 0:
+            # The record of the final state: it was not.
+            before.history.pop()
+        setup = self._setup
+        self.evolution = Evolution(
+            before.surface,
+            before.energy,
+            before.flow,
+            setup.limits,
+            self._max_steps,
+            setup.restart,
+            rule_on_level(setup.rule, self.level),
+            self.level,
+            before.state.on_next_grid(with_fields=True),
+            before.flow.fields,
+        )
+        self.evolution.initialize()
+
+    # -- changed by hand -----------------------------------------------------------------------------------
+
+    def set_max_steps(self, max_steps: int) -> None:
+        """Have another limit of the steps of all levels together."""
+        self._max_steps = self.evolution.max_steps = max_steps
+
+    def edit(
+        self,
+        setup: SolverSetup,
+        make_energy: Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy],
+        new_energy: bool,
+        balls: tuple[Ball, ...],
+    ) -> None:
+        """Go on with another set-up, and from a surface changed by balls.
+
+        Parameters
+        ----------
+        setup : SolverSetup
+            The coming levels have it too.
+        make_energy : callable
+            Of the coming levels.
+        new_energy : bool
+            Whether the energy is another one from here on.
+        balls : tuple of Ball
+        """
+        if self._among_others:
+            for ball in balls:
+                if ball.kind == "add":
+                    self._make_room(ball)
+            if self.evolution.stop is not None and self.level == 0:
+                self.evolution.history.pop()
+        self._setup, self._make_energy = setup, make_energy
+        energy = self._energy_on(self._box()) if new_energy else None
+        self.evolution = self.evolution.edited(
+            energy,
+            setup.flow,
+            setup.limits,
+            setup.restart,
+            rule_on_level(setup.rule, self.level),
+            setup.half_width,
+            (lambda surface: self._change_psi(surface, balls)) if balls else None,
+        )
+
+    def _on_level(self, ball: Ball) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centre of a ball as index of the level's grid, and half its size in voxels of it."""
+        middle = (np.array(ball.centre) + 0.5) / self.grid.factors - 0.5
+        return middle, ball.radius / np.array(self.grid.spacing)
+
+    def _make_room(self, ball: Ball) -> None:
+        middle, size = self._on_level(ball)
+        low = np.maximum(np.floor(middle - size), 0).astype(np.int64)
+        high = np.minimum(np.ceil(middle + size) + 1, self.grid.shape).astype(np.int64)
+        own_low, own_high = self.extent()
+        if self.surface.size:
+            low, high = np.minimum(low, own_low), np.maximum(high, own_high)
+        self.grow_grid(low, high)
+
+    def _change_psi(self, surface: LevelSet, balls: tuple[Ball, ...]) -> None:
+        """Unite the object with balls, or take them away from it: psi near them, negative inside."""
+        psi = surface.dense.psi.reshape(surface.shape)
+        for ball in balls:
+            middle = self._on_level(ball)[0] - self.corner
+            reach = (ball.radius + float(surface.gamma)) / np.array(self.grid.spacing)
+            low = np.maximum(np.floor(middle - reach), 0).astype(int)
+            high = np.minimum(np.ceil(middle + reach) + 1, surface.shape).astype(int)
+            box = tuple(slice(a, max(a, b)) for a, b in zip(low, high, strict=True))
+            axes = [np.arange(s.start, s.stop) for s in box]
+            squares = [((x - m) * h) ** 2 for x, m, h in zip(axes, middle, self.grid.spacing, strict=True)]
+            far = np.sqrt(squares[0][:, None, None] + squares[1][None, :, None] + squares[2][None, None, :])
+            inside = (far - ball.radius).astype(np.float32)
+            part = psi[box]
+            if ball.kind == "add":
+                np.minimum(part, inside, out=part)
+            else:
+                np.maximum(part, -inside, out=part)
+        distance = self._inputs.mask_distance(self.level, self._box())
+        if distance is not None:
+            np.maximum(psi, distance, out=psi)
+
+    # -- checkpoints ---------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> ObjectCheckpoint:
+        """The state between two steps, as a value."""
+        return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, self.evolution.checkpoint())
+
+    def restore(
+        self,
+        checkpoint: ObjectCheckpoint,
+        setup: SolverSetup,
+        make_energy: Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy],
+        new_energy: bool,
+    ) -> None:
+        """Go back to a state of this level, with the set-up that was in force then."""
+        self._setup, self._make_energy = setup, make_energy
+        self.leaked, self._stop_requested = checkpoint.leaked, False
+        now = self.evolution
+        if (self.corner, now.surface.shape) != (checkpoint.corner, checkpoint.shape):
+            self.corner = checkpoint.corner
+            empty = np.ones(checkpoint.shape, np.float32)
+            self._evolve(LevelSet(empty, self.grid.spacing, setup.half_width, self.workers, overwrite=True), None)
+            now = self.evolution
+        elif new_energy:
+            now.energy = self._energy_on(self._box())
+        now.flow, now.limits, now.restart = setup.flow, setup.limits, setup.restart
+        now.rule = rule_on_level(setup.rule, self.level)
+        now.restore(checkpoint.evolution)
+
+    def release_to(self, level: int) -> None:
+        """Be on a finer level without having run there, for a state of that level to be restored."""
+        while self.level > level:
+            self.skip_level()
+        self._begin_from_start(None)
+
+    def psi_on_finest(self) -> tuple[Corner, NDArray[np.float32]]:
+        """First voxel and psi of the surface on the finest level's grid; from a coarse level it is interpolated."""
+        corner, psi = self.corner, self.surface.psi
+        grids = self._inputs.grids
+        for number in range(self.level, 0, -1):
+            coarse, fine = grids[number], grids[number - 1]
+            ratio = [c // f for c, f in zip(coarse.factors, fine.factors, strict=True)]
+            first = [c * r for c, r in zip(corner, ratio, strict=True)]
+            sizes = [min(n * r, w - c) for n, r, w, c in zip(psi.shape, ratio, fine.shape, first, strict=True)]
+            psi = prolong(psi, coarse._replace(shape=psi.shape), fine._replace(shape=tuple(sizes)))
+            corner = (first[0], first[1], first[2])
+        return corner, psi
+
+
+def _aligned(
+    corner: Corner, psi: NDArray[np.float32], grids: tuple[Level, ...]
+) -> tuple[Corner, NDArray[np.float32]]:
+    """A start on a box of whole blocks of the coarsest level; outside of what is known it is far away."""
+    blocks, whole = grids[-1].factors, grids[0].shape
+    low = [c // f * f for c, f in zip(corner, blocks, strict=True)]
+    high = [min(-(-(c + n) // f) * f, w) for c, n, f, w in zip(corner, psi.shape, blocks, whole, strict=True)]
+    if low == list(corner) and [b - a for a, b in zip(low, high, strict=True)] == list(psi.shape):
+        return corner, psi
+    pad = [(c - a, b - c - n) for a, b, c, n in zip(low, high, corner, psi.shape, strict=True)]
+    far = float(np.abs(psi[np.isfinite(psi)]).max())
+    return (low[0], low[1], low[2]), np.pad(psi, pad, constant_values=far)

@@ -1,0 +1,58 @@
+"""The region of interest: the box of voxels that a run is made on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.geometry import Box, Geometry
+from accelsurf.initialization import starts
+
+
+def region_of_interest(text: str | None, geometry: Geometry) -> Box:
+    """Voxels of a box, the whole grid for None; on an oblique grid all between the box's corners along its axes.
+
+    Raises
+    ------
+    UsageError
+        When the text is no box.
+    InputError
+        When fewer than two voxels along an axis (with more than one) are in it.
+
+    Examples
+    --------
+    >>> region_of_interest("1,1,0,3,4,9", Geometry((8, 6, 4), (1.0, 1.0, 1.0)))
+    (slice(0, 8, None), slice(1, 5, None), slice(1, 4, None))
+    """
+    if text is None:
+        return slice(0, geometry.shape[0]), slice(0, geometry.shape[1]), slice(0, geometry.shape[2])
+    try:
+        box = starts.parse(f"box:{text}")
+    except UsageError:
+        raise UsageError(
+            f"roi: {text} was given, expected X0,Y0,Z0,X1,Y1,Z1 with the first corner below the second",
+            "world mm, or voxel indices with the suffix vox",
+        ) from None
+    corners = np.array([[box.numbers[3 * (i >> axis & 1) + axis] for axis in range(3)] for i in range(8)])
+    index = corners[:, ::-1] if box.vox else np.array([geometry.world_to_index(corner) for corner in corners])
+    slices = []
+    for axis, n in enumerate(geometry.shape):
+        low = max(int(np.ceil(index[:, axis].min() - 1e-6)), 0)
+        high = min(int(np.floor(index[:, axis].max() + 1e-6)), n - 1)
+        if high - low + 1 < min(n, 2):
+            raise InputError(
+                f"roi: {text} was given, which holds fewer than two of the image's voxels along {'zyx'[axis]}",
+                "accelsurf reads world mm (LPS); the suffix vox takes voxel indices",
+            )
+        slices.append(slice(low, high + 1))
+    return slices[0], slices[1], slices[2]
+
+
+def cropped(geometry: Geometry, box: Box) -> Geometry:
+    """The grid of some of the voxels of another."""
+    shape = tuple(s.stop - s.start for s in box)
+    if shape == geometry.shape:
+        return geometry
+    origin = geometry.index_to_world(np.array([float(s.start) for s in box]))
+    corner = (float(origin[0]), float(origin[1]), float(origin[2]))
+    return Geometry((shape[0], shape[1], shape[2]), geometry.spacing, corner, geometry.direction)

@@ -1,0 +1,368 @@
+"""What a run leaves: one result with an object or several, each with its surface, measures and quality."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.analysis import contours
+from accelsurf.analysis.contours import Contours
+from accelsurf.analysis.quality import Quality, assess
+from accelsurf.analysis.surface_mesh import Surface, extract
+from accelsurf.errors import InputError
+from accelsurf.evolution.multilevel import LevelSummary
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.grid.geometry import Box, Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.ensemble import overall_stop
+from accelsurf.settings.run_config import RunConfig
+
+#: Columns of the history that are summed over objects, and those of which the largest counts.
+SUMMED = (
+    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
+    "area_mm2", "band_cells", "cells_visited", "seconds",
+)
+LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SegmentedObject:
+    """One object of a result, on its own part of the image's grid: all of it for an object that is alone.
+
+    Attributes
+    ----------
+    id : int
+        Its value in the label map.
+    box : tuple of slice
+        Which part of the image's grid that is.
+    psi : ndarray (nz, ny, nx), float32
+        Signed distance in the band, mm, negative inside; +-gamma outside it.
+    image : ndarray (nz, ny, nx), float32
+        The image as the energy saw it.
+    geometry : Geometry
+    history : list of StepRecord
+        One record per step; the last is the final state.
+    stop : Stop
+        Why it ended.
+    terms : list of dict
+        The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
+    learned : (float, float) or None
+        Values, on the scale of ``image``, between which those of the object should lie by what it was learned from.
+    """
+
+    id: int
+    box: Box
+    psi: NDArray[np.float32]
+    image: NDArray[np.float32]
+    geometry: Geometry
+    history: list[StepRecord]
+    stop: Stop
+    terms: list[dict[str, Any]] = field(default_factory=list)
+    learned: tuple[float, float] | None = None
+
+    def __repr__(self) -> str:
+        return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
+
+    @cached_property
+    def labels(self) -> NDArray[np.uint8]:
+        """1 where a voxel's centre is inside, (nz, ny, nx)."""
+        return (self.psi < 0).view(np.uint8)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The surface as a closed mesh in world mm (LPS), normals outward; extracted once."""
+        return extract(self.psi, self.geometry)
+
+    @cached_property
+    def contours(self) -> Contours:
+        """The contours of an image of one slice, in world mm (LPS), the object on their left; extracted once.
+
+        Raises
+        ------
+        InputError
+            For a volume: it has a `surface`.
+        """
+        return contours.extract(self.psi, self.geometry)
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the object, mm3, sub-voxel."""
+        return self.history[-1].volume_mm3
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of its surface, mm2: the mesh's, with the caps where the volume's border cuts the object.
+
+        In one slice, where caps would be all of it: the contour's length times the thickness of the slice.
+        """
+        if not self.labels.any():
+            return 0.0
+        if self.length_mm is not None and self._thickness is not None:
+            return self.length_mm * self._thickness
+        return self.surface.area
+
+    @property
+    def length_mm(self) -> float | None:
+        """Length of the contours of an image of one slice, mm, with what runs along its border; None for a volume."""
+        if self._thickness is None:
+            return None
+        return self.contours.length if self.labels.any() else 0.0
+
+    @property
+    def enclosed_mm2(self) -> float | None:
+        """Area of the object in an image of one slice, mm2, sub-pixel; None for a volume."""
+        return None if self._thickness is None else self.volume_mm3 / self._thickness
+
+    @property
+    def _thickness(self) -> float | None:
+        axis = self.geometry.slice_axis
+        return None if axis is None else self.geometry.spacing[axis]
+
+    @cached_property
+    def components(self) -> int:
+        """Number of 6-connected parts of the label map."""
+        return int(ndimage.label(self.labels)[1])
+
+    @cached_property
+    def touches_border(self) -> bool:
+        """Whether a voxel of the object lies on the border of its grid (axes with one slice do not count)."""
+        axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
+        return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
+
+    @cached_property
+    def quality(self) -> Quality:
+        """What tells, without a reference, whether to trust the object."""
+        return assess(self.labels, self.image, self.geometry.spacing, self.history, self.stop, self.learned)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """What a run of one or several objects left.
+
+    Attributes
+    ----------
+    objects : tuple of SegmentedObject
+        In order of their ids.
+    has_ids : bool
+        Whether objects with ids were given; else there is one, and its label is 1.
+    image : ndarray (nz, ny, nx), float32
+        The image as the energy saw it: presmoothed, 0 and 1 at its `preprocessing.SCALE_PERCENTILES`.
+    geometry : Geometry
+    config : RunConfig
+    energy : str
+        Name of the energy: that of ``config``, or ``custom: ClassName``.
+    volume : Volume
+        The input.
+    seconds : dict of str to float
+        Wall time of the parts ``start`` and ``evolve``.
+    levels : list of LevelSummary
+        The grids that it ran on, coarsest first, with the steps made on each; the last is the image's own.
+    kernels : dict of str to float
+        Seconds in each kernel while it evolved, over all threads.
+    warnings : list of str
+    start : ndarray or None
+        psi of the start, for an image of one slice; None for volumes, where it would cost memory.
+    edits_done : int
+        How many of the edits of ``config`` the run came to.
+    resolved_settings : dict
+        What the run took for settings that image and grid decide: see `accelsurf.report.document`.
+    """
+
+    objects: tuple[SegmentedObject, ...]
+    has_ids: bool
+    image: NDArray[np.float32]
+    geometry: Geometry
+    config: RunConfig
+    energy: str
+    volume: Volume
+    seconds: dict[str, float] = field(default_factory=dict)
+    levels: list[LevelSummary] = field(default_factory=list)
+    kernels: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    start: NDArray[np.float32] | None = None
+    edits_done: int = 0
+    resolved_settings: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        size = " x ".join(str(n) for n in self.geometry.size)
+        what = f"{len(self.objects)} objects" if self.has_ids else "1 object"
+        return f"Result({what}, {self.volume_mm3:.6g} mm3, {self.stop.reason}, {size} voxels)"
+
+    @property
+    def _one(self) -> SegmentedObject:
+        return self.objects[0]
+
+    @cached_property
+    def by_id(self) -> Mapping[int, SegmentedObject]:
+        """The objects by their ids."""
+        return {one.id: one for one in self.objects}
+
+    @cached_property
+    def labels(self) -> NDArray[np.unsignedinteger[Any]]:
+        """The id of the object that a voxel's centre is inside of, 0 of none; (nz, ny, nx), uint8, uint16 or uint32."""
+        if not self.has_ids:
+            return self._one.labels
+        largest = self.objects[-1].id
+        kind = next(t for t in (np.uint8, np.uint16, np.uint32) if largest <= np.iinfo(t).max)
+        labels = np.zeros(self.geometry.shape, kind)
+        for one in self.objects:
+            labels[one.box][one.labels > 0] = one.id
+        return labels
+
+    @cached_property
+    def psi(self) -> NDArray[np.float32]:
+        """The smallest psi of all objects, mm, negative inside of any; a constant away from all."""
+        if not self.has_ids:
+            return self._one.psi
+        far = max(float(np.abs(one.psi).max()) for one in self.objects)
+        out = np.full(self.geometry.shape, far, np.float32)
+        for one in self.objects:
+            np.minimum(out[one.box], one.psi, out=out[one.box])
+        return out
+
+    @cached_property
+    def stop(self) -> Stop:
+        """Why the run ended; of several: ``converged`` if all that are left did, ``vanished`` if none is left, else
+        the worst.
+        """
+        return overall_stop([one.stop for one in self.objects]) if self.has_ids else self._one.stop
+
+    @cached_property
+    def history(self) -> list[StepRecord]:
+        """The record of each step; of several objects, those that have stopped as they are, sums and largest values.
+
+        Energies, mass, volume and area are summed, of `LARGEST` it is the largest value of any object; the other
+        columns are those of the first.
+        """
+        if not self.has_ids:
+            return self._one.history
+        return combined_history([one.history for one in self.objects if one.history])
+
+    @cached_property
+    def terms(self) -> list[dict[str, Any]]:
+        """The terms of the energy with their settings; "by object" where objects have learned others."""
+        return common_terms([one.terms for one in self.objects]) if self.has_ids else self._one.terms
+
+    @property
+    def learned(self) -> tuple[float, float] | None:
+        """What the values of an object that is alone should lie between; None for several."""
+        return None if self.has_ids else self._one.learned
+
+    @cached_property
+    def surface(self) -> Surface:
+        """All surfaces as one mesh in world mm (LPS), normals outward.
+
+        Raises
+        ------
+        InputError
+            When no object is left.
+        """
+        if not self.has_ids:
+            return self._one.surface
+        meshes = [one.surface for one in self.objects if one.labels.any()]
+        if not meshes:
+            raise InputError("no object is left, so there is no surface", "start closer to the objects")
+        first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        faces = [mesh.faces + start for mesh, start in zip(meshes, first[:-1], strict=True)]
+        return Surface(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+    @cached_property
+    def contours(self) -> Contours:
+        """The contours of all objects of an image of one slice, in world mm (LPS).
+
+        Raises
+        ------
+        InputError
+            For a volume: it has a `surface`.
+        """
+        if not self.has_ids:
+            return self._one.contours
+        return Contours(tuple(loop for one in self.objects if one.labels.any() for loop in one.contours.loops))
+
+    def labels_volume(self) -> Volume:
+        """The labels on the input's grid with its header."""
+        return self.volume.with_array(self.labels)
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of all objects, mm3, sub-voxel."""
+        return sum(one.volume_mm3 for one in self.objects)
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of their surfaces, mm2; where two touch, it counts for both."""
+        return sum(one.area_mm2 for one in self.objects)
+
+    @property
+    def enclosed_mm2(self) -> float | None:
+        """Area of all objects in an image of one slice, mm2; None for a volume."""
+        is_2d = self.geometry.slice_axis is not None
+        return sum(one.enclosed_mm2 or 0.0 for one in self.objects) if is_2d else None
+
+    @property
+    def length_mm(self) -> float | None:
+        """Length of all contours in an image of one slice, mm; None for a volume."""
+        is_2d = self.geometry.slice_axis is not None
+        return sum(one.length_mm or 0.0 for one in self.objects) if is_2d else None
+
+    @property
+    def components(self) -> int:
+        """Number of 6-connected parts of all objects."""
+        return sum(one.components for one in self.objects)
+
+    @property
+    def touches_border(self) -> bool:
+        """Whether any object lies on the border of its grid."""
+        return any(one.touches_border for one in self.objects)
+
+    @property
+    def quality(self) -> Quality | None:
+        """What tells, without a reference, whether to trust an object that is alone; several have it each."""
+        return None if self.has_ids else self._one.quality
+
+    def plot(self, **options: Any) -> Any:
+        """Show the result in a notebook or a window, or write a picture or a page; options as of `accelsurf.show`."""
+        # By its public name: this module does not know the viewer, and loads it for those who ask for pictures only.
+        import accelsurf
+
+        return accelsurf.show(self, **options)
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The run as the JSON report has it, without files."""
+        # By its public name: what is told of a result lies above it.
+        import accelsurf
+
+        described: dict[str, Any] = accelsurf.report_of(self)
+        return described
+
+
+def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
+    """The history of several objects together by step, those that have stopped as they are."""
+    records = []
+    for step in range(max(map(len, histories))):
+        now = [history[min(step, len(history) - 1)] for history in histories]
+        sums = {key: sum(getattr(record, key) for record in now) for key in SUMMED}
+        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in LARGEST}
+        records.append(now[0]._replace(step=step, restarted=False, **sums, **largest))
+    return records
+
+
+def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The terms of all objects; "by object" for what is not the same.
+
+    Examples
+    --------
+    >>> common_terms([[{"name": "threshold", "LO": 3}], [{"name": "threshold", "LO": 4}]])
+    [{'name': 'threshold', 'LO': 'by object'}]
+    """
+    return [
+        {key: value if all(one[key] == value for one in same) else "by object" for key, value in same[0].items()}
+        for same in zip(*terms, strict=True)
+    ]
