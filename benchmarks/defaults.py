@@ -24,7 +24,7 @@ from accelsurf import io
 from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms import recipes
-from accelsurf.report.document import versions
+from accelsurf.report.environment import versions
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent

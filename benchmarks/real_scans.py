@@ -25,7 +25,7 @@ from accelsurf import io
 from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
-from accelsurf.report.document import peak_rss_mb, versions
+from accelsurf.report.environment import peak_rss_mb, versions
 from accelsurf.segmentation.objects import ROOM
 from benchmarks.pages import head_of, put_table, row_of
 from benchmarks.peers.objects import compare_on_objects, mean_dice

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.cli import INTERRUPTED, objects
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
-from accelsurf.report import document, outputs, preview
-from accelsurf.report.outputs import make_writable, refuse_existing, tells_of_failure, write_bytes
+from accelsurf.report import canvas, document, file_entries, outputs
+from accelsurf.report.outputs import is_failure_report, make_writable, refuse_existing, write_bytes
+from accelsurf.report.preview_content import PreviewContent
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -160,7 +161,7 @@ def _compute(case: Case, watcher: Watcher) -> None:
     outputs.check(case.config, labels, case.volume.geometry)
     if not raster.keeps(case.volume.geometry, f".{labels}"):
         case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
-    preview.load_meanwhile()
+    canvas.preload_library()
     with watcher.watch(case.name, case.config.max_steps):
         if case.config.objects is not None:
             case.result = segment_objects(case.volume, channels=more, config=case.config, on_step=watcher.on_step)
@@ -190,15 +191,15 @@ def _write(case: Case, config: RunConfig) -> None:
         writers = objects.writers(case, config, case.result, names, picture)
         for path, (kind, writer) in writers.items():
             _timed(case, "write", functools.partial(writer, path))
-            case.outputs.append(document.describe_output(path, kind))
+            case.outputs.append(file_entries.describe_output(path, kind))
         objects.remove_old(case, names, writers)
         return
     names = {kind: path.name for kind, path in case.paths(config).items() if kind != "report"}
     for kind, path in outputs.write_result(case.result, case.folder, names, scene(case), case.seconds):
-        case.outputs.append(document.describe_output(path, kind))
+        case.outputs.append(file_entries.describe_output(path, kind))
 
 
-def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
+def scene(case: Case, title: str = "", reference: Any = None) -> PreviewContent:
     """Return what a picture of a finished case shows.
 
     Parameters
@@ -211,7 +212,7 @@ def scene(case: Case, title: str = "", reference: Any = None) -> preview.Scene:
         Labels to draw as a second contour.
     """
     assert case.result is not None and case.config is not None
-    return outputs.scene(case.result, title or outputs.told(case.name, case.result), reference)
+    return outputs.preview_content(case.result, title or outputs.outcome_title(case.name, case.result), reference)
 
 
 def _shortcoming(case: Case) -> AccelsurfError | None:
@@ -243,7 +244,7 @@ def report_failure(case: Case, error: BaseException) -> None:
 
     A report that stands for a result is not replaced, unless outputs may be.
     """
-    if os.path.lexists(case.report_path) and not (case.overwrite or tells_of_failure(case.report_path)):
+    if os.path.lexists(case.report_path) and not (case.overwrite or is_failure_report(case.report_path)):
         return
     stopped = isinstance(error, KeyboardInterrupt)
     code = INTERRUPTED if stopped else error.exit_code if isinstance(error, AccelsurfError) else 1
@@ -268,7 +269,7 @@ def _write_report(case: Case, status: document.Status, code: int, error: BaseExc
         exit_code=code,
         argv=sys.argv,
         config=case.config,
-        source=document.describe_input(case.source, geometry=geometry, checksum=case.checksum),
+        source=file_entries.describe_input(case.source, geometry=geometry, checksum=case.checksum),
         result=case.result,
         error=document.describe_error(error) if error is not None else None,
         seconds=case.seconds,

@@ -54,7 +54,7 @@ def compare(
     from accelsurf.cli.case import Case
     from accelsurf.cli.progress import Watcher
     from accelsurf.io.channels import read as read_channels
-    from accelsurf.report.document import describe_input
+    from accelsurf.report.file_entries import describe_input
     from accelsurf.report.outputs import refuse_existing
 
     display = display or Display()
@@ -123,12 +123,13 @@ def conclude(
     from accelsurf.cli import INTERRUPTED
     from accelsurf.cli.case import scene
     from accelsurf.cli.progress import table
-    from accelsurf.report import document, preview
+    from accelsurf.report import document, environment, file_entries, preview
     from accelsurf.report.outputs import write_bytes
+    from accelsurf.report.preview_content import PreviewContent
 
     runs: list[dict[str, Any]] = []
     rows: list[tuple[str, ...]] = []
-    scenes: dict[str, preview.Scene] = {}
+    scenes: dict[str, PreviewContent] = {}
     for case in cases:
         result, config = case.result, case.config
         assert result is not None and config is not None
@@ -153,13 +154,13 @@ def conclude(
         "schema_version": document.SCHEMA_VERSION,
         "status": "interrupted" if interrupted else "ok",
         "exit_code": code,
-        "versions": document.versions(),
+        "versions": environment.versions(),
         "argv": sys.argv,
         "config": cases[0].config.model_dump(mode="json", exclude={"flow"}) if cases[0].config is not None else None,
         **facts,
         "runs": runs,
         "agreement_dice": agreement,
-        "outputs": [document.describe_output(paths["picture"], "picture")],
+        "outputs": [file_entries.describe_output(paths["picture"], "picture")],
     }
     write_bytes(paths["comparison"], (document.to_json(contents) + "\n").encode())
     if not quiet:

@@ -42,7 +42,7 @@ def demo(
     from accelsurf.cli.compare import conclude
     from accelsurf.cli.progress import Watcher
     from accelsurf.phantoms import recipes
-    from accelsurf.report.document import describe_input
+    from accelsurf.report.file_entries import describe_input
     from accelsurf.report.outputs import refuse_existing
     from accelsurf.settings.run_config import RunConfig
 

@@ -20,7 +20,8 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
     from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts
     from accelsurf.phantoms import recipes
-    from accelsurf.report.document import to_json, versions
+    from accelsurf.report.document import to_json
+    from accelsurf.report.environment import versions
     from accelsurf.settings.presets import PRESETS
     from accelsurf.settings.run_config import ENERGIES, FLOWS, MeshFormat, RunConfig
 

@@ -15,8 +15,9 @@ from accelsurf.errors import (
     NotConvergedError,
     OutputError,
 )
-from accelsurf.report import document, preview
+from accelsurf.report import document, preview, tables
 from accelsurf.report.outputs import write_bytes
+from accelsurf.report.preview_content import PreviewContent
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Case
@@ -64,7 +65,7 @@ def remove_old(case: Case, names: dict[str, str], written: Collection[Path]) -> 
 
 
 def writers(
-    case: Case, config: RunConfig, result: ObjectsResult, names: dict[str, str], picture: preview.Scene
+    case: Case, config: RunConfig, result: ObjectsResult, names: dict[str, str], picture: PreviewContent
 ) -> dict[Path, tuple[str, Writer]]:
     """Return what is to be written: path to kind and what writes it. Objects without a voxel have no mesh."""
     from accelsurf import io
@@ -83,9 +84,9 @@ def writers(
         if config.save_sdf:
             add(names["sdf"], "sdf", lambda path: io.write(result.labels_volume().with_array(result.psi), path))
     rows = document.describe_objects(result)
-    add("objects.csv", "objects", lambda path: _write(path, document.objects_csv(rows)))
+    add("objects.csv", "objects", lambda path: _write(path, tables.objects_csv(rows)))
     histories = {own: one.history for own, one in result.objects.items()}
-    add(names["trace"], "trace", lambda path: _write(path, document.objects_trace_csv(histories)))
+    add(names["trace"], "trace", lambda path: _write(path, tables.objects_trace_csv(histories)))
     add(names["preview"], "preview", lambda path: write_bytes(path, preview.preview_png(picture)))
     return out
 

@@ -34,7 +34,9 @@ def synth(
     """
     from accelsurf import io
     from accelsurf.phantoms import recipes
-    from accelsurf.report.document import describe_output, to_json, versions
+    from accelsurf.report.document import to_json
+    from accelsurf.report.environment import versions
+    from accelsurf.report.file_entries import describe_output
     from accelsurf.report.outputs import refuse_existing, write_bytes
 
     folder = required(output, "-o DIR, the output folder,")

@@ -1,7 +1,7 @@
-"""Grids turned so that their axes run along the nearest world axes: how slices are hung.
+"""Reorientation of arrays to the nearest world axes, for display.
 
-The nearest anatomical axes then stand as radiologists hang them: the patient's left at the right, front at the top
-(axial) or head at the top (coronal, sagittal).
+Slices then look as radiologists hang them: the patient's left at the right, front at the top (axial) or head at the top
+(coronal, sagittal).
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))
 
 
 @dataclass(frozen=True, eq=False)
-class Upright:
-    """How to turn arrays so that their axes run along the nearest world axes, (z, y, x) as ever.
+class DisplayOrientation:
+    """Permutation and flips that bring the axes of an array to the nearest world axes, in the order (z, y, x).
 
     Attributes
     ----------
     order : (int, int, int)
         Array axis that becomes z, y, x.
     flips : (bool, bool, bool)
-        Of the new axes.
+        Whether each new axis is reversed.
     spacing : (float, float, float)
-        Along the new axes, mm.
+        Voxel size along the new axes, mm.
     first : (float, float, float)
         Coordinate of the first voxel along the new axes, mm: the world's where the grid is parallel to it, else 0.
     names : (str, str, str)
-        Of the new axes: z, y, x, with a prime where the grid is not parallel to the world.
+        Names of the new axes: z, y, x, with a prime where the grid is not parallel to the world axes.
     """
 
     order: tuple[int, int, int]
@@ -47,28 +47,28 @@ class Upright:
     names: tuple[str, str, str]
 
     @classmethod
-    def of(cls, geometry: Geometry) -> Upright:
-        """Find the grid axis nearest to each world axis, every grid axis used once, nearest pairs first."""
+    def of(cls, geometry: Geometry) -> DisplayOrientation:
+        """Assign each world axis the nearest grid axis, each grid axis once, the closest pairs first."""
         direction = np.asarray(geometry.direction)
-        near = np.abs(direction)
-        chosen: dict[int, int] = {}  # world axis (x, y, z) -> grid axis (x, y, z)
-        for flat in np.argsort(-near, axis=None, kind="stable"):
+        cosines = np.abs(direction)
+        nearest: dict[int, int] = {}  # world axis (x, y, z) -> grid axis (x, y, z)
+        for flat in np.argsort(-cosines, axis=None, kind="stable"):
             world, axis = (int(i) for i in np.unravel_index(flat, (3, 3)))
-            if world not in chosen and axis not in chosen.values():
-                chosen[world] = axis
-        order = tuple(2 - chosen[world] for world in (2, 1, 0))
-        flips = tuple(bool(direction[world, chosen[world]] < 0) for world in (2, 1, 0))
+            if world not in nearest and axis not in nearest.values():
+                nearest[world] = axis
+        order = tuple(2 - nearest[world] for world in (2, 1, 0))
+        flips = tuple(bool(direction[world, nearest[world]] < 0) for world in (2, 1, 0))
         spacing = tuple(geometry.spacing[axis] for axis in order)
-        parallel = all(near[world, chosen[world]] > 1 - 1e-6 for world in range(3))
+        parallel = all(cosines[world, nearest[world]] > 1 - 1e-6 for world in range(3))
         ends = [geometry.shape[axis] - 1 if flips[order.index(axis)] else 0 for axis in range(3)]
         first = tuple(geometry.index_to_world(ends)[::-1]) if parallel else (0.0, 0.0, 0.0)
         names = ("z", "y", "x") if parallel else ("z'", "y'", "x'")
         return cls(order, flips, spacing, first, names)  # type: ignore[arg-type]
 
-    def turn(self, array: NDArray[Any]) -> NDArray[Any]:
-        """The array turned; a view."""
-        turned = array.transpose(self.order)
-        return turned[tuple(slice(None, None, -1) if flip else slice(None) for flip in self.flips)]
+    def reorient(self, array: NDArray[Any]) -> NDArray[Any]:
+        """The array with the new axes; a view."""
+        permuted = array.transpose(self.order)
+        return permuted[tuple(slice(None, None, -1) if flip else slice(None) for flip in self.flips)]
 
     def coordinate(self, axis: int, index: float) -> float:
         """Coordinate, mm, of an index along a new axis."""

@@ -1,68 +1,32 @@
-"""What a run leaves behind besides its label map: a JSON report, a CSV trace; pure functions from values to text.
+"""The report of a run as JSON: pure functions from values to text.
 
 The report says what was run on what, how it ended, what came out and where, so that a run can be repeated and a batch
-can be sifted without looking at a picture. Lengths are mm, order x, y, z, LPS. The pictures are in `preview`.
+can be filtered without looking at pictures. Lengths are mm, order x, y, z, LPS. Entries about files are in
+`file_entries`, tables in `tables`, pictures in `preview`.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
-import platform
-import sys
-from collections.abc import Iterable, Mapping, Sequence
-from importlib import metadata
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.io import sha256
+from accelsurf.report.environment import peak_rss_mb, versions
 
 if TYPE_CHECKING:
     from accelsurf.analysis.quality import Quality
-    from accelsurf.evolution.records import StepRecord
-    from accelsurf.grid.geometry import Geometry
     from accelsurf.segmentation.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 
 SCHEMA_VERSION = 1
 Status = Literal["ok", "failed", "interrupted"]
 
-#: Columns of the trace, in this order: fields of evolution.Row.
-TRACE_COLUMNS = (
-    "step",
-    "level",
-    "t",
-    "dt",
-    "cfl_dt",
-    "potential",
-    "kinetic",
-    "mass_potential",
-    "weight",
-    "friction_work",
-    "smoothing_work",
-    "noise_work",
-    "mass",
-    "mass_correction",
-    "volume_mm3",
-    "area_mm2",
-    "speed",
-    "motion_voxels",
-    "limited_fraction",
-    "clamped_fraction",
-    "diffusion",
-    "band_cells",
-    "cells_visited",
-    "restarted",
-    "removed_components",
-    "seconds",
-    "edits",
-)
 #: Parts of a run that are timed, in the order they happen.
 TIMED = ("load", "start", "evolve", "mesh", "write", "total")
-_DISTRIBUTIONS = ("accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "pydantic", "matplotlib")
 
 
 def build(
@@ -91,16 +55,15 @@ def build(
     config : RunConfig, optional
         Settings of the run; None when they were not valid.
     source : mapping, optional
-        The input, from `describe_input`.
+        The input, from `file_entries.describe_input`.
     result : Result, optional
         What came out; None when nothing did.
     error : mapping, optional
         From `describe_error`.
     seconds : mapping of str to float, optional
-        Durations by part of the run (load, start, evolve, mesh, write, total); those in the result are used for
-        parts not named here.
+        Durations by part of the run, as in `TIMED`; the result's are used for parts not named here.
     outputs : sequence of mapping, optional
-        Files written, from `describe_output`.
+        Files written, from `file_entries.describe_output`.
     warnings : sequence of str, optional
         Warnings besides the result's own.
 
@@ -109,8 +72,10 @@ def build(
     dict
         Ready for `to_json`.
     """
-    config = result.config if result is not None else config  # with the seed that was drawn, if none was given
-    spent = {**(dict(result.seconds) if result is not None else {}), **(seconds or {})}
+    found: Mapping[str, float] = {}
+    if result is not None:
+        config, found = result.config, result.seconds  # the result's settings have the seed that was drawn
+    spent = {**found, **(seconds or {})}
     return {
         "schema_version": SCHEMA_VERSION,
         "status": status,
@@ -274,38 +239,6 @@ def describe_mass(result: Result) -> dict[str, Any] | None:
     }
 
 
-def describe_input(
-    path: str | Path, *, geometry: Geometry | None = None, checksum: str | None = None
-) -> dict[str, Any]:
-    """Return the report's entry about the input.
-
-    Parameters
-    ----------
-    path : str or Path
-        The input file.
-    geometry : Geometry, optional
-        Its grid; None when it could not be read, and then the entries are null.
-    checksum : str, optional
-        SHA-256 of the file, from `accelsurf.io.sha256`.
-
-    Examples
-    --------
-    >>> from accelsurf.grid.geometry import Geometry
-    >>> entry = describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)))
-    >>> entry["size"], entry["spacing"]
-    ([3, 4, 5], [0.5, 1.0, 2.0])
-    """
-    grid: dict[str, Any] = dict.fromkeys(("size", "spacing", "origin", "direction"))
-    if geometry is not None:
-        grid = {
-            "size": list(geometry.size),
-            "spacing": list(geometry.spacing_xyz),
-            "origin": list(geometry.origin),
-            "direction": geometry.direction.tolist(),
-        }
-    return {"path": str(Path(path).absolute()), "sha256": checksum, **grid}
-
-
 def describe_error(error: BaseException) -> dict[str, str]:
     """Return the report's entry about an error: its type, one line, and what to do.
 
@@ -320,50 +253,6 @@ def describe_error(error: BaseException) -> dict[str, str]:
     message = " ".join(str(error).split()) or type(error).__name__
     hint = "run again with --debug for the full traceback; it belongs in a bug report"
     return {"type": type(error).__name__, "message": message, "hint": hint}
-
-
-def describe_output(path: str | Path, kind: str) -> dict[str, str]:
-    """Return the report's entry about a file that was written.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    kind : str
-        What it is: labels, surface, contour, trace, preview, sdf, ...
-    """
-    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(path)}
-
-
-def versions() -> dict[str, str | None]:
-    """Return the versions that a result can depend on: Python, the platform and the packages at work.
-
-    Examples
-    --------
-    >>> sorted(versions())[:3]
-    ['SimpleITK', 'accelsurf', 'matplotlib']
-    """
-    found: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
-    for name in _DISTRIBUTIONS:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = None
-    if found["accelsurf"] is None:  # run from a source tree that is not installed
-        from accelsurf import __version__
-
-        found["accelsurf"] = __version__
-    return found
-
-
-def peak_rss_mb() -> float | None:
-    """Return the most memory this process has had so far, in MB (10^6 bytes); None where the system does not say."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak * (1 if sys.platform == "darwin" else 1024) / 1e6, 1)
 
 
 def to_json(report: Mapping[str, Any]) -> str:
@@ -386,54 +275,8 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):  # numpy scalar or array
+    if isinstance(value, (np.generic, np.ndarray)):
         return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def trace_csv(history: Iterable[StepRecord]) -> str:
-    """Return the trace of a run: one line per step, columns as in `TRACE_COLUMNS`, numbers without loss.
-
-    Parameters
-    ----------
-    history : iterable of Row
-        One row per step. Units: mm, mm^2, mm^3, voxels, seconds; t and dt in flow time. True is 1.
-    """
-    return _table(TRACE_COLUMNS, ([getattr(row, name) for name in TRACE_COLUMNS] for row in history))
-
-
-def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
-    """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
-    rows = (
-        [own, *(getattr(row, name) for name in TRACE_COLUMNS)] for own, history in histories.items() for row in history
-    )
-    return _table(("object", *TRACE_COLUMNS), rows)
-
-
-def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
-    """Return a table of several objects, one row each, from `describe_objects`; empty is what an object has not."""
-    plain = [key for key in objects[0] if key not in ("centroid", "quality", "message")]
-    known: Mapping[str, Any] = next((one["quality"] for one in objects if one["quality"]), {})
-    measures = [key for key in known if key != "warnings"]
-    rows = []
-    for one in objects:
-        quality = one["quality"] or {}
-        place = one["centroid"] or (None, None, None)
-        told = "; ".join(quality.get("warnings", ()))
-        rows.append([*(one[key] for key in plain), *place, *(quality.get(key) for key in measures), told])
-    return _table((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
-
-
-def _table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_cell(value) for value in row] for row in rows)
-    return stream.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    value = value.item() if hasattr(value, "item") else value
-    return int(value) if isinstance(value, bool) else repr(value) if isinstance(value, float) else value

@@ -1,5 +1,5 @@
-"""The files of a run: which there are, by the kind of image it gets (a volume a mesh, an image of one slice contours),
-and how they are written, each whole or not at all.
+"""The files of a run: which it writes for its image (a mesh for a volume, contours for an image of one slice), and how
+they are written, each completely or not at all.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.headers import is_anatomical
-from accelsurf.report import document, preview
+from accelsurf.report import preview, tables
+from accelsurf.report.preview_content import PreviewContent
 from accelsurf.settings.run_config import LabelFormat, RunConfig
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ SURFACE_FORMATS = ("ply", "stl", "obj", "vtp")
 
 
 def label_format(config: RunConfig, source_suffix: str) -> str:
-    """Return the format of the label map: as told, else the input's, else nii.gz.
+    """Return the format of the label map: the one of the settings, else the input's, else nii.gz.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def label_format(config: RunConfig, source_suffix: str) -> str:
 
 
 def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
-    """Return the last part of every output's name by its kind, but for the report.
+    """Return the last part of every output's name by its kind, without the report.
 
     Parameters
     ----------
@@ -52,41 +53,41 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     labels : str
         From `label_format`.
     is_2d : bool or None
-        Whether the image has one slice; None when that is not known yet: then all that there may be.
+        Whether the image has one slice; None when that is not known yet: then all possible files.
 
     Examples
     --------
     >>> [name for kind, name in names(RunConfig(), "png", True).items() if kind.startswith("contour")]
     ['contour.vtp', 'contour.csv']
     """
-    resolved_settings = {"labels": f"seg.{labels}"}
+    files = {"labels": f"seg.{labels}"}
     if is_2d is not True:
         kinds = ["ply"] if config.mesh == "auto" else [kind for kind in config.mesh if kind in SURFACE_FORMATS]
-        resolved_settings |= {f"surface-{kind}": f"surface.{kind}" for kind in kinds}
+        files |= {f"surface-{kind}": f"surface.{kind}" for kind in kinds}
     if is_2d is not False:
         wanted = CONTOUR_FORMATS if config.mesh == "auto" else config.mesh
-        resolved_settings |= {f"contour-{kind}": f"contour.{kind}" for kind in CONTOUR_FORMATS if kind in wanted}
+        files |= {f"contour-{kind}": f"contour.{kind}" for kind in CONTOUR_FORMATS if kind in wanted}
     if config.save_sdf:
-        resolved_settings["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG holds no distances
-    return resolved_settings | {"trace": "trace.csv", "preview": "preview.png"}
+        files["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG holds no distances
+    return files | {"trace": "trace.csv", "preview": "preview.png"}
 
 
 def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
-    """Refuse formats that cannot hold what comes of an image on this grid.
+    """Refuse formats that cannot hold the results on this grid.
 
     Raises
     ------
     UsageError
         With those that can.
     """
-    flat = geometry.slice_axis is not None
-    possible = CONTOUR_FORMATS if flat else SURFACE_FORMATS
-    sort = "an image of one slice, whose contours are written" if flat else "a volume, whose surface is written"
+    is_2d = geometry.slice_axis is not None
+    possible = CONTOUR_FORMATS if is_2d else SURFACE_FORMATS
+    image = "an image of one slice, whose contours are written" if is_2d else "a volume, whose surface is written"
     for kind in () if config.mesh == "auto" else config.mesh:
         if kind not in possible:
             raise UsageError(
-                f"mesh: {kind} was given for {sort}, expected {', '.join(possible)}",
-                f"--mesh auto is {'vtp,csv for one slice' if flat else 'ply for a volume'}",
+                f"mesh: {kind} was given for {image}, expected {', '.join(possible)}",
+                f"--mesh auto is {'vtp,csv for one slice' if is_2d else 'ply for a volume'}",
             )
     if labels == "png" and geometry.shape[0] > 1:
         raise UsageError(
@@ -105,19 +106,19 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
     OutputError
         When an output exists and may not be replaced, or nothing can be written there.
     """
-    there = [path for path in paths.values() if os.path.lexists(path)]
-    kept = [path for path in there if not (path == paths.get("report") and tells_of_failure(path))]
-    if kept and not overwrite:
-        more = f" and {len(kept) - 1} more" if len(kept) > 1 else ""
-        raise OutputError(f"{kept[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
-    folders = [path for path in there if path.is_dir()]
+    existing = [path for path in paths.values() if os.path.lexists(path)]
+    results = [path for path in existing if not (path == paths.get("report") and is_failure_report(path))]
+    if results and not overwrite:
+        more = f" and {len(results) - 1} more" if len(results) > 1 else ""
+        raise OutputError(f"{results[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
+    folders = [path for path in existing if path.is_dir()]
     if folders:
         raise OutputError(f"{folders[0]}: is a folder, a file is to be written there", "choose another folder with -o")
     for folder in {path.parent for path in paths.values()}:
         make_writable(folder)
 
 
-def tells_of_failure(path: Path) -> bool:
+def is_failure_report(path: Path) -> bool:
     """Whether a file is the report of a run that failed."""
     try:
         return bool(json.loads(path.read_text(encoding="utf-8"))["status"] == "failed")
@@ -164,10 +165,10 @@ def write_result(
     result: Result,
     folder: Path,
     names: Mapping[str, str],
-    picture: preview.Scene,
+    content: PreviewContent,
     seconds: dict[str, float] | None = None,
 ) -> Iterator[tuple[str, Path]]:
-    """Write the files of a result, yielding kind and path of each that is there.
+    """Write the files of a result, yielding kind and path of each when it is complete.
 
     A result without a surface has a trace and a picture only.
 
@@ -175,10 +176,10 @@ def write_result(
     ----------
     result : Result
     folder : Path
-        Where they go; there already.
+        Where they go; it exists.
     names : mapping of str to str
-        Name of the file by kind, as from `names`; kinds that are not there are not written.
-    picture : preview.Scene
+        Name of the file by kind, as from `names`; other kinds are not written.
+    content : PreviewContent
         For ``preview``.
     seconds : dict, optional
         The durations of ``mesh`` and ``write`` are added.
@@ -186,7 +187,7 @@ def write_result(
     Raises
     ------
     OutputError
-        When a file cannot be written; those before it are whole.
+        When a file cannot be written; those before it are complete.
     """
     from accelsurf import io
 
@@ -206,9 +207,9 @@ def write_result(
         elif kind == "sdf" and not empty:
             writers[kind] = lambda path: io.write(result.labels_volume().with_array(result.psi), path)
         elif kind == "trace":
-            writers[kind] = lambda path: write_bytes(path, document.trace_csv(result.history).encode())
+            writers[kind] = lambda path: write_bytes(path, tables.trace_csv(result.history).encode())
         elif kind == "preview":
-            writers[kind] = lambda path: write_bytes(path, preview.preview_png(picture))
+            writers[kind] = lambda path: write_bytes(path, preview.preview_png(content))
     for kind, writer in writers.items():
         began = time.perf_counter()
         writer(folder / names[kind])
@@ -216,12 +217,12 @@ def write_result(
         yield kind.partition("-")[0], folder / names[kind]
 
 
-def told(name: str, result: Result) -> str:
+def outcome_title(name: str, result: Result) -> str:
     """Return the heading of a picture: how the run ended."""
     return f"{name}: {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
 
 
-def scene(result: Result, title: str, reference: Any = None) -> preview.Scene:
+def preview_content(result: Result, title: str, reference: Any = None) -> PreviewContent:
     """Return what a picture of a result shows.
 
     Parameters
@@ -232,13 +233,14 @@ def scene(result: Result, title: str, reference: Any = None) -> preview.Scene:
     reference : ndarray, optional
         Labels to draw as a second contour.
     """
-    flat = result.geometry.slice_axis is not None
-    return preview.Scene(
+    is_2d = result.geometry.slice_axis is not None
+    has_surface = not is_2d and result.labels.any() and result.stop.reason not in ("vanished", "filled")
+    return PreviewContent(
         image=result.image,
         psi=result.psi,
         geometry=result.geometry,
         history=result.history,
-        surface=None if flat or result.stop.reason in ("vanished", "filled") else result.surface,
+        surface=result.surface if has_surface else None,
         start=result.start,
         title=title,
         anatomical=is_anatomical(result.volume.metadata),

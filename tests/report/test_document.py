@@ -17,9 +17,10 @@ from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.orientation import Upright
+from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.pyramid import Level
-from accelsurf.report import document, preview
+from accelsurf.report import canvas, document, file_entries, preview, tables
+from accelsurf.report.preview_content import PreviewContent
 from accelsurf.report.rasterizer import render
 from accelsurf.settings.run_config import RunConfig
 
@@ -73,7 +74,7 @@ def test_every_key_is_there_with_and_without_a_result():
         exit_code=0,
         argv=["accelsurf", "segment"],
         config=RunConfig(seed=4, threads=2),
-        source=document.describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)), checksum="abc"),
+        source=file_entries.describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)), checksum="abc"),
         result=finished(),
         seconds={"load": 0.5, "total": 3.0},
         warnings=["from outside"],
@@ -127,7 +128,7 @@ def test_json_is_strict_and_takes_numpy():
 def test_describe_output_has_the_checksum_of_the_file(tmp_path):
     path = tmp_path / "a.csv"
     path.write_bytes(b"abc")
-    entry = document.describe_output(path, "trace")
+    entry = file_entries.describe_output(path, "trace")
     assert entry["sha256"] == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     assert (entry["path"], entry["kind"]) == (str(path), "trace")
 
@@ -136,11 +137,11 @@ def test_describe_output_has_the_checksum_of_the_file(tmp_path):
 
 
 def test_trace_has_the_columns_of_a_row_in_order_and_loses_no_digit():
-    assert document.TRACE_COLUMNS == StepRecord._fields
+    assert tables.TRACE_COLUMNS == StepRecord._fields
     rows = [row(0, potential=1 / 3, restarted=True), row(1, dt=np.float64(1e-17), band_cells=np.int64(7))]
-    text = document.trace_csv(rows)
+    text = tables.trace_csv(rows)
     read = list(csv.DictReader(io.StringIO(text)))
-    assert tuple(read[0]) == document.TRACE_COLUMNS
+    assert tuple(read[0]) == tables.TRACE_COLUMNS
     assert float(read[0]["potential"]) == 1 / 3 and read[0]["restarted"] == "1"
     assert float(read[1]["dt"]) == 1e-17 and read[1]["band_cells"] == "7" and read[1]["restarted"] == "0"
     assert text.endswith("\n") and "\r" not in text
@@ -160,7 +161,7 @@ def scene(psi, geometry, **changes):
     rows = [row(i, restarted=i == 3) for i in range(8)]
     surface = extract(psi, geometry) if (psi < 0).any() else None
     values = dict(image=(psi < 0).astype(np.float32), psi=psi, geometry=geometry, history=rows, surface=surface)
-    return preview.Scene(**{**values, "title": "a ball", **changes})
+    return PreviewContent(**{**values, "title": "a ball", **changes})
 
 
 def pixels(png):
@@ -175,9 +176,9 @@ def share_of(picture, color):
 def test_preview_shows_contour_energies_and_surface():
     picture = pixels(preview.preview_png(scene(*ball())))
     height, width = picture.shape[:2]
-    assert share_of(picture[: height // 2], preview.ORANGE) > 1e-3  # contours, in the upper half
-    assert share_of(picture[height // 2 :], preview.BLUE) > 1e-4  # energy
-    assert share_of(picture[height // 2 :], preview.VERMILION) > 1e-4  # kinetic energy
+    assert share_of(picture[: height // 2], canvas.ORANGE) > 1e-3  # contours, in the upper half
+    assert share_of(picture[height // 2 :], canvas.BLUE) > 1e-4  # energy
+    assert share_of(picture[height // 2 :], canvas.VERMILION) > 1e-4  # kinetic energy
     corner = picture[height // 2 :, 2 * width // 3 :]
     blue = (corner[..., 2] > corner[..., 0] + 0.2).mean()
     assert blue > 0.1  # the surface
@@ -195,15 +196,15 @@ def test_preview_of_an_empty_result(reason):
     psi, geometry = ball()
     level = np.full_like(psi, 3.0 if reason == "vanished" else -3.0)
     picture = pixels(preview.preview_png(scene(level, geometry, surface=None)))
-    assert share_of(picture, preview.ORANGE) == 0.0
+    assert share_of(picture, canvas.ORANGE) == 0.0
 
 
 def test_preview_of_one_slice_and_of_a_gradient_flow():
     psi, geometry = ball(shape=(1, 16, 20))
     rows = [row(i, kinetic=0.0) for i in range(3)]
     picture = pixels(preview.preview_png(scene(psi, geometry, history=rows)))
-    assert share_of(picture, preview.ORANGE) > 1e-4
-    assert share_of(picture, preview.VERMILION) == 0.0
+    assert share_of(picture, canvas.ORANGE) > 1e-4
+    assert share_of(picture, canvas.VERMILION) == 0.0
 
 
 def test_preview_without_a_single_step_and_of_a_constant_slice():
@@ -217,17 +218,17 @@ def test_comparison_has_a_column_for_each_run_and_the_reference():
     png = preview.comparison_png({"gradient": first, "constant-density": scene(psi + 1, geometry)}, "two flows")
     picture = pixels(png)
     middle = picture.shape[1] // 2
-    assert share_of(picture[:, :middle], preview.SKY) > share_of(picture[:, middle:], preview.SKY)
-    assert share_of(picture[:, middle:], preview.ORANGE) > 1e-4
+    assert share_of(picture[:, :middle], canvas.SKY) > share_of(picture[:, middle:], canvas.SKY)
+    assert share_of(picture[:, middle:], canvas.ORANGE) > 1e-4
 
 
 def test_anatomical_axes_stand_upright_whatever_the_order_of_the_grid():
     # Stored sagittally: index x runs to the back, index y to the feet, index z to the right.
     direction = np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
     geometry = Geometry((4, 5, 6), (3.0, 2.0, 1.0), (10.0, 20.0, 30.0), direction)
-    upright = Upright.of(geometry)
+    upright = DisplayOrientation.of(geometry)
     array = np.arange(4 * 5 * 6).reshape(4, 5, 6)
-    turned = upright.turn(array)
+    turned = upright.reorient(array)
     assert turned.shape == (5, 6, 4) and upright.spacing == (2.0, 1.0, 3.0)
     for index in ((0, 0, 0), (4, 5, 3), (1, 2, 3)):
         place = np.argwhere(array == turned[index])[0]
@@ -239,7 +240,7 @@ def test_anatomical_axes_stand_upright_whatever_the_order_of_the_grid():
 def test_oblique_axes_are_marked_and_start_at_zero():
     c, s = np.cos(0.2), np.sin(0.2)
     turn = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
-    upright = Upright.of(Geometry((4, 5, 6), (1.0, 1.0, 1.0), (9.0, 9.0, 9.0), turn))
+    upright = DisplayOrientation.of(Geometry((4, 5, 6), (1.0, 1.0, 1.0), (9.0, 9.0, 9.0), turn))
     assert upright.names == ("z'", "y'", "x'") and upright.coordinate(2, 0) == 0.0
 
 

@@ -11,7 +11,8 @@ import accelsurf
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.report import preview
+from accelsurf.report import canvas, preview
+from accelsurf.report.preview_content import PreviewContent
 from accelsurf.settings.run_config import RunConfig
 
 START = ("--start", "ball:20,22,0,6")
@@ -218,8 +219,8 @@ def colours_of(path, color):
 
 def test_preview_shows_image_contour_start_and_energy(done):
     path = done / "disc_preview.png"
-    width = colours_of(path, preview.ORANGE).shape[1]
-    for color, left in ((preview.ORANGE, True), (preview.GREEN, True), (preview.BLUE, False)):
+    width = colours_of(path, canvas.ORANGE).shape[1]
+    for color, left in ((canvas.ORANGE, True), (canvas.GREEN, True), (canvas.BLUE, False)):
         found = np.argwhere(colours_of(path, color))
         assert len(found) > 50
         assert ((found[:, 1] < 0.6 * width) == left).mean() > 0.95
@@ -230,15 +231,15 @@ def test_preview_of_any_shape_is_of_a_sane_size(shape):
     geometry = Geometry(shape, (1.0, 1.0, 1.0))
     psi = np.ones(shape, np.float32)
     psi[tuple(slice(n // 4, n // 2 + 1) for n in shape)] = -1
-    scene = preview.Scene(psi, psi, geometry, [], None, "a title", start=psi)
-    assert preview.preview_png(scene).startswith(b"\x89PNG")
+    content = PreviewContent(psi, psi, geometry, [], None, "a title", start=psi)
+    assert preview.preview_png(content).startswith(b"\x89PNG")
 
 
 def test_comparison_of_flows(doors, tmp_path):
     io.write_labels(Volume.from_array(TRUTH), tmp_path / "truth.png")
     words = ("compare", doors / "disc.png", "-o", tmp_path, *START, "--max-steps", 20)
     assert run(*words, "--reference", tmp_path / "truth.png") == 0
-    assert colours_of(tmp_path / "compare.png", preview.SKY).sum() > 50
+    assert colours_of(tmp_path / "compare.png", canvas.SKY).sum() > 50
     runs = json.loads((tmp_path / "compare.json").read_text())["runs"]
     assert all(entry["length_mm"] > 0 and entry["metrics"]["dice"] > 0.3 for entry in runs)
 

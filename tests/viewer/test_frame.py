@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf import Volume
-from accelsurf.report import document
+from accelsurf.report import tables
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
@@ -58,7 +58,7 @@ def test_looking_changes_nothing(flow):
     assert np.array_equal(run.evolution.surface.psi, psi)
 
     def told(history):
-        return document.trace_csv([row._replace(seconds=0.0) for row in history])
+        return tables.trace_csv([row._replace(seconds=0.0) for row in history])
 
     assert told(run.evolution.history) == told([step.row for step, _ in looked])
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
-from accelsurf.report import document, outputs
+from accelsurf.report import document, file_entries, outputs
 from accelsurf.segmentation.api import Result, result_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -74,7 +74,7 @@ def save(
     if "run" in paths:
         outputs.write_bytes(paths["run"], _toml(config, result, source).encode())
         written.append(("run", paths["run"]))
-    picture = outputs.scene(result, outputs.told(name, result))
+    picture = outputs.preview_content(result, outputs.outcome_title(name, result))
     written += list(outputs.write_result(result, folder, names, picture))
     if "report" in paths:
         contents = document.build(
@@ -82,9 +82,9 @@ def save(
             exit_code=0,
             argv=sys.argv,
             config=config,
-            source=None if source is None else document.describe_input(source, geometry=result.geometry),
+            source=None if source is None else file_entries.describe_input(source, geometry=result.geometry),
             result=result,
-            outputs=[document.describe_output(path, kind) for kind, path in written],
+            outputs=[file_entries.describe_output(path, kind) for kind, path in written],
         )
         outputs.write_bytes(paths["report"], (document.to_json(contents) + "\n").encode())
         written.append(("report", paths["report"]))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.report.preview import BLUE, ORANGE, SKY, VERMILION
+from accelsurf.report.canvas import BLUE, ORANGE, SKY, VERMILION
 
 
 class Theme(NamedTuple):

@@ -25,7 +25,7 @@ from accelsurf.analysis.surface_mesh import write_atomically
 from accelsurf.errors import InputError, UsageError, check_known
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.orientation import Upright
+from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.volume import Volume
 from accelsurf.io.headers import is_anatomical
 from accelsurf.viewer.core.frame import COLORS, Frame
@@ -129,7 +129,7 @@ class Scene:
         return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
 
     def _build(self) -> None:
-        plotter, upright, grey = self.plotter, Upright.of(self.geometry), grey_values(self.volume)
+        plotter, upright, grey = self.plotter, DisplayOrientation.of(self.geometry), grey_values(self.volume)
         flat = self.geometry.slice_axis
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
@@ -266,7 +266,7 @@ class Scene:
         """Go ``count`` slices on in a tile, one of ``slice_tiles``; towards the world's larger coordinate."""
         tile = self.slice_tiles[name]
         index = self._cursor.copy()
-        sign = -1 if Upright.of(self.geometry).flips[tile.plane] else 1
+        sign = -1 if DisplayOrientation.of(self.geometry).flips[tile.plane] else 1
         index[tile.axis] = round(index[tile.axis]) + sign * count
         self.cursor = self.geometry.index_to_world(index)
 

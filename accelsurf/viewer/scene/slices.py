@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, Upright
+from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrientation
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import CURSOR, MARK, Theme
 from accelsurf.viewer.scene.overlay import Label, ScaleBar
@@ -28,7 +28,7 @@ class SliceTile:
     renderer : pyvista.Renderer
     image : ndarray (nz, ny, nx), uint8
         Grey values as shown.
-    upright : Upright
+    upright : DisplayOrientation
     plane : int
         0 is axial, 1 coronal, 2 sagittal.
     anatomical : bool
@@ -40,14 +40,14 @@ class SliceTile:
         self,
         renderer: pv.Renderer,
         image: NDArray[np.uint8],
-        upright: Upright,
+        upright: DisplayOrientation,
         plane: int,
         anatomical: bool,
         theme: Theme,
     ) -> None:
         self.renderer, self.plane = renderer, plane
         self._up, self._anatomical, self._theme = upright, anatomical, theme
-        self._image = upright.turn(image)
+        self._image = upright.reorient(image)
         self._vertical, self._horizontal = IN_PLANE[plane]
         #: Array axis of the volume that this slice cuts.
         self.axis = upright.order[plane]

@@ -1,0 +1,41 @@
+"""What a run ran on: the versions of the packages at work, and the memory that the process took."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from importlib import metadata
+
+#: Packages that a result can depend on.
+PACKAGES = ("accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "pydantic", "matplotlib")
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions that a result can depend on: Python, the platform and the packages at work.
+
+    Examples
+    --------
+    >>> sorted(versions())[:3]
+    ['SimpleITK', 'accelsurf', 'matplotlib']
+    """
+    found: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    if found["accelsurf"] is None:  # run from a source tree that is not installed
+        from accelsurf import __version__
+
+        found["accelsurf"] = __version__
+    return found
+
+
+def peak_rss_mb() -> float | None:
+    """Return the most memory this process has had so far, in MB (10^6 bytes); None where the system does not say."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak * (1 if sys.platform == "darwin" else 1024) / 1e6, 1)

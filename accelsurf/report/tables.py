@@ -1,0 +1,90 @@
+"""The tables of a run as CSV text: one line per step, or one per object; pure functions from values to text."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from accelsurf.evolution.records import StepRecord
+
+#: Columns of the trace, in this order: the fields of StepRecord.
+TRACE_COLUMNS = (
+    "step",
+    "level",
+    "t",
+    "dt",
+    "cfl_dt",
+    "potential",
+    "kinetic",
+    "mass_potential",
+    "weight",
+    "friction_work",
+    "smoothing_work",
+    "noise_work",
+    "mass",
+    "mass_correction",
+    "volume_mm3",
+    "area_mm2",
+    "speed",
+    "motion_voxels",
+    "limited_fraction",
+    "clamped_fraction",
+    "diffusion",
+    "band_cells",
+    "cells_visited",
+    "restarted",
+    "removed_components",
+    "seconds",
+    "edits",
+)
+
+
+def trace_csv(history: Iterable[StepRecord]) -> str:
+    """Return the trace of a run: one line per step, columns as in `TRACE_COLUMNS`, numbers without loss.
+
+    Parameters
+    ----------
+    history : iterable of StepRecord
+        One record per step. Units: mm, mm^2, mm^3, voxels, seconds; t and dt in flow time. True is 1.
+    """
+    return _table(TRACE_COLUMNS, ([getattr(row, name) for name in TRACE_COLUMNS] for row in history))
+
+
+def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
+    """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
+    rows = (
+        [own, *(getattr(row, name) for name in TRACE_COLUMNS)] for own, history in histories.items() for row in history
+    )
+    return _table(("object", *TRACE_COLUMNS), rows)
+
+
+def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table of several objects, one row each, from `describe_objects`; missing values are empty."""
+    plain = [key for key in objects[0] if key not in ("centroid", "quality", "message")]
+    known: Mapping[str, Any] = next((one["quality"] for one in objects if one["quality"]), {})
+    measures = [key for key in known if key != "warnings"]
+    rows = []
+    for one in objects:
+        quality = one["quality"] or {}
+        place = one["centroid"] or (None, None, None)
+        doubts = "; ".join(quality.get("warnings", ()))
+        rows.append([*(one[key] for key in plain), *place, *(quality.get(key) for key in measures), doubts])
+    return _table((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    return stream.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    value = value.item() if isinstance(value, np.generic) else value
+    return int(value) if isinstance(value, bool) else repr(value) if isinstance(value, float) else value
