@@ -16,6 +16,7 @@ from accelsurf.flows.protocol import voxel_rates
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, Snapshot, SurfaceState, checkpoint_surface, restore_surface
 from accelsurf.levelset.transfer import transfer_fields
+from accelsurf.settings.trace_columns import measured
 
 StopReason = Literal["converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked"]
 
@@ -59,6 +60,8 @@ class StepRecord(NamedTuple):
         Wall time of the step.
     edits : int
         Changes made by hand right before this step; see `accelsurf.settings.edits`.
+    extra : tuple of (str, float)
+        Name and value of the columns that were added to `accelsurf.settings.trace_columns.TRACE_COLUMNS`.
     """
 
     step: int
@@ -88,6 +91,7 @@ class StepRecord(NamedTuple):
     removed_components: int
     seconds: float
     edits: int = 0
+    extra: tuple[tuple[str, float], ...] = ()
 
 
 class Stop(NamedTuple):
@@ -503,6 +507,7 @@ class Evolution:
             "volume_mm3": self.surface.volume(fraction),
             "area_mm2": float(area.sum()),
             "band_cells": self.surface.size,
+            "extra": measured(self.surface, self.energy, self.flow),
         }
 
     def _drift(self, move: StepPlan) -> int:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, get_args
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import document, preview
-from accelsurf.settings.run_config import LabelFormat, RunConfig
+from accelsurf.settings.fields import LabelFormat
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry

@@ -329,7 +329,7 @@ def result_of(run: Run) -> Result:
         start=prepared.start,
         resolved_settings=resolved_settings_of(prepared, run.config, len(run.evolution.level_summaries)),
         learned=prepared.learned,
-        terms=prepared.context.terms,
+        terms=run.terms,
         kernels=dict(run.workers.seconds),
         edits_done=run.edits_done,
         warnings=run.evolution.warnings

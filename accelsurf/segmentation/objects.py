@@ -26,9 +26,10 @@ from accelsurf.flows import StepLimits
 from accelsurf.grid.geometry import Box
 from accelsurf.initialization.object_starts import ObjectStart, corner_of, meeting, shared, widened
 from accelsurf.levelset import LevelSet, Workers
-from accelsurf.segmentation.energy_assembly import WINDOW_VOXELS
+from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.preprocessing import PreprocessedInput
-from accelsurf.segmentation.solver_setup import half_width, make_energy, make_flow, stop_rule
+from accelsurf.segmentation.solver_setup import half_width, make_flow, stop_rule
+from accelsurf.segmentation.term_makers import WINDOW_VOXELS
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
@@ -51,8 +52,10 @@ class Moving:
         First voxel of its grid in the grid that all share.
     leaked : bool
         Whether it grew beyond the largest volume that it may have.
-    facts : Facts
-        What its energy was told of the image, and what it chose.
+    context : ImageContext
+        What its energy needs of the image.
+    terms : list of dict
+        The terms of its energy with their resolved settings.
     """
 
     def __init__(self, one: ObjectStart, place: int, prepared: PreprocessedInput, config: RunConfig) -> None:
@@ -88,7 +91,7 @@ class Moving:
         surface = LevelSet(psi, spacing, half_width(config), self.workers, overwrite=True)
         fields = None if before is None else moved(self.flow.fields, before.surface, at, surface, self.corner)
         image = np.ascontiguousarray(prepared.image[box])
-        energy = make_energy(config, image, spacing, self.context.on(box))
+        energy, self.terms = make_energy(config, image, spacing, self.context.on(box))
         if fence is not None:
             energy = MaskConstraint(energy, fence)
         self.energy = NonOverlap(energy, self.corner)

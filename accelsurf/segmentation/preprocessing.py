@@ -17,7 +17,7 @@ from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Box, Geometry
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.initialization import starts
-from accelsurf.segmentation.energy_assembly import ImageContext, Mask, Scale
+from accelsurf.segmentation.image_context import ImageContext, Mask, Scale
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 

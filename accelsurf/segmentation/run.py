@@ -23,17 +23,11 @@ from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io.channels import read_further
 from accelsurf.levelset import LevelSet, Workers
+from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.preprocessing import PreprocessedInput
-from accelsurf.segmentation.solver_setup import (
-    ENERGY_SETTINGS,
-    half_width,
-    is_maker,
-    make_energy,
-    make_flow,
-    own_energy,
-    stop_rule,
-)
+from accelsurf.segmentation.solver_setup import half_width, is_maker, make_flow, own_energy, stop_rule
 from accelsurf.settings import energy_expression
+from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
@@ -89,6 +83,8 @@ class Run:
     evolution : Multilevel
     workers : Workers
         To be closed at the end.
+    terms : list of dict
+        The terms of the energy with their resolved settings; empty for an energy of one's own.
     start_seconds, began : float
         What the preparation took, and the clock (`time.perf_counter`) when it was done.
     """
@@ -109,6 +105,7 @@ class Run:
             )
         config = seeded(config)
         self.volume, self.config, self._energy = volume, config, energy
+        self.terms: list[dict[str, Any]] = []
         self.now, self._done, self._leaked = config.model_copy(update={"edit": ()}), 0, False
         self.prepared = PreprocessedInput(volume, [*channels, *read_further(config.channel)], config)
         for edit in config.edit:
@@ -160,8 +157,12 @@ class Run:
         energy, prepared = self._energy, self.prepared
         self.energy_name: str = now.energy
         if energy is None or isinstance(energy, str):
-            context = prepared.context
-            return lambda image, spacing: prepared.fenced(make_energy(now, image, spacing, context), image.shape)
+
+            def named(image: NDArray[np.float32], spacing: tuple[float, float, float]) -> Energy:
+                made, self.terms = make_energy(now, image, spacing, prepared.context)
+                return prepared.fenced(made, image.shape)
+
+            return named
         if self._levels > 1 and not is_maker(energy):
             raise UsageError(
                 f"levels: {self._levels} was given, expected 1: the energy has one image, and each level needs its own",
@@ -280,7 +281,7 @@ class Run:
                 raise type(error)(f"edit at step {edit.step}: {error.message}", error.hint) from None
         if self._energy is not None and not isinstance(self._energy, str):
             for key in edit.settings:
-                if key == "energy" or key in ENERGY_SETTINGS:
+                if key == "energy" or key in energy_settings():
                     raise UsageError(
                         f"edit at step {edit.step}: {key} was given, but the energy is one of your own",
                         "it has its own settings, which do not change while it runs",
@@ -317,7 +318,7 @@ def seeded(config: RunConfig) -> RunConfig:
 
 def _energy_key(config: RunConfig) -> tuple[Any, ...]:
     """The settings that make the energy what it is."""
-    return tuple(getattr(config, key) for key in ("energy", *ENERGY_SETTINGS))
+    return tuple(getattr(config, key) for key in ("energy", *energy_settings()))
 
 
 def available_cores() -> int:

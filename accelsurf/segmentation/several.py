@@ -285,7 +285,7 @@ def _result(
             stop=one.stop,
             seconds={},
             volume=Volume(volume.array[box], part),
-            terms=one.context.terms,
+            terms=one.terms,
             learned=prepared.learned_by(one.context),
         )
     terms = common([one.terms for one in objects.values()])
