@@ -25,6 +25,7 @@ import numpy as np
 from scipy import ndimage
 
 import accelsurf
+from accelsurf.settings.trace_columns import row_values
 
 #: Columns that are not compared: the clock's.
 CLOCK = ("seconds",)
@@ -178,7 +179,7 @@ def _digest(*arrays: Any) -> str:
 
 def _trace(history) -> str:
     """What the trace says, but for the clock: numbers by column, whatever the columns are called."""
-    rows = [[float(value) for key, value in row._asdict().items() if key not in CLOCK] for row in history]
+    rows = [[float(value) for key, value in row_values(row).items() if key not in CLOCK] for row in history]
     return _digest(np.array(rows))
 
 

@@ -12,7 +12,8 @@ from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, RUN, Display, Output, Overwrite, SharedSettings, required, run_config
 from accelsurf.errors import UsageError
-from accelsurf.settings.run_config import FLOWS, RunConfig
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Case

@@ -7,12 +7,11 @@ import time
 from pathlib import Path
 
 from accelsurf.cli.options import Display, Output, Overwrite
-from accelsurf.settings.run_config import FlowName
 
 #: Small ball inside the cube, off its centre: most of the object has to be found.
 START = "ball:9,-7,6,10"
 #: Descent and momentum, the pair that the README shows.
-FLOWS: tuple[FlowName, FlowName] = ("gradient", "constant-density")
+FLOWS = ("gradient", "constant-density")
 MAX_STEPS = 250
 #: The fastest place sets the step, for both flows: with the limiter of the defaults descent hops over many of the traps
 #: that the demo is about.

@@ -9,65 +9,38 @@ from typing import Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from accelsurf.errors import UsageError
+from accelsurf.settings import toml
+from accelsurf.settings.catalogue import entry, help_of, is_switch
+from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.presets import PRESETS
-from accelsurf.settings.run_config import REPEATED, SWITCHES, RunConfig, read_toml
+from accelsurf.settings.run_config import RunConfig
 
-RUN = Group("What to run", sort_key=1)
-FLOW = Group("Fine control of the flow", sort_key=2)
-FILES = Group("Files", sort_key=3)
-SHOW = Group("Display", sort_key=4)
+GROUPS = {group: Group(str(group), sort_key=place) for place, group in enumerate(SettingGroup, 1)}
+RUN, FILES = GROUPS[SettingGroup.RUN], GROUPS[SettingGroup.FILES]
+SHOW = Group("Display", sort_key=len(GROUPS) + 1)
 
 ProgressKind = Literal["bar", "json", "none"]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
-_GROUPS = {
-    **dict.fromkeys(("preset", "energy", "flow", "start", "smoothness", "balance", "presmooth"), RUN),
-    **dict.fromkeys(("edge_scale", "edge_contrast", "balloon", "foreground", "background", "channel"), RUN),
-    **dict.fromkeys(("objects", "mask", "roi", "max_volume"), RUN),
-    **dict.fromkeys(("levels", "max_steps", "edit", "seed", "reproducible", "threads"), RUN),
-    **dict.fromkeys(("mesh", "mesh_space", "save_sdf", "format"), FILES),
-}
-_METAVARS = {
-    **dict.fromkeys(("preset", "flow", "format", "mesh_space"), "NAME"),
-    **dict.fromkeys(("foreground", "background"), "WHERE"),
-    **dict.fromkeys(("objects", "mask", "channel"), "FILE"),
-    **{"energy": "EXPRESSION", "roi": "BOX", "max_volume": "MM3"},
-    **dict.fromkeys(("max_steps", "seed", "threads", "half_width"), "N"),
-    **dict.fromkeys(("edge_scale", "noise_length", "sobolev_length"), "MM|auto"),
-    **{"k": "K", "t0": "T|auto", "gravity": "G", "noise": "TAU", "noise_time": "T|auto", "blend": "OMEGA"},
-    **{"edge_contrast": "K|auto", "balloon": "C"},
-    **{
-        "start": "WHERE",
-        "smoothness": "MM",
-        "balance": "RATIO",
-        "presmooth": "MM|Nvox",
-        "cfl": "VOXELS",
-        "epsilon": "VOXELS",
-        "percentile": "PERCENT",
-    },
-    "edit": "CHANGE",
-    **{"levels": "N|auto", "diffusion": "D|free|auto", "friction": "t|A", "restart": "auto|off", "mesh": "NAMES"},
-}
-
-
-def _settings(name: str, leave_out: tuple[str, ...] = ()) -> type:
+def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = True) -> type:
     """Return a dataclass with an option for each field of RunConfig; ``None`` where the option was not given.
 
-    The values stay text as typed. RunConfig checks them, so that a bad one is told in the same words wherever it
+    The values stay text as typed. RunConfig checks them, so that a bad one is refused in the same words wherever it
     comes from.
     """
     members: list[tuple[str, Any, Any]] = []
     for key, field in RunConfig.model_fields.items():
-        if key in leave_out:
+        said = entry(key)
+        if key in leave_out or (said.group is SettingGroup.FILES and not with_files):
             continue
-        kind: Any = bool if key in SWITCHES else tuple[str, ...] if key in REPEATED else str
+        kind: Any = bool if is_switch(key) else tuple[str, ...] if said.repeated else str
         parameter = Parameter(
             name="--" + key.replace("_", "-"),
-            help=field.description,
-            group=_GROUPS.get(key, FLOW),
-            show_default=_shown(field.default),
-            metavar=_METAVARS.get(key, key.upper()),
+            help=help_of(key),
+            group=GROUPS[said.group],
+            show_default=shown(field.default),
+            metavar=said.metavar or key.upper(),
             negative_iterable=(),
         )
         members.append((key, Annotated[kind | None, parameter], None))
@@ -76,7 +49,7 @@ def _settings(name: str, leave_out: tuple[str, ...] = ()) -> type:
     return Parameter(name="*")(made)
 
 
-def _shown(value: Any) -> str | bool:
+def shown(value: Any) -> str | bool:
     """Return a default as it would be typed; nothing for a field that has none."""
     if value is None:
         return False
@@ -89,9 +62,9 @@ def _shown(value: Any) -> str | bool:
 
 Settings = _settings("Settings")
 #: For commands that write none of a run's files.
-RunSettings = _settings("RunSettings", leave_out=("mesh", "mesh_space", "save_sdf", "format"))
+RunSettings = _settings("RunSettings", with_files=False)
 #: For commands that choose the flow and the files themselves.
-SharedSettings = _settings("SharedSettings", leave_out=("flow", "objects", "mesh", "mesh_space", "save_sdf", "format"))
+SharedSettings = _settings("SharedSettings", leave_out=("flow", "objects"), with_files=False)
 
 
 def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunConfig:
@@ -118,7 +91,7 @@ def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunCon
     typed = {key: value for key, value in given.items() if value is not None}
     preset = typed.get("preset")
     under = PRESETS[preset].settings if preset in PRESETS else {}
-    return RunConfig(**{**(read_toml(file) if file is not None else {}), **under, **typed, **forced})
+    return RunConfig(**{**(toml.read(file) if file is not None else {}), **under, **typed, **forced})
 
 
 @Parameter(name="*")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.cli.options import Display
 from accelsurf.report.document import to_json
+from accelsurf.settings.trace_columns import row_values
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
@@ -75,7 +76,7 @@ class Watcher:
         if self._bar is not None:
             self._bar.step(row, "" if own is None else f"object {own}, ")
         if self._show_json:
-            line = {"event": "step", "run": self._label, **({} if own is None else {"object": own}), **row._asdict()}
+            line = {"event": "step", "run": self._label, **({} if own is None else {"object": own}), **row_values(row)}
             print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
         return self.interrupted
 

@@ -19,6 +19,7 @@ from accelsurf.flows.protocol import voxel_rates
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
 from accelsurf.levelset.transfer import transfer_fields
+from accelsurf.settings.trace_columns import measured
 
 
 class Evolution:
@@ -276,6 +277,7 @@ class Evolution:
             "volume_mm3": self.surface.volume(fraction),
             "area_mm2": float(area.sum()),
             "band_cells": self.surface.size,
+            "extra": measured(self.surface, self.energy, self.flow),
         }
 
     def _advance(self, plan: StepPlan) -> int:

@@ -50,6 +50,8 @@ class StepRecord(NamedTuple):
         Wall time of the step.
     edits : int
         Changes made by hand right before this step; see `accelsurf.settings.edits`.
+    extra : tuple of (str, float)
+        Name and value of the columns that were added to `accelsurf.settings.trace_columns.TRACE_COLUMNS`.
     """
 
     step: int
@@ -79,6 +81,7 @@ class StepRecord(NamedTuple):
     removed_components: int
     seconds: float
     edits: int = 0
+    extra: tuple[tuple[str, float], ...] = ()
 
 
 class Stop(NamedTuple):

@@ -16,7 +16,8 @@ from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import preview, tables
 from accelsurf.report.preview_content import PreviewContent
-from accelsurf.settings.run_config import LabelFormat, RunConfig
+from accelsurf.settings.fields import LabelFormat
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry

@@ -9,57 +9,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from accelsurf.settings.trace_columns import TRACE_COLUMNS, row_values
+
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
 
-#: Columns of the trace, in this order: the fields of StepRecord.
-TRACE_COLUMNS = (
-    "step",
-    "level",
-    "t",
-    "dt",
-    "cfl_dt",
-    "potential",
-    "kinetic",
-    "mass_potential",
-    "weight",
-    "friction_work",
-    "smoothing_work",
-    "noise_work",
-    "mass",
-    "mass_correction",
-    "volume_mm3",
-    "area_mm2",
-    "speed",
-    "motion_voxels",
-    "limited_fraction",
-    "clamped_fraction",
-    "diffusion",
-    "band_cells",
-    "cells_visited",
-    "restarted",
-    "removed_components",
-    "seconds",
-    "edits",
-)
-
 
 def trace_csv(history: Iterable[StepRecord]) -> str:
-    """Return the trace of a run: one line per step, columns as in `TRACE_COLUMNS`, numbers without loss.
+    """Return the trace of a run: one line per step, the columns of `accelsurf.settings.trace_columns`, without loss.
 
     Parameters
     ----------
     history : iterable of StepRecord
-        One record per step. Units: mm, mm^2, mm^3, voxels, seconds; t and dt in flow time. True is 1.
+        One record per step. True is 1.
     """
-    return _table(TRACE_COLUMNS, ([getattr(row, name) for name in TRACE_COLUMNS] for row in history))
+    return _table(tuple(TRACE_COLUMNS), (tuple(row_values(record).values()) for record in history))
 
 
 def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
     """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
-    rows = (
-        [own, *(getattr(row, name) for name in TRACE_COLUMNS)] for own, history in histories.items() for row in history
-    )
+    rows = ((own, *row_values(record).values()) for own, history in histories.items() for record in history)
     return _table(("object", *TRACE_COLUMNS), rows)
 
 

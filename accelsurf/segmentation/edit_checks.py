@@ -10,8 +10,8 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
 from accelsurf.segmentation.evolving_object import Ball
 from accelsurf.segmentation.preprocessing import PreprocessedInput
-from accelsurf.segmentation.solver_setup import ENERGY_SETTINGS
 from accelsurf.settings import energy_expression
+from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
@@ -52,7 +52,7 @@ def check(edit: Edit, config: RunConfig, prepared: PreprocessedInput, ids: Seque
     _check_object(edit, ids, where)
     if energy is not None and not isinstance(energy, str):
         for key in edit.settings:
-            if key == "energy" or key in ENERGY_SETTINGS:
+            if key == "energy" or key in energy_settings():
                 raise UsageError(
                     f"{where}: {key} was given, but the energy is one of your own",
                     "it has its own settings, which do not change while it runs",

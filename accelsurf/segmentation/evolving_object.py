@@ -24,7 +24,7 @@ from accelsurf.grid.geometry import Box
 from accelsurf.grid.pyramid import Level, prolong, restrict
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
-from accelsurf.segmentation.energy_assembly import ImageContext
+from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
 
 #: Voxels around an object's band at least, and as part of its extent; nearer than this the grid is made larger.

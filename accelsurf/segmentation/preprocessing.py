@@ -16,7 +16,7 @@ from accelsurf.errors import AccelsurfError, GeometryError, InputError
 from accelsurf.grid.geometry import Box, Geometry
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.initialization import starts
-from accelsurf.segmentation.energy_assembly import ImageContext, Mask, Scale
+from accelsurf.segmentation.image_context import ImageContext, Mask, Scale
 from accelsurf.segmentation.region import cropped, region_of_interest
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig

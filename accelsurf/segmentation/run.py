@@ -28,21 +28,22 @@ from accelsurf.initialization import object_starts
 from accelsurf.io.channels import read_further
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import edit_checks
-from accelsurf.segmentation.energy_assembly import WINDOW_VOXELS, ImageContext
+from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop, union_of, within
 from accelsurf.segmentation.evolving_object import EvolvingObject, MadeEnergy, ObjectCheckpoint, ObjectStart
+from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.preprocessing import preprocess
 from accelsurf.segmentation.solver_setup import (
-    ENERGY_SETTINGS,
     half_width,
     is_maker,
-    make_energy,
     make_flow,
     own_energy,
     stop_rule,
 )
+from accelsurf.segmentation.term_makers import WINDOW_VOXELS
 from accelsurf.settings import energy_expression
+from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
@@ -504,8 +505,8 @@ def available_cores() -> int:
 def _named_energy(
     settings: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float], context: ImageContext
 ) -> MadeEnergy:
-    energy = make_energy(settings, image, spacing, context)
-    return MadeEnergy(energy, settings.energy, context.terms)
+    made = make_energy(settings, image, spacing, context)
+    return MadeEnergy(made.energy, settings.energy, made.terms)
 
 
 def _own_energy(
@@ -521,4 +522,4 @@ def _own_energy(
 
 def _energy_key(config: RunConfig) -> tuple[Any, ...]:
     """The settings that make the energy what it is."""
-    return tuple(getattr(config, key) for key in ("energy", *ENERGY_SETTINGS))
+    return tuple(getattr(config, key) for key in ("energy", *energy_settings()))

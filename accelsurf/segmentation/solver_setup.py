@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,24 +10,19 @@ from numpy.typing import NDArray
 from accelsurf.energies import CheckedEnergy
 from accelsurf.errors import UsageError
 from accelsurf.evolution.convergence import StopRule
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Noise, Sobolev
-from accelsurf.segmentation.energy_assembly import area_weight, make_energy
+from accelsurf.flows import Flow
+from accelsurf.settings.catalogue import default_of, energy_settings
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
-
-__all__ = ["ENERGY_SETTINGS", "half_width", "is_maker", "make_energy", "make_flow", "own_energy", "stop_rule"]
-
-#: Settings of the energies that have a name; an energy of one's own has its own.
-ENERGY_SETTINGS = (
-    "smoothness", "balance", "epsilon", "edge_scale", "edge_contrast", "balloon", "foreground", "background",
-)
 
 
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """When a run on so many levels has converged on the finest one.
 
-    After a coarser level it begins near its end and is looked at more often. Over an even number of steps: what
-    flickers from step to step is where it was. Steps of flowable-mass are kept short by its waves, and the Sobolev
-    gradient is small where forces are uneven: a slow surface is not at its end yet.
+    After a coarser level the run begins near its end and is checked more often. The window has an even number of
+    steps: what oscillates from step to step is then where it was. The waves of flowable-mass keep its steps short, and
+    the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
     """
     if levels == 1:
         return StopRule(motion=config.tolerance)
@@ -38,12 +32,9 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
 
 
 def half_width(config: RunConfig) -> float:
-    """Half width of the band in voxels: ``auto`` is what the flow needs.
-
-    The mass of flowable-mass is carried along the surface by cubic interpolation, which reaches further.
-    """
+    """Half width of the band in voxels: ``auto`` is what the flow needs."""
     if config.half_width == "auto":
-        return 4.0 if config.flow == "flowable-mass" else 3.0
+        return float(FLOWS[config.flow].half_width)
     return float(config.half_width)
 
 
@@ -57,8 +48,8 @@ def own_energy(
     UsageError
         When it lacks something, or a setting was changed that it would not see.
     """
-    for key in ENERGY_SETTINGS:
-        if getattr(config, key) != RunConfig.model_fields[key].default:
+    for key in energy_settings():
+        if getattr(config, key) != default_of(key):
             raise UsageError(
                 f"{key}: {getattr(config, key)} was given, but the energy is one of your own and would not see it",
                 "give it to the energy itself",
@@ -72,44 +63,6 @@ def is_maker(energy: Any) -> bool:
 
 
 def make_flow(config: RunConfig) -> Flow:
-    """The flow that a configuration asks for.
-
-    With diffusion ``auto`` momentum gets its mixing-length diffusion and descent none: it is the plain baseline.
-    """
-    return FLOWS[config.flow](config)
-
-
-def _gradient(config: RunConfig) -> Flow:
-    diffusion = 0.0 if config.diffusion == "auto" else _number(config.diffusion)
-    return Gradient(diffusion)
-
-
-def _common(config: RunConfig) -> dict[str, Any]:
-    noise = None
-    if config.noise > 0:
-        assert config.seed is not None
-        noise = Noise(config.noise, _number(config.noise_length), config.seed, _number(config.noise_time))
-    return {
-        "k": config.k,
-        "lambda_": config.lam,
-        "rho": config.rho,
-        "friction": _number(config.friction),
-        "diffusion": _number(config.diffusion),
-        "t0": _number(config.t0),
-        "noise": noise,
-    }
-
-
-def _number(value: float | str) -> float | None:
-    """A setting that is a number or a word: None for the word."""
-    return None if isinstance(value, str) else value
-
-
-#: How to make each flow from a configuration.
-FLOWS: dict[str, Callable[[RunConfig], Flow]] = {
-    "constant-density": lambda config: ConstantDensity(**_common(config)),
-    "flowable-mass": lambda config: FlowableMass(config.gravity, area_weight(config), **_common(config)),
-    "gradient": _gradient,
-    "sobolev": lambda config: Sobolev(_number(config.sobolev_length)),
-    "momentum": lambda config: HeavyBall(config.blend),
-}
+    """The flow that a configuration asks for."""
+    flow: Flow = load(FLOWS[config.flow].make)(config)
+    return flow

@@ -13,14 +13,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, model_serializer
+from pydantic.fields import FieldInfo
 
 from accelsurf.errors import UsageError
+from accelsurf.settings.entry import entry_of
 
-#: Settings that the whole run has: what was read, prepared and will be written.
-FIXED = (
-    "start", "presmooth", "levels", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "seed", "reproducible",
-    "threads", "edit", "mask", "roi", "channel", "foreground", "background", "preset",
-)
 FORM = 'step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on'
 
 
@@ -37,7 +34,8 @@ class Edit(BaseModel):
         Id of the object that the ball is added to or removed from, where there are several; what one gains is taken
         from the others.
     **settings
-        Fields of RunConfig, but for those in `FIXED`, that are in force from this step on. A ball comes after them.
+        Fields of RunConfig that are in force from this step on, but for those that are fixed while a run runs. A ball
+        comes after them.
 
     Notes
     -----
@@ -137,7 +135,7 @@ def _words(text: str) -> dict[str, str]:
     return {key: value for key, _, value in pairs}
 
 
-def refuse_unknown(edit: Edit, known: Mapping[str, Any]) -> None:
+def refuse_unknown(edit: Edit, known: Mapping[str, FieldInfo]) -> None:
     """Refuse settings that there are not, or that do not change while a run runs.
 
     Raises
@@ -145,7 +143,7 @@ def refuse_unknown(edit: Edit, known: Mapping[str, Any]) -> None:
     UsageError
         With the nearest that may.
     """
-    possible = [key for key in known if key not in FIXED]
+    possible = [key for key, field in known.items() if not entry_of(field).fixed]
     for key in edit.settings:
         if key in possible:
             continue

@@ -18,54 +18,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
+from accelsurf.settings.energy_terms import HALF, TERMS, Number, Value, Word, image_terms
 
-
-class Number(NamedTuple):
-    """A setting that is a number: its bounds, whether the bounds themselves are allowed, and words besides."""
-
-    low: float = -math.inf
-    high: float = math.inf
-    low_too: bool = True
-    words: tuple[str, ...] = ()
-    percent: bool = False
-
-
-class Word(NamedTuple):
-    """A setting that is one of some words."""
-
-    words: tuple[str, ...]
-
-
-POSITIVE = Number(0.0, low_too=False)
-#: What stands before the value that a bound lies half-way to.
-HALF = "half:"
-#: A bound in the image's unit, a percentile of the image, Otsu's threshold, learned from the start's values, half-way
-#: between their mean and a value, or none.
-BOUND = Number(words=("auto", "learned", ""), percent=True)
-CHANNEL = Number(1.0)
-#: What each term may be told, in the order in which values without a key are taken.
-TERMS: dict[str, dict[str, Number | Word]] = {
-    "chan-vese": {"balance": POSITIVE, "epsilon": Number(0.0, 2.5), "channel": CHANNEL},
-    "local-region": {"R": POSITIVE, "epsilon": Number(0.0, 2.5), "channel": CHANNEL},
-    "likelihood": {
-        "model": Word(("gauss", "histogram")),
-        "update": Word(("yes", "no")),
-        "epsilon": Number(0.0, 2.5),
-        "channel": CHANNEL,
-    },
-    "threshold": {"LO": BOUND, "HI": BOUND, "soft": POSITIVE, "channel": CHANNEL},
-    "geodesic": {"scale": POSITIVE, "contrast": POSITIVE, "balloon": Number(), "channel": CHANNEL},
-    "balloon": {},
-    "area": {},
-}
-#: Terms that say where the object is; the others need one of them beside.
-IMAGE_TERMS = ("chan-vese", "local-region", "likelihood", "threshold", "geodesic")
-#: One of each kind of energy that needs no more to be told: for lists to choose from.
-SIMPLE = ("chan-vese", "local-region", "likelihood", "threshold:auto", "geodesic")
 EXAMPLE = "local-region:R=8 + 0.3*geodesic + 0.1*area"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-
-Value = float | str
 
 
 class Term(NamedTuple):
@@ -104,17 +60,14 @@ def parse(text: str) -> tuple[Term, ...]:
     items = [_item(text, parts[0], 1.0)]
     for sign, part in zip(parts[1::2], parts[2::2], strict=True):
         items.append(_item(text, part, -1.0 if sign == "-" else 1.0))
-    if not any(term.name in IMAGE_TERMS for term in items):
-        raise _error(text, f"a term that sees the image: {', '.join(IMAGE_TERMS)}")
+    if not any(TERMS[term.name].sees_image for term in items):
+        raise _error(text, f"a term that sees the image: {', '.join(image_terms())}")
     return tuple(items)
 
 
 def learns(term: Term) -> bool:
     """Whether a term learns once from the start, unless it is given something else to learn from."""
-    if term.name == "likelihood":
-        return term.settings.get("update") == "no"
-    words = [value for value in term.settings.values() if isinstance(value, str)]
-    return term.name == "threshold" and any(word == "learned" or word.startswith(HALF) for word in words)
+    return TERMS[term.name].learns(term.settings)
 
 
 def from_tables(tables: Sequence[Any]) -> str:
@@ -161,20 +114,20 @@ def _item(text: str, item: str, sign: float) -> Term:
     if colon and not values.strip():
         raise _error(text, f"values after the colon of {name}, of {_known(name)}")
     settings = _settings(text, name, values) if colon else {}
-    if name == "threshold":
-        _check_bounds(text, settings)
+    if wanted := TERMS[name].check(settings):
+        raise _error(text, wanted)
     weight *= sign
-    if not math.isfinite(weight) or weight == 0 or (weight < 0 and name != "balloon"):
-        raise _error(text, f"a weight {'other than 0' if name == 'balloon' else 'greater than 0'} for {name}")
+    if not math.isfinite(weight) or weight == 0 or (weight < 0 and not TERMS[name].signed):
+        raise _error(text, f"a weight {'other than 0' if TERMS[name].signed else 'greater than 0'} for {name}")
     return Term(name, weight, settings)
 
 
 def _known(name: str) -> str:
-    return ", ".join(TERMS[name]) or "none: it has no settings"
+    return ", ".join(TERMS[name].settings) or "none: it has no settings"
 
 
 def _settings(text: str, name: str, values: str) -> dict[str, Value]:
-    known = TERMS[name]
+    known = TERMS[name].settings
     found: dict[str, Value] = {}
     for place, part in enumerate(values.split(",")):
         key, equals, value = part.partition("=")
@@ -193,34 +146,12 @@ def _value(text: str, what: str, kind: Number | Word, value: str) -> Value:
     if value in kind.words:
         return value
     if isinstance(kind, Word):
-        raise _error(text, f"{' or '.join(kind.words)} for {what}, not {value!r}")
+        raise _error(text, f"{kind.expected} for {what}, not {value!r}")
     percent = kind.percent and value.endswith("%")
     half = kind.percent and value.startswith(HALF)
     digits = value.removesuffix("%") if percent else value.removeprefix(HALF) if half else value
     number = float(digits) if _NUMBER.fullmatch(digits) else math.nan
     low, high = (0.0, 100.0) if percent else (kind.low, kind.high)
     if not (low < number < high or (number == low and kind.low_too) or number == high) or not math.isfinite(number):
-        raise _error(text, f"{_in_words(kind)} for {what}, not {value or 'nothing'!r}")
+        raise _error(text, f"{kind.expected} for {what}, not {value or 'nothing'!r}")
     return value if percent or half else number
-
-
-def _in_words(kind: Number) -> str:
-    bounds = ""
-    if kind.low > -math.inf:
-        bounds = f" at least {kind.low:g}" if kind.low_too else f" above {kind.low:g}"
-    if kind.high < math.inf:
-        bounds += f" and at most {kind.high:g}"
-    words = [f"a number{bounds}", *(word for word in kind.words if word)]
-    if kind.percent:
-        words += ["a percentile such as 80%", f"{HALF}V (half-way from V to the start's mean)"]
-    return " or ".join(words)
-
-
-def _check_bounds(text: str, found: Mapping[str, Value]) -> None:
-    low, high = found.get("LO", ""), found.get("HI", "")
-    if low == "" and high == "":
-        raise _error(text, "at least one bound: threshold:LO,HI, threshold:LO, or threshold:,HI")
-    if isinstance(low, float) and isinstance(high, float) and not low < high:
-        raise _error(text, "a low threshold below the high one")
-    if low == "auto" and high == "auto":
-        raise _error(text, "auto for one of the two thresholds")

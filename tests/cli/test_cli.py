@@ -14,7 +14,8 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.phantoms import recipes
-from accelsurf.settings.run_config import REPEATED, RunConfig
+from accelsurf.settings.catalogue import entry
+from accelsurf.settings.run_config import RunConfig
 
 START = ("--start", "ball:3,-2,1,5")
 REPORT_KEYS = {
@@ -196,7 +197,7 @@ def test_every_setting_is_an_option(capsys):
         option = "--" + key.replace("_", "-")
         if value is None:
             continue
-        if key in REPEATED:
+        if entry(key).repeated:
             value = [str(edit) for edit in values.edit] if key == "edit" else value
             words += [word for text in value for word in (option, text)]
         else:

@@ -14,7 +14,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.volume import Volume
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.solver_setup import make_energy
+from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.settings.run_config import RunConfig
 
 #: Grids (shape, spacing): nearly isotropic, thick slices, a single slice.
@@ -252,12 +252,12 @@ def test_the_minimum_lies_inside_of_the_edge_by_the_square_of_the_scale(scale):
 def test_the_configuration_reaches_the_energy():
     image = ball(0.2)[0].astype(np.float32)
     config = RunConfig(energy="geodesic", smoothness=0.3, edge_scale=2.0, edge_contrast=0.05, balloon=-0.2)
-    energy = make_energy(config, image, (1.0, 1.0, 1.0))
+    energy = make_energy(config, image, (1.0, 1.0, 1.0)).energy
     assert isinstance(energy, Geodesic) and energy.balloon == -0.2
     phi = edge_indicator(image, (1, 1, 1), 2.0, 0.05)
     np.testing.assert_array_equal(energy.sums.image, phi.ravel())
     assert energy.alpha == pytest.approx(phi.max() + 0.3)
-    auto = make_energy(RunConfig(energy="geodesic"), image, (1.0, 1.0, 1.0))
+    auto = make_energy(RunConfig(energy="geodesic"), image, (1.0, 1.0, 1.0)).energy
     np.testing.assert_array_equal(auto.sums.image, edge_indicator(image, (1, 1, 1)).ravel())
 
 

@@ -18,7 +18,8 @@ from accelsurf.io import write
 from accelsurf.levelset import LevelSet
 from accelsurf.phantoms.recipes import make, recipe_from
 from accelsurf.segmentation.api import evolve, segment
-from accelsurf.segmentation.solver_setup import half_width, make_energy, make_flow
+from accelsurf.segmentation.energy_assembly import make_energy
+from accelsurf.segmentation.solver_setup import half_width, make_flow
 
 NOISY = {"kind": "cube", "shape": [64, 64, 64], "spacing": [1.0, 1.0, 1.0], "side": 32.0, "noise": 0.6, "seed": 3}
 START = {"start": "ball:5,-4,4,9"}
@@ -135,7 +136,7 @@ def test_one_level_is_the_plain_evolution(cube):
     surface = LevelSet(starts.build(config.start, cube.image), (1.0, 1.0, 1.0), half_width(config))
     plain = Evolution(
         surface,
-        make_energy(config, image, (1.0, 1.0, 1.0)),
+        make_energy(config, image, (1.0, 1.0, 1.0)).energy,
         make_flow(config),
         StepLimits(0.5, 95.0),
         30,

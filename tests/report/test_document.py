@@ -23,6 +23,7 @@ from accelsurf.report import canvas, document, file_entries, preview, tables
 from accelsurf.report.preview_content import PreviewContent
 from accelsurf.report.rasterizer import render
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.trace_columns import TRACE_COLUMNS
 
 KEYS = {
     *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
@@ -137,11 +138,11 @@ def test_describe_output_has_the_checksum_of_the_file(tmp_path):
 
 
 def test_trace_has_the_columns_of_a_row_in_order_and_loses_no_digit():
-    assert tables.TRACE_COLUMNS == StepRecord._fields
+    assert (*TRACE_COLUMNS, "extra") == StepRecord._fields
     rows = [row(0, potential=1 / 3, restarted=True), row(1, dt=np.float64(1e-17), band_cells=np.int64(7))]
     text = tables.trace_csv(rows)
     read = list(csv.DictReader(io.StringIO(text)))
-    assert tuple(read[0]) == tables.TRACE_COLUMNS
+    assert tuple(read[0]) == tuple(TRACE_COLUMNS)
     assert float(read[0]["potential"]) == 1 / 3 and read[0]["restarted"] == "1"
     assert float(read[1]["dt"]) == 1e-17 and read[1]["band_cells"] == "7" and read[1]["restarted"] == "0"
     assert text.endswith("\n") and "\r" not in text

@@ -9,7 +9,9 @@ from accelsurf.analysis.metrics import dice
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.solver_setup import half_width, make_flow
-from accelsurf.settings.run_config import ENERGIES, FLOWS, RunConfig
+from accelsurf.settings.energy_terms import image_terms
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.run_config import RunConfig
 
 BALL = (24, 24, 24)
 
@@ -22,7 +24,9 @@ def image(shape: tuple[int, int, int] = BALL) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("shape", [BALL, (1, 24, 24)], ids=["surface", "curve"])
-@pytest.mark.parametrize("energy", [*ENERGIES, "likelihood:histogram", "0.5*chan-vese + threshold:0.5, - 0.05*balloon"])
+@pytest.mark.parametrize(
+    "energy", [*image_terms(), "likelihood:histogram", "0.5*chan-vese + threshold:0.5, - 0.05*balloon"]
+)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_every_flow_takes_every_energy(flow: str, energy: str, shape: tuple[int, int, int]) -> None:
     """From a ball around the object, or beside its middle, to a Dice above 0.9 with a falling energy."""

@@ -12,7 +12,8 @@ from accelsurf.levelset.checks import check_level_set
 from accelsurf.segmentation.api import result_of, segment
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.edits import Edit, edits_of
-from accelsurf.settings.run_config import FLOWS, RunConfig
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.run_config import RunConfig
 
 
 def volume(shape=(24, 30, 34), spacing=(1.5, 1.0, 1.0), seed=0):

@@ -3,7 +3,8 @@
 import pytest
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.energy_expression import TERMS, from_tables, parse
+from accelsurf.settings.energy_expression import from_tables, parse
+from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -102,4 +103,4 @@ def test_every_term_is_known_by_name_and_text_is_kept():
 
 def test_settings_of_terms_that_are_not_there_are_named():
     assert RunConfig(energy="local-region + 0.2*geodesic", balance=2, edge_scale=1).unused() == ["balance"]
-    assert RunConfig(energy="threshold:1", foreground="center", epsilon=1).unused() == ["epsilon", "foreground"]
+    assert RunConfig(energy="threshold:1", foreground="center", epsilon=1).unused() == ["foreground", "epsilon"]

@@ -6,7 +6,9 @@ import pytest
 from pydantic import ValidationError
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.run_config import RunConfig, expected
+from accelsurf.settings.catalogue import help_of
+from accelsurf.settings.messages import expected
+from accelsurf.settings.run_config import RunConfig
 
 ODD = RunConfig(
     preset="ct-bone",
@@ -128,7 +130,7 @@ def test_bad_value_is_one_clear_line(key, value, words):
     message = str(caught.value)
     assert message.startswith(f"{key}: ") and " was given, expected " in message and words in message
     assert "\n" not in message
-    assert caught.value.hint == " ".join((RunConfig.model_fields[key].description or "").split())
+    assert caught.value.hint == " ".join(help_of(key).split())
 
 
 def test_text_values_are_read_as_the_command_line_gives_them():
@@ -207,5 +209,5 @@ def test_values_that_do_not_go_together_are_one_clear_line(values, key):
 def test_settings_that_do_nothing_are_named():
     assert RunConfig().unused() == []
     assert RunConfig(flow="gradient", k=3, diffusion=1, balance=2).unused() == ["k"]
-    assert RunConfig(gravity=1, blend=0.5, balloon=1).unused() == ["gravity", "blend", "balloon"]
+    assert RunConfig(gravity=1, blend=0.5, balloon=1).unused() == ["balloon", "gravity", "blend"]
     assert RunConfig(energy="geodesic", flow="momentum", blend=0.5, balloon=1, epsilon=0).unused() == ["epsilon"]

@@ -29,11 +29,11 @@ from PIL import Image
 
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.grid.volume import Volume
-from accelsurf.settings.energy_expression import SIMPLE
-from accelsurf.settings.run_config import FLOWS
+from accelsurf.settings.energy_terms import examples
+from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.session import Session, Status
-from accelsurf.viewer.frontends.requests import Steering
+from accelsurf.viewer.frontends.requests import SETTINGS, Steering
 from accelsurf.viewer.scene.scene import Scene
 
 LOCAL = "127.0.0.1"
@@ -139,9 +139,9 @@ class Page:
             "step": status.step, "last": max((status.step, *status.kept)), "running": status.running,
             "state_word": word, "undoable": status.undoable, "message": steering.message or status.message,
             "failed": bool(steering.message) or status.failed,
-            **{key: getattr(settings, key) for key in ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")},
+            **{key: getattr(settings, key) for key in SETTINGS},
             # An expression of the run's own stands beside those that there are to choose from.
-            "energies": list(dict.fromkeys((*SIMPLE, settings.energy))),
+            "energies": list(dict.fromkeys((*examples(), settings.energy))),
             "mode": steering.mouse.mode, "radius": steering.mouse.radius, "color": steering.color,
             "theme": steering.theme, "volume": steering.volume, "planes": steering.planes,
             "files": [{"name": name, "link": link.format(name)} for name in sorted(steering.files)],

@@ -24,18 +24,15 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.settings.energy_expression import SIMPLE
-from accelsurf.settings.run_config import FLOWS, RunConfig
+from accelsurf.settings.catalogue import help_of, sliders
+from accelsurf.settings.energy_terms import examples
+from accelsurf.settings.entry import Slider
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import COLORS
 
 #: Positions of a slider; and how long it rests before what it says is taken up, milliseconds.
 TICKS, SETTLE_MS = 1000, 250
-UNITS = {
-    "smoothness": "Smoothness (mm)",
-    "diffusion": "Diffusion (mm2 per unit of time)",
-    "friction": "Friction of momentum (per unit of time)",
-    "cfl": "Largest motion in a step (CFL, voxels)",
-}
 #: Tool -> (its key, what is written on it, what it does).
 TOOLS = {
     "look": ("V", "Look", "Turn the surface; drag in a slice to move the slices"),
@@ -178,14 +175,9 @@ class Panel(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 6, 8, 6)
         column.setSpacing(6)
-        self.choices = {"energy": _choice(SIMPLE), "flow": _choice(FLOWS)}
+        self.choices = {"energy": _choice(examples()), "flow": _choice(tuple(FLOWS))}
         finest = min(steps)
-        self.amounts = {
-            "smoothness": Amount(0.0, 5.0 * finest, power=2.0),
-            "diffusion": Amount(0.0, 20.0 * finest**2, ("auto", "free"), power=2.0),
-            "friction": Amount(0.01, 5.0, ("t",), power=2.0),
-            "cfl": Amount(0.05, 1.0, digits=2, limit=1.0),
-        }
+        self.amounts = {key: _amount(slider, finest) for key, slider in sliders().items()}
         column.addWidget(self._settings())
         column.addWidget(self._tools(finest, min(extents or [finest])))
         column.addWidget(self._looks())
@@ -211,8 +203,8 @@ class Panel(QWidget):
             form.addRow(key.capitalize(), choice)
         for key, amount in self.amounts.items():
             amount.changed.connect(lambda value, key=key: self.setting.emit(key, value))
-            amount.setToolTip(RunConfig.model_fields[key].description or "")
-            form.addRow(QLabel(UNITS[key]))
+            amount.setToolTip(help_of(key))
+            form.addRow(QLabel(sliders()[key].label))
             form.addRow(amount)
         return group
 
@@ -283,6 +275,14 @@ class Panel(QWidget):
         """Make ball and brush larger or smaller."""
         value = float(self.radius.value) * factor
         self.radius.show_value(min(max(value, self.radius.box.minimum()), 1e5) if math.isfinite(value) else 1.0)
+
+
+def _amount(slider: Slider, finest: float) -> Amount:
+    """The widget of a setting, in an image whose smallest spacing is ``finest`` mm."""
+    unit = finest**slider.voxel_power
+    return Amount(
+        slider.low * unit, slider.high * unit, slider.words, slider.power, slider.digits, slider.limit
+    )
 
 
 def _choice(names: Sequence[str]) -> QComboBox:

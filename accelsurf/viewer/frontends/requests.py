@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.settings.catalogue import choices, sliders
 from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.saving import KINDS
 from accelsurf.viewer.core.session import Session
@@ -22,7 +23,7 @@ from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.space import VIEWS
 
 #: Settings that a page may change, those of sliders and lists, and the most letters of a value.
-SETTINGS = ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")
+SETTINGS = (*sliders(), *choices())
 MAX_LETTERS = 40
 #: Smallest and largest size of a picture, pixels.
 MIN_SIZE, MAX_SIZE = (480, 272), (2560, 1600)

@@ -1,0 +1,214 @@
+"""What the energies of a run need to know of its image: channels, scales, what is learned from which voxels."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies import gaussian_of
+from accelsurf.energies.likelihood import least_variance
+from accelsurf.errors import UsageError
+from accelsurf.grid.geometry import Box
+from accelsurf.initialization.region_growing import otsu_level
+from accelsurf.settings.energy_terms import HALF, Values
+from accelsurf.settings.run_config import RunConfig
+
+#: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
+#: between two of them, and ConfidenceConnected of ITK takes as many.
+LEARNED_DEVIATIONS = 2.5
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Spacing = tuple[float, float, float]
+_EVERYWHERE: Box = (slice(None), slice(None), slice(None))
+Found = TypeVar("Found")
+
+
+class Scale(NamedTuple):
+    """How a channel came to its values: (I - ``low``)/``width``, I being the file's."""
+
+    low: float = 0.0
+    width: float = 1.0
+
+
+class TrainingVoxels(NamedTuple):
+    """Where models learn what the object is like.
+
+    Attributes
+    ----------
+    box : Box
+        Part of the grid.
+    inside : ndarray of bool
+        Voxels of the object in that box.
+    foreground : ndarray (nz, ny, nx) of bool
+        Voxels of all objects.
+    background : ndarray (nz, ny, nx) of bool or None
+        Voxels of none; None: all that are foreground of no object.
+    """
+
+    box: Box
+    inside: Mask
+    foreground: Mask
+    background: Mask | None
+
+    @property
+    def outside(self) -> Mask:
+        """Voxels of the background."""
+        return ~self.foreground if self.background is None else self.background
+
+
+class ImageContext:
+    """What energies need of an image besides the image on the grid at hand; it is not changed once it is made.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+        The channels as energies see them, on the image's own grid.
+    scales : sequence of Scale
+        Of each channel.
+    spacing : (hz, hy, hx)
+        Of that grid, mm.
+    foreground, background : ndarray (nz, ny, nx) of bool, optional
+        Where likelihood learns; without ``background`` all that is not foreground.
+    others : sequence of ndarray, optional
+        The other channels, after the first, on the grid at hand; by default that of ``images``.
+    raw : callable, optional
+        Values of a channel before any presmoothing, on the scale of ``images``, where a mask of a box is set.
+    is_start : bool, optional
+        Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
+
+    Notes
+    -----
+    What is found of whole channels, and what is learned, is found once and kept.
+    """
+
+    def __init__(
+        self,
+        images: Sequence[Image],
+        scales: Sequence[Scale],
+        spacing: tuple[float, float, float],
+        foreground: Mask | None = None,
+        background: Mask | None = None,
+        others: Sequence[Image] | None = None,
+        raw: Callable[[int, Box, Mask], NDArray[Any]] | None = None,
+        is_start: bool = False,
+    ) -> None:
+        self.images, self.scales, self.spacing = list(images), list(scales), spacing
+        self.foreground, self.background = foreground, background
+        self._is_start = is_start
+        self._training = (
+            None if foreground is None else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
+        )
+        self._raw = raw or (lambda channel, box, mask: self.images[channel][box][mask])
+        self.others = tuple(self.images[1:] if others is None else others)
+        self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
+        self._outside: dict[int, NDArray[Any]] = {}
+        self._found: dict[tuple[Any, ...], Any] = {}
+
+    def of_object(self, corner: tuple[int, int, int], start: Mask) -> ImageContext:
+        """The context of one of several objects, which ``start``, from voxel ``corner`` on, has inside.
+
+        Where the start is what models learn from, the object learns from its own. What is found of whole images stays
+        common.
+        """
+        part = copy.copy(self)
+        if self._is_start and self._training is not None:
+            z, y, x = (slice(c, c + n) for c, n in zip(corner, start.shape, strict=True))
+            part._training, part._learned = self._training._replace(box=(z, y, x), inside=start), {}
+        return part
+
+    def with_channels(self, images: Sequence[Image]) -> ImageContext:
+        """The same context for energies on another grid, where the channels after the first are ``images``."""
+        part = copy.copy(self)
+        part.others = tuple(images)
+        return part
+
+    def once(self, make: Callable[..., Found], channel: int, *args: Any) -> Found:
+        """``make(image, *args)`` of a whole channel, found once: many objects ask for it."""
+        key = (make, channel, args)
+        if key not in self._found:
+            self._found[key] = make(self.images[channel], *args)
+        return cast("Found", self._found[key])
+
+    def samples(self, channel: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Values of a channel inside and outside, where likelihood is to learn."""
+        if channel not in self._learned:
+            training = self._trained_on(
+                "likelihood with update=no was given nothing to learn from", "give --foreground, or use update=yes"
+            )
+            image = self.images[channel]
+            if channel not in self._outside:
+                self._outside[channel] = image[training.outside]
+            self._learned[channel] = image[training.box][training.inside], self._outside[channel]
+        return self._learned[channel]
+
+    def _trained_on(self, problem: str, hint: str) -> TrainingVoxels:
+        if self._training is None:
+            raise UsageError(f"energy: {problem}", hint)
+        return self._training
+
+    def learned(self, channel: int) -> tuple[float, float]:
+        """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""
+        training = self._trained_on("a learned bound was given nothing to learn from", "give --foreground")
+        # Before presmoothing: what is left of noise after it says how wide the object's values are, not its edges'.
+        values = self._raw(channel, training.box, training.inside)
+        mean, variance = gaussian_of(values, self.once(least_variance, channel))
+        width = LEARNED_DEVIATIONS * variance**0.5
+        return mean - width, mean + width
+
+    def bound(self, channel: int, value: float | str, upper: bool) -> float | None:
+        """A bound of threshold on the scale of the image as energies see it; None for an open side."""
+        if value == "":
+            return None
+        if value == "auto":
+            return self.once(otsu_level, channel)
+        if value == "learned":
+            return self.learned(channel)[1 if upper else 0]
+        if isinstance(value, str) and value.startswith(HALF):
+            low, high = self.learned(channel)
+            given, scale = float(value.removeprefix(HALF)), self.scales[channel]
+            other = (given - scale.low) / scale.width
+            return 0.5 * (0.5 * (low + high) + other)
+        if isinstance(value, str):
+            return float(self.once(np.percentile, channel, float(value.removesuffix("%"))))
+        scale = self.scales[channel]
+        return (value - scale.low) / scale.width
+
+
+@dataclass(frozen=True)
+class TermInputs:
+    """What a term of an energy is made of; see `accelsurf.settings.energy_terms.TermSpec`.
+
+    Attributes
+    ----------
+    settings : mapping of str to float or str
+        What was written after the colon, by key.
+    config : RunConfig
+    image : ndarray (nz, ny, nx), float32
+        The channel that it sees, on the grid at hand, 0 and 1 at its percentiles.
+    spacing : (hz, hy, hx)
+        Of that grid, mm.
+    context : ImageContext
+        Of the image on its own grid.
+    channel : int
+        Number of the channel, the first is 0.
+    alpha : float
+        Weight of the surface's area that the energy carries itself.
+    """
+
+    settings: Values
+    config: RunConfig
+    image: Image
+    spacing: Spacing
+    context: ImageContext
+    channel: int = 0
+    alpha: float = 0.0
+
+    def number(self, key: str, default: float) -> float:
+        """A setting that is a number."""
+        return float(self.settings.get(key, default))

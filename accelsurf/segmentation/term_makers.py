@@ -1,0 +1,119 @@
+"""How each term of an energy is made; `accelsurf.settings.energy_terms` names these functions.
+
+Each returns the energy and the settings that it has in the run, also those that were taken from the image; image values
+in the file's unit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from accelsurf.energies import (
+    Area,
+    Balloon,
+    ChanVese,
+    Energy,
+    GaussianLikelihood,
+    Geodesic,
+    HistogramLikelihood,
+    LocalRegion,
+    Parzen,
+    Threshold,
+    gaussian_of,
+)
+from accelsurf.energies.geodesic import edge_contrast as strong_edge
+from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude, largest_spacing
+from accelsurf.energies.likelihood import least_variance
+from accelsurf.energies.threshold import soft_edge
+from accelsurf.errors import UsageError
+from accelsurf.segmentation.image_context import TermInputs
+
+#: R of local-region unless given, voxels of the largest spacing.
+WINDOW_VOXELS = 8.0
+
+Made = tuple[Energy, dict[str, Any]]
+
+
+def chan_vese(inputs: TermInputs) -> Made:
+    """Two regions, each with its own mean."""
+    balance = inputs.number("balance", inputs.config.balance)
+    epsilon = inputs.number("epsilon", inputs.config.epsilon)
+    energy = ChanVese(inputs.image, inputs.alpha, epsilon=epsilon, balance=balance)
+    return energy, {"balance": balance, "epsilon": epsilon}
+
+
+def local_region(inputs: TermInputs) -> Made:
+    """Two regions, each with its mean in a window."""
+    context = inputs.context
+    # Of the image's own grid, on every level.
+    radius = inputs.number("R", WINDOW_VOXELS * largest_spacing(context.images[0].shape, context.spacing))
+    epsilon = inputs.number("epsilon", inputs.config.epsilon)
+    return LocalRegion(inputs.image, radius, inputs.alpha, epsilon), {"R": radius, "epsilon": epsilon}
+
+
+def likelihood(inputs: TermInputs) -> Made:
+    """Two regions by their distributions.
+
+    Raises
+    ------
+    UsageError
+        When it is given something to learn from that it would not use.
+    """
+    image, context, channel = inputs.image, inputs.context, inputs.channel
+    given = bool(inputs.config.foreground or inputs.config.background)
+    update = inputs.settings.get("update", "no" if given else "yes")
+    if update == "yes" and given:
+        raise UsageError(
+            "energy: likelihood:update=yes was given with --foreground or --background, which it would not use",
+            "with update=no it learns from them once; with update=yes from the surface, again in each step",
+        )
+    # Sharp unless given: a smeared interface mixes in values from across the edge, and under a narrow distribution
+    # these are so unlikely that they push the surface away from the edge.
+    model, epsilon = inputs.settings.get("model", "gauss"), inputs.number("epsilon", 0.0)
+    used: dict[str, Any] = {"model": model, "update": update, "epsilon": epsilon}
+    if model == "histogram":
+        learned = context.samples(channel) if update == "no" else None
+        return HistogramLikelihood(image, inputs.alpha, learned, epsilon, context.once(Parzen, channel)), used
+    if update == "yes":
+        return GaussianLikelihood(image, inputs.alpha, epsilon=epsilon), used
+    one, other = (gaussian_of(values, context.once(least_variance, channel)) for values in context.samples(channel))
+    low, width = context.scales[channel]
+    for name, (mean, variance) in (("inside", one), ("outside", other)):
+        used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
+    return GaussianLikelihood(image, inputs.alpha, (one, other), epsilon), used
+
+
+def threshold(inputs: TermInputs) -> Made:
+    """A window of values."""
+    context, channel = inputs.context, inputs.channel
+    low, high = (context.bound(channel, inputs.settings.get(key, ""), key == "HI") for key in ("LO", "HI"))
+    start, width = context.scales[channel]
+    given = inputs.settings.get("soft")
+    soft = soft_edge(context.once(np.ptp, channel), low, high) if given is None else float(given) / width
+    used = {key: None if v is None else start + width * v for key, v in (("LO", low), ("HI", high))}
+    return Threshold(inputs.image, low, high, soft, inputs.alpha), {**used, "soft": soft * width}
+
+
+def geodesic(inputs: TermInputs) -> Made:
+    """The area, counted less on edges."""
+    image, spacing, config = inputs.image, inputs.spacing, inputs.config
+    scale = inputs.settings.get("scale", config.edge_scale)
+    contrast = inputs.settings.get("contrast", config.edge_contrast)
+    balloon = inputs.number("balloon", config.balloon)
+    scale = largest_spacing(image.shape, spacing) if isinstance(scale, str) else float(scale)
+    gradient = gradient_magnitude(image, spacing, scale)
+    contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
+    used = {"scale": scale, "contrast": contrast, "balloon": balloon}
+    return Geodesic(edge_indicator_of(gradient, contrast), inputs.alpha, balloon), used
+
+
+def balloon(inputs: TermInputs) -> Made:
+    """The volume."""
+    return Balloon(), {}
+
+
+def area(inputs: TermInputs) -> Made:
+    """The area."""
+    return Area(), {}

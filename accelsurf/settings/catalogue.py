@@ -1,0 +1,75 @@
+"""What is said about each setting, by its name: for help, messages, the viewer and the reference pages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.entry import SettingEntry, Slider, entry_of
+from accelsurf.settings.fields import SettingFields
+from accelsurf.settings.flow_specs import FLOWS
+
+
+def entry(key: str) -> SettingEntry:
+    """What is said about a setting besides its type, bounds, default and help."""
+    return entry_of(SettingFields.model_fields[key])
+
+
+def help_of(key: str) -> str:
+    """The help of a setting, with the terms or flows that there are now.
+
+    Examples
+    --------
+    >>> help_of("cfl")
+    'Largest motion of the surface in one step, in voxels.'
+    """
+    return entry(key).completed(SettingFields.model_fields[key].description or "")
+
+
+def default_of(key: str) -> Any:
+    """The value that a setting has unless it is given."""
+    return SettingFields.model_fields[key].default
+
+
+def is_switch(key: str) -> bool:
+    """Whether a setting is true or false."""
+    return SettingFields.model_fields[key].annotation is bool
+
+
+def sliders() -> dict[str, Slider]:
+    """The settings that the viewer shows as sliders.
+
+    Examples
+    --------
+    >>> list(sliders())
+    ['smoothness', 'diffusion', 'friction', 'cfl']
+    """
+    said = ((key, entry(key).slider) for key in SettingFields.model_fields)
+    return {key: slider for key, slider in said if slider is not None}
+
+
+def choices() -> tuple[str, ...]:
+    """The settings that the viewer shows as lists to choose from."""
+    return tuple(key for key in SettingFields.model_fields if entry(key).choice)
+
+
+def energy_settings() -> tuple[str, ...]:
+    """Settings of the energies that have a name; an energy of one's own has its own."""
+    return tuple(key for key in SettingFields.model_fields if entry(key).scope in ("energy", "term"))
+
+
+def acts_on(key: str) -> tuple[str, ...]:
+    """Names of the flows and terms that a setting means something to; none where it does to every run or energy.
+
+    Examples
+    --------
+    >>> acts_on("gravity"), acts_on("epsilon"), acts_on("cfl")
+    (('flowable-mass',), ('chan-vese', 'local-region'), ())
+    """
+    match entry(key).scope:
+        case "flow":
+            return tuple(name for name, flow in FLOWS.items() if key in flow.uses)
+        case "term":
+            return tuple(name for name, term in TERMS.items() if key in (*term.uses, *term.uses_to_learn))
+        case _:
+            return ()

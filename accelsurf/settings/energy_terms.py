@@ -1,0 +1,236 @@
+"""The terms that an energy can have: one entry each, from which all that lists or checks terms follows.
+
+An entry says the settings of the term with their bounds, the settings of the run that it uses, and where the function
+is that makes it. That function is imported when a run begins, so this module stays light.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+from accelsurf.settings.registry import Registry
+
+Value = float | str
+Values = Mapping[str, Value]
+#: What stands before the value that a bound lies half-way to.
+HALF = "half:"
+
+
+class Number(NamedTuple):
+    """A setting of a term that is a number: its bounds, whether the bounds themselves are allowed, other words."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    low_too: bool = True
+    words: tuple[str, ...] = ()
+    percent: bool = False
+    help: str = ""
+
+    @property
+    def expected(self) -> str:
+        """The values that it takes, in words.
+
+        Examples
+        --------
+        >>> Number(0.0, 2.5).expected
+        'a number at least 0 and at most 2.5'
+        """
+        bounds = ""
+        if self.low > -math.inf:
+            bounds = f" at least {self.low:g}" if self.low_too else f" above {self.low:g}"
+        if self.high < math.inf:
+            bounds += f" and at most {self.high:g}"
+        words = [f"a number{bounds}", *(word for word in self.words if word)]
+        if self.percent:
+            words += ["a percentile such as 80%", f"{HALF}V (half-way from V to the start's mean)"]
+        return " or ".join(words)
+
+
+class Word(NamedTuple):
+    """A setting of a term that is one of some words."""
+
+    words: tuple[str, ...]
+    help: str = ""
+
+    @property
+    def expected(self) -> str:
+        """The words."""
+        return " or ".join(self.words)
+
+
+def _no_complaint(settings: Values) -> str:
+    return ""
+
+
+def _never(settings: Values) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class TermSpec:
+    """All that is said about a term.
+
+    Attributes
+    ----------
+    name : str
+        As it is written in an expression.
+    help : str
+        What it is, in a few words.
+    make : str or callable
+        ``"module:function"`` or a function: of `accelsurf.segmentation.image_context.TermInputs`, returns the energy
+        and a dict of the settings that it has in the run, for the report.
+    settings : mapping of str to Number or Word
+        What stands after the colon, in the order in which values without a key are taken.
+    uses : tuple of str
+        Settings of the run that it takes where it is given none of its own.
+    uses_to_learn : tuple of str
+        Settings of the run that it uses only when it ``learns``.
+    sees_image : bool
+        Whether it says where the object is. An energy needs one such term.
+    channels : {"first", "mean", "sum"}
+        Of an image of several channels: it sees the first, or is the mean or the sum over all of them.
+    signed : bool
+        Whether its weight may be negative.
+    example : str or None
+        How lists to choose an energy from offer it; None: they do not.
+    check : callable
+        Of the settings: what was expected where they do not go together, else nothing.
+    learns : callable
+        Of the settings: whether it learns once from the start, unless it is given something else to learn from.
+    """
+
+    name: str
+    help: str
+    make: str | Callable[[Any], tuple[Any, dict[str, Any]]]
+    settings: Mapping[str, Number | Word] = field(default_factory=dict)
+    uses: tuple[str, ...] = ()
+    uses_to_learn: tuple[str, ...] = ()
+    sees_image: bool = True
+    channels: Literal["first", "mean", "sum"] = "first"
+    signed: bool = False
+    example: str | None = None
+    check: Callable[[Values], str] = _no_complaint
+    learns: Callable[[Values], bool] = _never
+
+    def is_used(self, key: str, settings: Values) -> bool:
+        """Whether a setting of the run means something to the term with these settings of its own."""
+        return key in self.uses or (key in self.uses_to_learn and self.learns(settings))
+
+
+def _thresholds_expected(settings: Values) -> str:
+    low, high = settings.get("LO", ""), settings.get("HI", "")
+    if low == "" and high == "":
+        return "at least one bound: threshold:LO,HI, threshold:LO, or threshold:,HI"
+    if isinstance(low, float) and isinstance(high, float) and not low < high:
+        return "a low threshold below the high one"
+    if low == "auto" and high == "auto":
+        return "auto for one of the two thresholds"
+    return ""
+
+
+def _has_learned_bound(settings: Values) -> bool:
+    words = [value for value in settings.values() if isinstance(value, str)]
+    return any(word == "learned" or word.startswith(HALF) for word in words)
+
+
+_POSITIVE = Number(0.0, low_too=False)
+_CHANNEL = Number(1.0, help="the one channel that the term sees, counted from 1")
+_EPSILON = Number(0.0, 2.5, help="half width of the smeared interface, voxels")
+#: In the image's unit, a percentile, Otsu's threshold, learned from the start's values, half-way between their mean
+#: and a value, or open.
+_BOUND = Number(words=("auto", "learned", ""), percent=True)
+_MAKERS = "accelsurf.segmentation.term_makers"
+
+TERMS: Registry[TermSpec] = Registry(
+    "term",
+    TermSpec(
+        "chan-vese",
+        "two regions, each with its own mean",
+        f"{_MAKERS}:chan_vese",
+        {
+            "balance": _POSITIVE._replace(help="weight of the fit inside against the fit outside"),
+            "epsilon": _EPSILON,
+            "channel": _CHANNEL,
+        },
+        uses=("balance", "epsilon"),
+        channels="mean",
+        example="chan-vese",
+    ),
+    TermSpec(
+        "local-region",
+        "two regions, each with its mean within R mm of each place",
+        f"{_MAKERS}:local_region",
+        {
+            "R": _POSITIVE._replace(help="radius of the window, mm; 8 voxels of the largest spacing unless given"),
+            "epsilon": _EPSILON,
+            "channel": _CHANNEL,
+        },
+        uses=("epsilon",),
+        channels="mean",
+        example="local-region",
+    ),
+    TermSpec(
+        "likelihood",
+        "two regions by the distributions of their values",
+        f"{_MAKERS}:likelihood",
+        {
+            "model": Word(("gauss", "histogram"), "the distribution: Gaussians, or smoothed histograms"),
+            "update": Word(("yes", "no"), "learned from the surface in each step, or once from the start"),
+            "epsilon": _EPSILON._replace(help="half width of the smeared interface, voxels; 0 unless given"),
+            "channel": _CHANNEL,
+        },
+        uses=("foreground", "background"),
+        channels="sum",
+        example="likelihood",
+        learns=lambda settings: settings.get("update") == "no",
+    ),
+    TermSpec(
+        "threshold",
+        "a window of values from LO to HI",
+        f"{_MAKERS}:threshold",
+        {
+            "LO": _BOUND._replace(help="lower bound, in the image's unit"),
+            "HI": _BOUND._replace(help="upper bound, in the image's unit"),
+            "soft": _POSITIVE._replace(help="width over which a bound sets in, in the image's unit"),
+            "channel": _CHANNEL,
+        },
+        uses_to_learn=("foreground",),
+        example="threshold:auto",
+        check=_thresholds_expected,
+        learns=_has_learned_bound,
+    ),
+    TermSpec(
+        "geodesic",
+        "the area, counted less on edges",
+        f"{_MAKERS}:geodesic",
+        {
+            "scale": _POSITIVE._replace(help="sigma of the Gaussian gradient, mm"),
+            "contrast": _POSITIVE._replace(help="gradient that counts as half an edge, parts of the range per mm"),
+            "balloon": Number(help="pressure away from edges, per mm; above 0 the surface shrinks"),
+            "channel": _CHANNEL,
+        },
+        uses=("edge_scale", "edge_contrast", "balloon"),
+        example="geodesic",
+    ),
+    TermSpec(
+        "balloon",
+        "the volume, so that the surface shrinks; with a weight below 0 it grows",
+        f"{_MAKERS}:balloon",
+        sees_image=False,
+        signed=True,
+    ),
+    TermSpec("area", "the surface's area; its weight is in mm, as --smoothness", f"{_MAKERS}:area", sees_image=False),
+)
+
+
+def image_terms() -> tuple[str, ...]:
+    """Names of the terms that say where the object is; the others need one of them beside."""
+    return tuple(name for name, spec in TERMS.items() if spec.sees_image)
+
+
+def examples() -> tuple[str, ...]:
+    """Energies for lists to choose from: one of each kind that needs no more to be given."""
+    return tuple(spec.example for spec in TERMS.values() if spec.example is not None)

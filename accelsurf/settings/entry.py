@@ -1,0 +1,139 @@
+"""What is said about a setting besides its type, bounds and default: one record, in the field of RunConfig itself.
+
+The command line, the viewer, ``accelsurf info``, the JSON schema and the reference pages take it from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Literal
+
+from pydantic import Field
+from pydantic.fields import FieldInfo
+
+
+class SettingGroup(StrEnum):
+    """Groups of the help and of the reference pages, in their order."""
+
+    RUN = "What to run"
+    FLOW = "Fine control of the flow"
+    FILES = "Files"
+
+
+@dataclass(frozen=True)
+class Slider:
+    """How the viewer shows a setting that is a number.
+
+    Attributes
+    ----------
+    label : str
+        With its unit.
+    low, high : float
+        Ends of the slider, in voxels to the power ``voxel_power`` of the smallest spacing.
+    voxel_power : int
+        0 where the setting is no length: then the ends are the numbers themselves.
+    words : tuple of str
+        Words that may stand for a number.
+    power : float
+        Above 1 the slider is finer at its lower end.
+    digits : int
+        After the point.
+    limit : float
+        Largest number that can be typed.
+    """
+
+    label: str
+    low: float
+    high: float
+    voxel_power: int = 0
+    words: tuple[str, ...] = ()
+    power: float = 2.0
+    digits: int = 3
+    limit: float = 1e6
+
+
+@dataclass(frozen=True)
+class SettingEntry:
+    """What is said about a setting in its field; pydantic calls it to complete the JSON schema of the field.
+
+    Attributes
+    ----------
+    group : SettingGroup
+    unit : str
+        Of the number; empty where there is none.
+    metavar : str
+        What stands for the value in the help.
+    scope : {"run", "energy", "flow", "term"}
+        To what it means something: every run, every energy that has a name, or the flows or terms whose entry names
+        it (`accelsurf.settings.flow_specs`, `accelsurf.settings.energy_terms`).
+    repeated : bool
+        Whether it is a list of texts whose option may be repeated.
+    fixed : bool
+        Whether it cannot change while a run runs.
+    slider : Slider, optional
+        How the viewer shows it.
+    choice : bool
+        Whether the viewer shows it as a list to choose from.
+    names : callable, optional
+        Names that the value is made of, with the meaning of each; they are appended to the help.
+    closed : bool
+        Whether the value is one of the ``names``.
+    """
+
+    group: SettingGroup = SettingGroup.FLOW
+    unit: str = ""
+    metavar: str = ""
+    scope: Literal["run", "energy", "flow", "term"] = "run"
+    repeated: bool = False
+    fixed: bool = False
+    slider: Slider | None = None
+    choice: bool = False
+    names: Callable[[], Mapping[str, str]] | None = None
+    closed: bool = False
+
+    def __call__(self, schema: dict[str, Any]) -> None:
+        """Complete the JSON schema of the field, in place."""
+        schema["group"] = str(self.group)
+        if self.unit:
+            schema["unit"] = self.unit
+        if self.names is not None:
+            schema["description"] = self.completed(schema["description"])
+            if self.closed:
+                schema["enum"] = list(self.names())
+
+    def completed(self, help: str) -> str:
+        """The help of the field with the names that there are now."""
+        if self.names is None:
+            return help
+        return f"{help} " + "; ".join(f"{name}: {meaning}" for name, meaning in self.names().items()) + "."
+
+
+def setting(default: Any, help: str, *, entry: SettingEntry, **bounds: Any) -> Any:
+    """Return the field of RunConfig for a setting.
+
+    Parameters
+    ----------
+    default
+        Its value unless given.
+    help : str
+        One or more sentences, with the unit.
+    entry : SettingEntry
+    **bounds
+        As `pydantic.Field` takes them: ge, gt, le, lt, min_length.
+    """
+    return Field(default, description=help, json_schema_extra=entry, **bounds)
+
+
+def entry_of(field: FieldInfo) -> SettingEntry:
+    """Return what `setting` has put into a field.
+
+    Raises
+    ------
+    TypeError
+        When the field was not made by it.
+    """
+    if not isinstance(field.json_schema_extra, SettingEntry):
+        raise TypeError("a setting is made by accelsurf.settings.entry.setting")
+    return field.json_schema_extra

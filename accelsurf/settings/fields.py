@@ -1,0 +1,351 @@
+"""The settings of a run, one entry each: type, bounds, default, help, unit, and what else is said about it.
+
+The command line, TOML files, the viewer, the JSON schema, ``accelsurf info`` and the reference pages follow from these
+entries. Lengths are millimetres unless the help says voxels.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+
+from accelsurf.settings import energy_expression
+from accelsurf.settings.edits import Edit, edits_of
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.entry import SettingEntry, SettingGroup, Slider, setting
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.presets import PRESETS, PresetName
+
+MeshFormat = Literal["ply", "stl", "obj", "vtp", "csv"]
+LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
+
+#: A length in voxels, as it is written.
+VOXELS = r"^(\d+\.?\d*|\.\d+)vox$"
+RUN, FILES = SettingGroup.RUN, SettingGroup.FILES
+
+
+def _one_or_many(value: Any) -> Any:
+    """Let a single start stand for a tuple of one."""
+    return (value,) if isinstance(value, str) else value
+
+
+def _expression(value: Any) -> Any:
+    """Check an energy; a list of tables becomes the text that it stands for."""
+    if isinstance(value, (list, tuple)):
+        value = energy_expression.from_tables(value)
+    if isinstance(value, str):
+        value = " ".join(value.split())
+        energy_expression.parse(value)
+    return value
+
+
+def _known_flow(value: str) -> str:
+    if value not in FLOWS:
+        raise ValueError("no such flow")
+    return value
+
+
+def _split_commas(value: Any) -> Any:
+    """Let ``"ply,stl"`` stand for ``("ply", "stl")``; names given twice count once."""
+    if value == "auto":
+        return value
+    if isinstance(value, str):
+        value = value.split(",")
+    if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
+        return tuple(dict.fromkeys(item.strip().lower() for item in value))
+    return value
+
+
+def _term_names() -> dict[str, str]:
+    return {name: spec.help for name, spec in TERMS.items()}
+
+
+def _flow_names() -> dict[str, str]:
+    return {name: spec.help for name, spec in FLOWS.items()}
+
+
+class SettingFields(BaseModel):
+    """The fields of `accelsurf.settings.run_config.RunConfig`, without what it does with them."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+    preset: PresetName | None = setting(
+        None,
+        "Settings for a kind of scan: " + ", ".join(PRESETS) + ". Settings that are given beside it win. "
+        "accelsurf info says what each sets, and why.",
+        entry=SettingEntry(RUN, metavar="NAME", fixed=True),
+    )
+    energy: Annotated[str, BeforeValidator(_expression)] = setting(
+        "chan-vese",
+        "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'.",
+        entry=SettingEntry(RUN, metavar="EXPRESSION", choice=True, names=_term_names),
+    )
+    flow: Annotated[str, AfterValidator(_known_flow)] = setting(
+        "constant-density",
+        "How the surface moves.",
+        entry=SettingEntry(RUN, metavar="NAME", choice=True, names=_flow_names, closed=True),
+    )
+    start: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+        ("center",),
+        "First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, seed:X,Y,Z,R, label:FILE, threshold:LO,HI, "
+        "largest:LO,HI, otsu, mesh:FILE or center. "
+        "Coordinates in world mm (LPS), or voxel indices (x,y,z) with the suffix vox. Several are united.",
+        entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
+        min_length=1,
+    )
+    objects: str | None = setting(
+        None,
+        "Several objects at once, in place of --start: label map of first voxels on the image's grid, each "
+        "object its id (FILE@2,5-9: these only), or table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
+        "id,x_vox,y_vox,z_vox,r_vox. They never overlap.",
+        entry=SettingEntry(RUN, metavar="FILE"),
+    )
+    mask: str | None = setting(
+        None,
+        "Label map on the image's grid: the surface never leaves the voxels above 0.",
+        entry=SettingEntry(RUN, metavar="FILE", fixed=True),
+    )
+    roi: str | None = setting(
+        None,
+        "Region of interest: box X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox. The run is "
+        "made in the box alone; the outputs are on the whole grid.",
+        entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
+    )
+    foreground: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+        (),
+        "Voxels of the object that likelihood learns from, written as a start; several are united.",
+        entry=SettingEntry(RUN, metavar="WHERE", scope="term", repeated=True, fixed=True),
+    )
+    background: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+        (),
+        "Voxels around the object that likelihood learns from, written as a start; several are united.",
+        entry=SettingEntry(RUN, metavar="WHERE", scope="term", repeated=True, fixed=True),
+    )
+    channel: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+        (),
+        "Further channels of the image: files on the same grid, in order after those of the input.",
+        entry=SettingEntry(RUN, metavar="FILE", repeated=True, fixed=True),
+    )
+    max_volume: Annotated[float, Field(gt=0)] | None = setting(
+        None,
+        "Leak guard: the run ends when the object is larger than this, in mm^3.",
+        entry=SettingEntry(RUN, unit="mm^3", metavar="MM3"),
+    )
+    smoothness: float = setting(
+        0.0,
+        "Weight of the surface's area, in mm: larger is smoother; 0 keeps corners. "
+        "Independent of the image's intensity scale.",
+        entry=SettingEntry(
+            RUN, unit="mm", metavar="MM", scope="energy", slider=Slider("Smoothness (mm)", 0.0, 5.0, voxel_power=1)
+        ),
+        ge=0,
+    )
+    balance: float = setting(
+        1.0,
+        "Weight of the fit inside against the fit outside (lambda1/lambda2 of Chan and Vese, no unit): "
+        "above 1 the object must be closer to its mean, so a bright object loses its dim rim.",
+        entry=SettingEntry(RUN, metavar="RATIO", scope="term"),
+        gt=0,
+    )
+    presmooth: Annotated[float, Field(ge=0)] | Annotated[str, Field(pattern=VOXELS)] = setting(
+        0.0,
+        "Sigma of a Gaussian applied to the image before the run, in mm, or in voxels of the smallest "
+        "spacing with the suffix vox; 0 for none.",
+        entry=SettingEntry(RUN, unit="mm", metavar="MM|Nvox", fixed=True),
+    )
+    edge_scale: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "Scale at which the geodesic energy sees edges: sigma of the Gaussian gradient, in mm; "
+        "auto is one voxel (the largest spacing).",
+        entry=SettingEntry(RUN, unit="mm", metavar="MM|auto", scope="term"),
+    )
+    edge_contrast: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "Gradient magnitude that counts as half an edge, in parts of the image's range per mm; "
+        "auto takes it from the image.",
+        entry=SettingEntry(RUN, unit="parts of the image's range per mm", metavar="K|auto", scope="term"),
+    )
+    balloon: float = setting(
+        0.0,
+        "Pressure of the geodesic energy away from edges, per mm: above 0 the surface shrinks, "
+        "below 0 it grows.",
+        entry=SettingEntry(RUN, unit="1/mm", metavar="C", scope="term"),
+    )
+    k: float = setting(
+        2.0,
+        "Order of the accelerated flow (no unit); it sets the friction (k+1)/t.",
+        entry=SettingEntry(metavar="K", scope="flow"),
+        gt=0,
+    )
+    t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
+        "auto",
+        "Time t of the friction (k+1)/t at which the surface starts at rest; auto is 0, or with k <= 1, where 0 is "
+        "impossible, the length of the first step.",
+        entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
+    )
+    lam: float = setting(
+        1.0,
+        "Strength of the energy against inertia (no unit), the paper's lambda.",
+        entry=SettingEntry(scope="flow"),
+        gt=0,
+    )
+    rho: float = setting(
+        1.0,
+        "Mass per area of the surface (relative units).",
+        entry=SettingEntry(scope="flow"),
+        gt=0,
+    )
+    gravity: float = setting(
+        0.0,
+        "Strength g of the mass potential of flowable-mass, which evens its density out.",
+        entry=SettingEntry(metavar="G", scope="flow"),
+        ge=0,
+    )
+    diffusion: Annotated[float, Field(ge=0)] | Literal["auto", "free"] = setting(
+        "auto",
+        "Diffusion of the surface's speed along the surface, in mm^2 per unit of flow time; 0 is none; "
+        "free is the largest rate that does not shorten the time step, within a mixing length; auto is free with "
+        "momentum, else none.",
+        entry=SettingEntry(
+            unit="mm^2 per unit of flow time",
+            metavar="D|free|auto",
+            scope="flow",
+            slider=Slider("Diffusion (mm2 per unit of time)", 0.0, 20.0, voxel_power=2, words=("auto", "free")),
+        ),
+    )
+    noise: float = setting(
+        0.0,
+        "Strength of random acceleration, smooth in space, in mm per unit of flow time^1.5; 0 is none.",
+        entry=SettingEntry(unit="mm per unit of flow time^1.5", metavar="TAU", scope="flow"),
+        ge=0,
+    )
+    noise_length: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "Correlation length of the noise, in mm; auto is 4 voxels (the largest spacing).",
+        entry=SettingEntry(unit="mm", metavar="MM|auto", scope="flow"),
+    )
+    noise_time: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "How long the noise acts, in flow time; auto is until the first restart.",
+        entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
+    )
+    sobolev_length: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "Length over which the sobolev flow smooths the force, in mm; auto is 5 voxels.",
+        entry=SettingEntry(unit="mm", metavar="MM|auto", scope="flow"),
+    )
+    blend: float = setting(
+        0.8,
+        "Part of the last step that the momentum flow keeps in the next (no unit).",
+        entry=SettingEntry(metavar="OMEGA", scope="flow"),
+        ge=0, lt=1,
+    )
+    friction: Annotated[float, Field(gt=0)] | Literal["t"] = setting(
+        "t",
+        "Friction of the accelerated flow: t is (k+1)/t, a number is constant, per unit of flow time.",
+        entry=SettingEntry(
+            unit="per unit of flow time",
+            metavar="t|A",
+            scope="flow",
+            slider=Slider("Friction of momentum (per unit of time)", 0.01, 5.0, words=("t",)),
+        ),
+    )
+    restart: Literal["auto", "off"] = setting(
+        "auto",
+        "auto sets the momentum to zero when the energy rises, after the surface has travelled 3 voxels; off never "
+        "does.",
+        entry=SettingEntry(metavar="auto|off"),
+    )
+    cfl: float = setting(
+        0.5,
+        "Largest motion of the surface in one step, in voxels.",
+        entry=SettingEntry(
+            unit="voxels",
+            metavar="VOXELS",
+            slider=Slider("Largest motion in a step (CFL, voxels)", 0.05, 1.0, power=1.0, digits=2, limit=1.0),
+        ),
+        gt=0, le=1,
+    )
+    max_steps: int = setting(
+        1000,
+        "The run ends after this many steps, converged or not; 0 leaves the start.",
+        entry=SettingEntry(RUN, metavar="N", fixed=True),
+        ge=0,
+    )
+    tolerance: float = setting(
+        0.1,
+        "The run has converged when the surface lies, on average, within this many voxels of where it lay 20 steps "
+        "before, or 6 steps before if coarser levels were run first. Larger ends sooner and is rougher.",
+        entry=SettingEntry(unit="voxels"),
+        gt=0, le=2,
+    )
+    levels: Annotated[int, Field(ge=1)] | Literal["auto"] = setting(
+        "auto",
+        "Grids to run on, coarsest first, each with half the voxels along an axis of the next; 1 is the "
+        "image's own grid alone. auto takes as many as resolve image and start.",
+        entry=SettingEntry(RUN, metavar="N|auto", fixed=True),
+    )
+    percentile: float = setting(
+        95.0,
+        "Speed limiter: the time step follows this percentile of the speeds on the surface (percent), and higher "
+        "speeds are clipped to cfl voxels per step. 100 clips none.",
+        entry=SettingEntry(unit="%", metavar="PERCENT"),
+        gt=0, le=100,
+    )
+    epsilon: float = setting(
+        1.5,
+        "Half width of the smeared interface in the energy, in voxels along the normal; 0 is sharp.",
+        entry=SettingEntry(unit="voxels", metavar="VOXELS", scope="term"),
+        ge=0, le=2.5,
+    )
+    half_width: Annotated[int, Field(ge=3, le=32)] | Literal["auto"] = setting(
+        "auto",
+        "Half width of the narrow band, in voxels; auto is 3, for flowable-mass 4.",
+        entry=SettingEntry(unit="voxels", metavar="N"),
+    )
+    mesh: Annotated[
+        Annotated[tuple[MeshFormat, ...], Field(min_length=1)] | Literal["auto"], BeforeValidator(_split_commas)
+    ] = setting(
+        "auto",
+        "Formats, separated by commas, of the surface: ply, stl, obj, vtp; of the contours of an image of "
+        "one slice: vtp, csv. auto is ply, or for one slice vtp,csv.",
+        entry=SettingEntry(FILES, metavar="NAMES", fixed=True),
+    )
+    mesh_space: Literal["lps", "ras"] = setting(
+        "lps",
+        "World axes of the mesh or contours, in mm: lps as ITK, or ras as NIfTI.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
+    save_sdf: bool = setting(
+        False,
+        "Also write the signed distance (mm, negative inside) as a volume.",
+        entry=SettingEntry(FILES, fixed=True),
+    )
+    format: LabelFormat | None = setting(
+        None,
+        "Format of the label map: nii.gz, nii, nrrd, mha, mhd, tif, or for one slice png. "
+        "Follows the input unless given.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
+    seed: Annotated[int, Field(ge=0)] | None = setting(
+        None,
+        "Seed of everything random in the run; drawn and reported unless given.",
+        entry=SettingEntry(RUN, metavar="N", fixed=True),
+    )
+    reproducible: bool = setting(
+        False,
+        "Refuse to run anything random without a seed.",
+        entry=SettingEntry(RUN, fixed=True),
+    )
+    threads: Literal["auto"] | Annotated[int, Field(ge=1)] = setting(
+        "auto",
+        "Number of threads; auto: one for each core. The result does not depend on it.",
+        entry=SettingEntry(RUN, metavar="N", fixed=True),
+    )
+    edit: Annotated[tuple[Edit, ...], BeforeValidator(edits_of)] = setting(
+        (),
+        "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
+        "(or remove=); in TOML tables [[edit]].",
+        entry=SettingEntry(RUN, metavar="CHANGE", repeated=True, fixed=True),
+    )

@@ -1,0 +1,77 @@
+"""Configuration files: TOML read with an error that helps, and written without loss.
+
+Written by hand and not by tomli-w: its lists take a line for each item, and it may put tables of edits on one line.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from accelsurf.errors import UsageError
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file as a dictionary.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing, unreadable or not TOML.
+    """
+    try:
+        with open(path, "rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise UsageError(
+            f"{path}: the configuration cannot be read ({error.strerror or error})",
+            "accelsurf segment INPUT -o DIR --dump-config prints one to start from",
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(
+            f"{path}: not a TOML file: {error}", "write one setting per line, e.g.: smoothness = 0.5"
+        ) from None
+
+
+def written(values: Mapping[str, Any], tables: str) -> str:
+    """Return values as TOML: a line for each but those that are None, and a table for each item of one of them.
+
+    Parameters
+    ----------
+    values : mapping
+        Of str, bool, int, finite float, None, or tuples of them.
+    tables : str
+        Key of the value that is a sequence of mappings.
+
+    Examples
+    --------
+    >>> print(written({"cfl": 0.5, "mask": None, "edit": [{"step": 3}]}, tables="edit"), end="")
+    cfl = 0.5
+    <BLANKLINE>
+    [[edit]]
+    step = 3
+    """
+    lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None and key != tables]
+    for table in values[tables]:
+        lines += ["", f"[[{tables}]]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """Return one value as TOML. Only what RunConfig holds: str, bool, int, finite float, tuple."""
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    if isinstance(value, str):
+        # A JSON string is a TOML string but for DEL, which TOML wants escaped.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value)
