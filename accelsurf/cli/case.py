@@ -6,274 +6,263 @@ all; and whatever happens after that, a report says how it ended.
 
 from __future__ import annotations
 
-import functools
 import os
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from accelsurf.cli import INTERRUPTED, objects
-from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
-from accelsurf.report import canvas, document, file_entries, outputs
-from accelsurf.report.outputs import is_failure_report, make_writable, refuse_existing, write_bytes
-from accelsurf.report.preview_content import PreviewContent
+from accelsurf.cli import INTERRUPTED
+from accelsurf.cli.outcome import shortcoming
+from accelsurf.errors import AccelsurfError
+from accelsurf.report import canvas, document, object_files, outputs
+from accelsurf.report.file_entries import describe_input, describe_output
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from typing_extensions import TypeIs
-
     from accelsurf.cli.progress import Watcher
+    from accelsurf.grid.geometry import Geometry
     from accelsurf.grid.volume import Volume
-    from accelsurf.segmentation.api import Result
-    from accelsurf.segmentation.several import ObjectsResult
+    from accelsurf.segmentation.result import Result
+
+T = TypeVar("T")
 
 
-@dataclass
-class Case:
-    """One input, its settings, and where its outputs go.
+@dataclass(frozen=True)
+class Place:
+    """Where the image of a case is, and where its outputs go.
 
     Attributes
     ----------
     source : Path
         The image.
     folder : Path
-        Where the outputs go.
-    config : RunConfig or None
-        Settings; None when they were no good, and only a report of that can be written.
     name : str
-        First part of every output's name; the input's name without suffix unless given.
+        First part of every output's name.
     overwrite : bool
         Whether existing outputs may be replaced.
-    strict : bool
-        Whether a run that did not converge, or whose result is doubtful, counts as failed.
     """
 
     source: Path
     folder: Path
-    config: RunConfig | None = None
-    name: str = ""
+    name: str
     overwrite: bool = False
-    strict: bool = False
-    volume: Volume | None = None
-    result: Result | ObjectsResult | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
-    outputs: list[dict[str, str]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    checksum: str | None = None
 
-    def __post_init__(self) -> None:
+    @classmethod
+    def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
+        """The place of an image whose outputs have its name, without suffix."""
         from accelsurf.io import split_name
 
-        self.begin()
-        stem, suffix = split_name(self.source)
-        self.name = self.name or stem
-        self._suffix = suffix
-
-    def begin(self) -> None:
-        """Start the clock of the total time."""
-        self._began = time.perf_counter()
-
-    @property
-    def is_2d(self) -> bool:
-        """Whether the image that was read has one slice."""
-        return self.volume is not None and self.volume.geometry.slice_axis is not None
-
-    def label_format(self, config: RunConfig) -> str:
-        """Return the format of the label map."""
-        return outputs.label_format(config, self._suffix)
+        return cls(source, folder, split_name(source)[0], overwrite)
 
     @property
     def report_path(self) -> Path:
         """Where the report goes."""
         return self.folder / f"{self.name}_report.json"
 
-    def names(self, config: RunConfig) -> dict[str, str]:
-        """Return the last part of every output's name by its kind; before the image is read, all that there may be."""
-        return outputs.names(config, self.label_format(config), None if self.volume is None else self.is_2d)
+    def label_format(self, config: RunConfig) -> str:
+        """The format of the label map."""
+        from accelsurf.io import split_name
+
+        return outputs.label_format(config, split_name(self.source)[1])
+
+    def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
+        """Name of every output by its kind; before the image is read (``is_2d`` is None), of all that there may be."""
+        names = outputs.names(config, self.label_format(config), is_2d)
+        return {kind: f"{self.name}_{name}" for kind, name in names.items()}
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
-        """Return every output of the run by kind, the report last; before the image is read, all that there may be."""
+        """Every output that there may be, by kind, the report last; of several objects those that exist already."""
         names = self.names(config)
-        if config.objects is not None:
-            return objects.paths(self, names) | {"report": self.report_path}
-        return {kind: self.folder / f"{self.name}_{name}" for kind, name in names.items()} | {
-            "report": self.report_path
-        }
+        if config.objects is None:
+            paths = {kind: self.folder / name for kind, name in names.items()}
+        else:
+            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(object_files.EACH)}
+            paths |= {path.name: path for path in object_files.existing(self.folder, names)}
+        return paths | {"report": self.report_path}
 
 
-def run_case(case: Case, watcher: Watcher) -> int:
-    """Run a case and write its outputs.
+@dataclass
+class Log:
+    """What is known of a case so far, for its report: it grows while the case goes on.
+
+    Attributes
+    ----------
+    checksum : str or None
+        SHA-256 of the image, once it was read.
+    geometry : Geometry or None
+        Its grid.
+    seconds : dict of str to float
+        Wall time by part.
+    outputs : list of dict
+        Files written.
+    warnings : list of str
+    began : float
+        The clock at the beginning.
+    """
+
+    checksum: str | None = None
+    geometry: Geometry | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+    outputs: list[dict[str, str]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    began: float = field(default_factory=time.perf_counter)
+
+    def timed(self, part: str, work: Callable[[], T]) -> T:
+        """Do some work and add its duration to a part of the run."""
+        began = time.perf_counter()
+        try:
+            return work()
+        finally:
+            self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A case that ended with a result.
+
+    Attributes
+    ----------
+    place : Place
+    config : RunConfig
+    result : Result
+    log : Log
+    code : int
+        0 when there is a result, or the exit code that tells why it is not what was wanted.
+    """
+
+    place: Place
+    config: RunConfig
+    result: Result
+    log: Log
+    code: int
+
+
+def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = False) -> Finished:
+    """Run a case and write its outputs; what is wrong with its result is printed.
 
     Parameters
     ----------
-    case : Case
-        What to run; afterwards its ``result`` and ``outputs`` tell what came out.
+    place : Place
+    config : RunConfig
     watcher : Watcher
         Shows progress, and passes Ctrl-C on.
-
-    Returns
-    -------
-    int
-        0 when there is a result, or the exit code that tells why it is not what was wanted; the reason is printed.
+    strict : bool
+        Whether a run that did not converge, or whose result is doubtful, counts as failed.
 
     Raises
     ------
     AccelsurfError
         When there is no result; the report of it is written already.
     """
-    assert case.config is not None
-    case.begin()
-    refuse_existing(case.paths(case.config), case.overwrite)
+    log = Log()
+    outputs.refuse_existing(place.paths(config), place.overwrite)
     try:
-        _compute(case, watcher)
-        _write(case, case.config)
-        error = _shortcoming(case)
+        result = _compute(place, config, watcher, log)
+        names = place.names(config, result.geometry.slice_axis is not None)
+        content = outputs.preview_content(result, outputs.outcome_title(place.name, result))
+        for kind, path in outputs.write_result(result, place.folder, names, content, log.seconds):
+            log.outputs.append(describe_output(path, kind))
+        error, warnings = shortcoming(place.name, result, strict)
+        log.warnings += warnings
     except BaseException as failure:
-        report_failure(case, failure)
+        report_failure(place, config, failure, log)
         raise
-    interrupted = case.result is not None and case.result.stop.reason == "interrupted"
+    interrupted = result.stop.reason == "interrupted"
     code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
     status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
-    _write_report(case, status, code, error)
-    for warning in case.warnings:
+    _write_report(place, config, log, status, code, error, result)
+    for warning in log.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if error is not None:
         print(f"error: {error.message}\nhint: {error.hint}", file=sys.stderr)
-    return code
+    return Finished(place, config, result, log, code)
 
 
-def _compute(case: Case, watcher: Watcher) -> None:
+def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
     from accelsurf import io
     from accelsurf.io import channels
     from accelsurf.io.formats import raster
-    from accelsurf.segmentation.api import segment
-    from accelsurf.segmentation.several import segment_objects
 
-    assert case.config is not None
-    case.volume, *more = _timed(case, "load", lambda: channels.read(case.source))
-    case.checksum = _timed(case, "load", lambda: io.sha256(case.source))
-    if note := case.volume.metadata.get(io.WARNING_KEY):
-        case.warnings.append(note)
-    labels = case.label_format(case.config)
-    outputs.check(case.config, labels, case.volume.geometry)
-    if not raster.keeps(case.volume.geometry, f".{labels}"):
-        case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
+    volume, *more = log.timed("load", lambda: channels.read(place.source))
+    log.geometry = volume.geometry
+    log.checksum = log.timed("load", lambda: io.sha256(place.source))
+    if note := volume.metadata.get(io.WARNING_KEY):
+        log.warnings.append(note)
+    labels = place.label_format(config)
+    outputs.check(config, labels, volume.geometry)
+    if not raster.keeps(volume.geometry, f".{labels}"):
+        log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     canvas.preload_library()
-    with watcher.watch(case.name, case.config.max_steps):
-        if case.config.objects is not None:
-            case.result = segment_objects(case.volume, channels=more, config=case.config, on_step=watcher.on_step)
-        else:
-            case.result = segment(case.volume, channels=more, config=case.config, on_step=watcher.on_step)
-    case.warnings.extend(case.result.warnings)
+    result = evolve(place.name, volume, more, config, watcher)
+    log.warnings.extend(result.warnings)
+    return result
 
 
-def _is_many(result: Result | ObjectsResult) -> TypeIs[ObjectsResult]:
-    return hasattr(result, "objects")
+def evolve(name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher) -> Result:
+    """Run one or several objects, watched, without writing anything."""
+    from accelsurf.segmentation.api import segment, segment_objects
+
+    with watcher.watch(name, config.max_steps):
+        if config.objects is not None:
+            return segment_objects(volume, channels=channels, config=config, on_step=watcher.on_step)
+        return segment(volume, channels=channels, config=config, on_step=watcher.on_step)
 
 
-def _timed(case: Case, part: str, work: Callable[[], Any]) -> Any:
-    """Do some work and add its duration to a part of the run."""
-    began = time.perf_counter()
-    try:
-        return work()
-    finally:
-        case.seconds[part] = case.seconds.get(part, 0.0) + time.perf_counter() - began
-
-
-def _write(case: Case, config: RunConfig) -> None:
-    """Write everything but the report. A run that left no surface leaves a trace and a picture only."""
-    assert case.result is not None
-    if _is_many(case.result):
-        names, picture = case.names(config), scene(case)
-        writers = objects.writers(case, config, case.result, names, picture)
-        for path, (kind, writer) in writers.items():
-            _timed(case, "write", functools.partial(writer, path))
-            case.outputs.append(file_entries.describe_output(path, kind))
-        objects.remove_old(case, names, writers)
-        return
-    names = {kind: path.name for kind, path in case.paths(config).items() if kind != "report"}
-    for kind, path in outputs.write_result(case.result, case.folder, names, scene(case), case.seconds):
-        case.outputs.append(file_entries.describe_output(path, kind))
-
-
-def scene(case: Case, title: str = "", reference: Any = None) -> PreviewContent:
-    """Return what a picture of a finished case shows.
-
-    Parameters
-    ----------
-    case : Case
-        With a result.
-    title : str, optional
-        Its heading; says how the run ended unless given.
-    reference : ndarray, optional
-        Labels to draw as a second contour.
-    """
-    assert case.result is not None and case.config is not None
-    return outputs.preview_content(case.result, title or outputs.outcome_title(case.name, case.result), reference)
-
-
-def _shortcoming(case: Case) -> AccelsurfError | None:
-    """Say what is wrong with a run that did end, or None. Short of an error it is a warning."""
-    assert case.result is not None
-    if _is_many(case.result):
-        return objects.shortcoming(case, case.result)
-    stop = case.result.stop
-    told = f"{case.name}: {stop.reason} after {stop.steps} steps: {stop.message}"
-    match stop.reason:
-        case "vanished" | "filled":
-            return EmptyResultError(told, "start closer to the object, or with less --smoothness")
-        case "diverged":
-            return DivergedError(told, "use a smaller --cfl; and please report this image and its settings")
-        case "max-steps" | "stalled" if case.strict:
-            return NotConvergedError(told, "raise --max-steps; the outputs show how far it got")
-        case "max-steps" | "stalled":
-            case.warnings.append(told)
-    doubts = case.result.quality.warnings
-    if doubts and case.strict:
-        more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
-        return DoubtfulError(f"{case.name}: {doubts[0]}{more}", "look at the picture; without --strict it is a warning")
-    case.warnings.extend(doubts)
-    return None
-
-
-def report_failure(case: Case, error: BaseException) -> None:
+def report_failure(place: Place, config: RunConfig | None, error: BaseException, log: Log | None = None) -> None:
     """Write the report of a run that left no result; say so on stderr when even that fails.
 
     A report that stands for a result is not replaced, unless outputs may be.
+
+    Parameters
+    ----------
+    place : Place
+    config : RunConfig or None
+        None when the settings were not valid.
+    error : BaseException
+    log : Log, optional
+        What was known by then.
     """
-    if os.path.lexists(case.report_path) and not (case.overwrite or is_failure_report(case.report_path)):
+    log = log or Log()
+    if os.path.lexists(place.report_path) and not (place.overwrite or outputs.is_failure_report(place.report_path)):
         return
     stopped = isinstance(error, KeyboardInterrupt)
     code = INTERRUPTED if stopped else error.exit_code if isinstance(error, AccelsurfError) else 1
     code = 3 if isinstance(error, MemoryError) else code
     try:
-        make_writable(case.folder)
-        if case.checksum is None and case.source.is_file():
+        outputs.make_writable(place.folder)
+        if log.checksum is None and place.source.is_file():
             from accelsurf.io import sha256
 
-            case.checksum = sha256(case.source)
-        _write_report(case, "interrupted" if stopped else "failed", code, error)
+            log.checksum = sha256(place.source)
+        _write_report(place, config, log, "interrupted" if stopped else "failed", code, error, None)
     except AccelsurfError as second:
         print(f"warning: the report could not be written: {second.message}", file=sys.stderr)
 
 
-def _write_report(case: Case, status: document.Status, code: int, error: BaseException | None) -> None:
-    geometry = case.volume.geometry if case.volume is not None else None
-    case.seconds["total"] = time.perf_counter() - case._began
-    own = set(case.result.warnings) if case.result is not None else set()
-    contents = document.build(
+def _write_report(
+    place: Place,
+    config: RunConfig | None,
+    log: Log,
+    status: document.Status,
+    code: int,
+    error: BaseException | None,
+    result: Result | None,
+) -> None:
+    log.seconds["total"] = time.perf_counter() - log.began
+    own = set(result.warnings) if result is not None else set()
+    contents: dict[str, Any] = document.build(
         status=status,
         exit_code=code,
         argv=sys.argv,
-        config=case.config,
-        source=file_entries.describe_input(case.source, geometry=geometry, checksum=case.checksum),
-        result=case.result,
+        config=config,
+        source=describe_input(place.source, geometry=log.geometry, checksum=log.checksum),
+        result=result,
         error=document.describe_error(error) if error is not None else None,
-        seconds=case.seconds,
-        outputs=case.outputs,
-        warnings=[warning for warning in case.warnings if warning not in own],
+        seconds=log.seconds,
+        outputs=log.outputs,
+        warnings=[warning for warning in log.warnings if warning not in own],
     )
-    write_bytes(case.report_path, (document.to_json(contents) + "\n").encode())
+    outputs.write_bytes(place.report_path, (document.to_json(contents) + "\n").encode())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,8 +16,9 @@ from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Case
+    from accelsurf.cli.progress import Watcher
     from accelsurf.grid.volume import Volume
+    from accelsurf.segmentation.result import Result
 
 
 def compare(
@@ -52,7 +53,6 @@ def compare(
         Replace outputs that exist.
     """
     from accelsurf import io
-    from accelsurf.cli.case import Case
     from accelsurf.cli.progress import Watcher
     from accelsurf.io.channels import read as read_channels
     from accelsurf.report.file_entries import describe_input
@@ -67,27 +67,24 @@ def compare(
     truth = io.read_labels(reference) if reference is not None else None
     if truth is not None:
         check_reference(truth, volume)
-    watcher = Watcher(display)
-    cases = []
-    for name, chosen in configs.items():
-        case = Case(source, folder, chosen, name=name)
-        case.volume = volume
-        evolve_case(case, watcher, channels)
-        cases.append(case)
-        if watcher.interrupted:
-            break
+    results = _evolve_each(volume, channels, configs, Watcher(display))
     facts: dict[str, Any] = {"input": describe_input(source, geometry=volume.geometry, checksum=io.sha256(source))}
     facts["reference"] = describe_input(reference, checksum=io.sha256(reference)) if reference is not None else None
-    return conclude(cases, paths, facts, truth, source.name, display.quiet)
+    return conclude(results, paths, facts, truth, source.name, display.quiet)
 
 
-def evolve_case(case: Case, watcher: Any, channels: Sequence[Volume] = ()) -> None:
-    """Run the flow of one case, without writing anything; its result is kept in it."""
-    from accelsurf.segmentation.api import segment
+def _evolve_each(
+    volume: Volume, channels: list[Volume], configs: Mapping[str, RunConfig], watcher: Watcher
+) -> dict[str, Result]:
+    """The results by name; those after an interrupted one are left out."""
+    from accelsurf.cli.case import evolve
 
-    assert case.config is not None and case.volume is not None
-    with watcher.watch(case.name, case.config.max_steps):
-        case.result = segment(case.volume, channels=channels, config=case.config, on_step=watcher.on_step)
+    results = {}
+    for name, one in configs.items():
+        results[name] = evolve(name, volume, channels, one, watcher)
+        if watcher.interrupted:
+            break
+    return results
 
 
 def check_reference(truth: Volume, volume: Volume) -> None:
@@ -106,70 +103,98 @@ def check_reference(truth: Volume, volume: Volume) -> None:
 
 
 def conclude(
-    cases: list[Case],
-    paths: dict[str, Path],
-    facts: dict[str, Any],
+    results: Mapping[str, Result],
+    paths: Mapping[str, Path],
+    facts: Mapping[str, Any],
     truth: Volume | None,
     title: str,
     quiet: bool,
 ) -> int:
-    """Print the table of finished cases; write the comparison and the picture.
+    """Print the table of finished runs; write the comparison and the picture.
+
+    Parameters
+    ----------
+    results : mapping of str to Result
+        By name.
+    paths : mapping of str to Path
+        ``comparison`` and ``picture``.
+    facts : mapping
+        ``input`` and ``reference`` for the report.
+    truth : Volume or None
+    title : str
+        Of the picture.
+    quiet : bool
 
     Returns
     -------
     int
         0, or 130 when a run was interrupted.
     """
-    from accelsurf.analysis import metrics
     from accelsurf.cli import INTERRUPTED
-    from accelsurf.cli.case import scene
     from accelsurf.cli.progress import table
-    from accelsurf.report import document, environment, file_entries, preview
-    from accelsurf.report.outputs import write_bytes
-    from accelsurf.report.preview_content import PreviewContent
+    from accelsurf.report import document, preview
+    from accelsurf.report.environment import versions
+    from accelsurf.report.file_entries import describe_output
+    from accelsurf.report.outputs import preview_content, write_bytes
 
-    runs: list[dict[str, Any]] = []
-    rows: list[tuple[str, ...]] = []
-    scenes: dict[str, PreviewContent] = {}
-    for case in cases:
-        result, config = case.result, case.config
-        assert result is not None and config is not None
-        found = metrics.evaluate(result.labels_volume(), truth).to_dict() if truth is not None else None
-        ending = document.describe_result(result)
-        seconds = sum(result.seconds.values())  # of the run alone: files and pictures say nothing about a flow
-        runs.append({"name": case.name, "flow": config.flow, **ending, "seconds": seconds, "metrics": found})
-        dice = f"{found['dice']:.4f}" if found is not None else "-"
-        energy = f"{ending['energy']['last']:.6g}"
-        rows.append((config.flow, str(result.stop.steps), f"{seconds:.1f}", energy, dice, result.stop.reason))
-        told = f"{result.stop.reason}, {result.stop.steps} steps" + (f", Dice {dice}" if found is not None else "")
-        scenes[config.flow] = scene(case, told, truth.array if truth is not None else None)
-    agreement = {
-        f"{a.name} / {b.name}": metrics.dice(a.result.labels > 0, b.result.labels > 0)
-        for a, b in combinations(cases, 2)
-        if a.result is not None and b.result is not None
-    }
-    interrupted = any(case.result is not None and case.result.stop.reason == "interrupted" for case in cases)
-    code = INTERRUPTED if interrupted else 0
-    write_bytes(paths["picture"], preview.comparison_png(scenes, title))
-    contents = {
+    runs, rows, contents = [], [], {}
+    for name, result in results.items():
+        measures = _agreement(result, truth) if truth is not None else None
+        run = {"name": name, "flow": result.config.flow, **document.describe_result(result)}
+        # Seconds of the run alone: files and pictures say nothing about a flow.
+        runs.append({**run, "seconds": sum(result.seconds.values()), "metrics": measures})
+        rows.append(_row(runs[-1], result))
+        dice = f", Dice {rows[-1][4]}" if measures is not None else ""
+        heading = f"{result.stop.reason}, {result.stop.steps} steps{dice}"
+        contents[result.config.flow] = preview_content(result, heading, truth.array if truth is not None else None)
+    interrupted = any(result.stop.reason == "interrupted" for result in results.values())
+    write_bytes(paths["picture"], preview.comparison_png(contents, title))
+    comparison = {
         "schema_version": document.SCHEMA_VERSION,
         "status": "interrupted" if interrupted else "ok",
-        "exit_code": code,
-        "versions": environment.versions(),
+        "exit_code": INTERRUPTED if interrupted else 0,
+        "versions": versions(),
         "argv": sys.argv,
-        "config": cases[0].config.model_dump(mode="json", exclude={"flow"}) if cases[0].config is not None else None,
+        "config": next(iter(results.values())).config.model_dump(mode="json", exclude={"flow"}),
         **facts,
         "runs": runs,
-        "agreement_dice": agreement,
-        "outputs": [file_entries.describe_output(paths["picture"], "picture")],
+        "agreement_dice": _agreement_of_runs(results),
+        "outputs": [describe_output(paths["picture"], "picture")],
     }
-    write_bytes(paths["comparison"], (document.to_json(contents) + "\n").encode())
+    write_bytes(paths["comparison"], (document.to_json(comparison) + "\n").encode())
     if not quiet:
         print(table(("flow", "steps", "seconds", "energy", "Dice", "stop"), rows))
         print()
         for kind, path in paths.items():
             print(f"{kind:10}  {path.absolute()}")
-    return code
+    return INTERRUPTED if interrupted else 0
+
+
+def _agreement(result: Result, truth: Volume) -> dict[str, Any]:
+    """Measures of agreement with the reference; of several objects also the Dice of each id."""
+    from accelsurf.analysis import metrics
+
+    found: dict[str, Any] = dict(metrics.evaluate(result.labels_volume(), truth).to_dict())
+    if result.has_ids:
+        found["dice_by_object"] = {
+            str(one.id): metrics.dice(result.labels == one.id, truth.array == one.id) for one in result.objects
+        }
+    return found
+
+
+def _row(run: Mapping[str, Any], result: Result) -> tuple[str, ...]:
+    measures = run["metrics"]
+    dice = f"{measures['dice']:.4f}" if measures is not None else "-"
+    energy = f"{run['energy']['last']:.6g}"
+    return run["flow"], str(result.stop.steps), f"{run['seconds']:.1f}", energy, dice, result.stop.reason
+
+
+def _agreement_of_runs(results: Mapping[str, Result]) -> dict[str, float]:
+    from accelsurf.analysis import metrics
+
+    return {
+        f"{a} / {b}": metrics.dice(results[a].labels > 0, results[b].labels > 0) for a, b in combinations(results, 2)
+    }
 
 
 def _names(flows: str) -> list[str]:

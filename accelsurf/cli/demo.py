@@ -6,7 +6,7 @@ import os
 import time
 from pathlib import Path
 
-from accelsurf.cli.options import Display, Output, Overwrite
+from accelsurf.cli.options import Display, OutputFolder, Overwrite
 
 #: Small ball inside the cube, off its centre: most of the object has to be found.
 START = "ball:9,-7,6,10"
@@ -21,7 +21,7 @@ LEVELS = 1
 
 
 def demo(
-    *, output: Output = Path("accelsurf-demo"), overwrite: Overwrite = False, display: Display | None = None
+    *, output: OutputFolder = Path("accelsurf-demo"), overwrite: Overwrite = False, display: Display | None = None
 ) -> int:
     """Segment a cube in noise with and without momentum.
 
@@ -37,7 +37,7 @@ def demo(
         Replace outputs that exist.
     """
     from accelsurf import io
-    from accelsurf.cli.case import Case, run_case
+    from accelsurf.cli.case import Place, run_case
     from accelsurf.cli.compare import conclude
     from accelsurf.cli.progress import Watcher
     from accelsurf.phantoms import recipes
@@ -45,15 +45,14 @@ def demo(
     from accelsurf.report.outputs import refuse_existing
     from accelsurf.settings.run_config import RunConfig
 
-    assert output is not None
     display = display or Display()
     recipe = recipes.load_recipe("cube_noisy")
     image, labels = output / "cube.nii.gz", output / "cube_truth.nii.gz"
     paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
     common = RunConfig(start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS)
     common = common.replace(threads=min(2, os.cpu_count() or 1))
-    cases = [Case(image, output, common.replace(flow=flow), name=f"cube_{flow}") for flow in FLOWS]
-    planned = [case.paths(case.config) for case in cases if case.config is not None]
+    places = {flow: Place(image, output, f"cube_{flow}", overwrite) for flow in FLOWS}
+    planned = [place.paths(common.replace(flow=flow)) for flow, place in places.items()]
     everything = {"image": image, "labels": labels, **paths}
     everything |= {f"{number}-{kind}": path for number, some in enumerate(planned) for kind, path in some.items()}
     refuse_existing(everything, overwrite)
@@ -65,18 +64,18 @@ def demo(
     io.write(phantom.image, image)
     io.write_labels(phantom.truth, labels)
     watcher = Watcher(display)
-    done, code = [], 0
-    for case in cases:
-        case.overwrite = overwrite
-        code = max(code, run_case(case, watcher))
-        done.append(case)
+    results, code = {}, 0
+    for flow, place in places.items():
+        done = run_case(place, common.replace(flow=flow), watcher)
+        results[place.name], code = done.result, max(code, done.code)
         if watcher.interrupted:
             break
     facts = {
         "input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image)),
         "reference": describe_input(labels, checksum=io.sha256(labels)),
     }
-    conclude(done, paths, facts, phantom.truth, "A cube in noise: gradient descent and accelerated flow", display.quiet)
+    title = "A cube in noise: gradient descent and accelerated flow"
+    conclude(results, paths, facts, phantom.truth, title, display.quiet)
     if not display.quiet:
         print(f"\nAll files are in {output.absolute()} ({time.perf_counter() - began:.0f} s)")
     return code

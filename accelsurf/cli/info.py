@@ -20,7 +20,8 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
     from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts
     from accelsurf.phantoms import recipes
-    from accelsurf.report.document import to_json, versions
+    from accelsurf.report.document import to_json
+    from accelsurf.report.environment import versions
     from accelsurf.settings.catalogue import help_of
     from accelsurf.settings.energy_terms import TERMS, image_terms
     from accelsurf.settings.fields import MeshFormat

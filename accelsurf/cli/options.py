@@ -21,6 +21,7 @@ SHOW = Group("Display", sort_key=len(GROUPS) + 1)
 
 ProgressKind = Literal["bar", "json", "none"]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
+OutputFolder = Annotated[Path, Parameter(name=("--output", "-o"), group=FILES)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
 def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = True) -> type:
@@ -64,7 +65,7 @@ Settings = _settings("Settings")
 #: For commands that write none of a run's files.
 RunSettings = _settings("RunSettings", with_files=False)
 #: For commands that choose the flow and the files themselves.
-SharedSettings = _settings("SharedSettings", leave_out=("flow", "objects"), with_files=False)
+SharedSettings = _settings("SharedSettings", leave_out=("flow",), with_files=False)
 
 
 def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunConfig:

@@ -49,46 +49,24 @@ def segment(
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
         return 0
-    from accelsurf.cli.case import Case, report_failure, run_case
+    from accelsurf.cli.case import Place, report_failure, run_case
+    from accelsurf.cli.outcome import summary_lines
     from accelsurf.cli.progress import Watcher
 
     display = display or Display()
-    case = Case(
-        required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite=overwrite, strict=strict
-    )
+    place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
-        case.config = run_config(settings, config)
+        run = run_config(settings, config)
     except UsageError as error:
-        report_failure(case, error)
+        report_failure(place, None, error)
         raise
-    code = run_case(case, Watcher(display))
+    done = run_case(place, run, Watcher(display), strict)
+    result, log = done.result, done.log
     if not display.quiet:
-        _tell(case)
-    if profile and case.result is not None:
-        from accelsurf.cli.profile import lines
+        lines = summary_lines(place.name, result, log.outputs, place.report_path, log.seconds["total"])
+        print("\n".join(lines))
+    if profile:
+        from accelsurf.cli import profile as stages
 
-        print("\n".join(lines({**case.result.seconds, **case.seconds}, case.result.kernels)))
-    return code
-
-
-def _tell(case: Case) -> None:  # type: ignore[name-defined]  # noqa: F821
-    """Print what came out."""
-    result = case.result
-    if case.config.objects is not None:
-        from accelsurf.cli.objects import summary
-
-        print("\n".join(summary(case, result)))
-        return
-    seconds = case.seconds["total"]
-    steps = f"{result.stop.steps} steps" + (f" on {len(result.levels)} levels" if len(result.levels) > 1 else "")
-    print(f"{case.name}: {result.stop.reason} after {steps}, {seconds:.1f} s ({result.stop.message})")
-    if any(output["kind"] in ("surface", "contour") for output in case.outputs):
-        parts = f"{result.components} component{'' if result.components == 1 else 's'}"
-        sizes = f"volume {result.volume_mm3:.6g} mm3, area {result.area_mm2:.6g} mm2"
-        if case.is_2d:
-            sizes = f"area {result.enclosed_mm2:.6g} mm2, length {result.length_mm:.6g} mm"
-        border = f", touches the {'image' if case.is_2d else 'volume'}'s border" if result.touches_border else ""
-        print(f"{sizes}, {parts}{border}")
-    for output in case.outputs:
-        print(f"  {output['kind']:8} {output['path']}")
-    print(f"  {'report':8} {case.report_path.absolute()}")
+        print("\n".join(stages.lines({**result.seconds, **log.seconds}, result.kernels)))
+    return done.code

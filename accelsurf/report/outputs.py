@@ -4,27 +4,33 @@ they are written, each completely or not at all.
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.headers import is_anatomical
-from accelsurf.report import preview, tables
+from accelsurf.report import object_files, preview, tables
+from accelsurf.report.document import describe_objects
 from accelsurf.report.preview_content import PreviewContent
 from accelsurf.settings.fields import LabelFormat
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
+    from accelsurf.analysis.contours import Contours
+    from accelsurf.analysis.surface_mesh import Surface
     from accelsurf.grid.geometry import Geometry
     from accelsurf.segmentation.result import Result
 
 CONTOUR_FORMATS = ("vtp", "csv")
 SURFACE_FORMATS = ("ply", "stl", "obj", "vtp")
+#: Kind of a file, its name, and what writes it.
+Writer = tuple[str, str, Callable[[Path], None]]
 
 
 def label_format(config: RunConfig, source_suffix: str) -> str:
@@ -70,6 +76,8 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
         files |= {f"contour-{kind}": f"contour.{kind}" for kind in CONTOUR_FORMATS if kind in wanted}
     if config.save_sdf:
         files["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG holds no distances
+    if config.objects is not None:
+        files["objects"] = "objects.csv"
     return files | {"trace": "trace.csv", "preview": "preview.png"}
 
 
@@ -171,7 +179,7 @@ def write_result(
 ) -> Iterator[tuple[str, Path]]:
     """Write the files of a result, yielding kind and path of each when it is complete.
 
-    A result without a surface has a trace and a picture only.
+    A result without a surface has a trace and a picture only, one of several objects also its table.
 
     Parameters
     ----------
@@ -179,7 +187,8 @@ def write_result(
     folder : Path
         Where they go; it exists.
     names : mapping of str to str
-        Name of the file by kind, as from `names`; other kinds are not written.
+        Name of the file by kind, as from `names`; other kinds are not written. Of several objects, surfaces and
+        contours get the object's id into their names.
     content : PreviewContent
         For ``preview``.
     seconds : dict, optional
@@ -190,32 +199,65 @@ def write_result(
     OutputError
         When a file cannot be written; those before it are complete.
     """
+    seconds = {} if seconds is None else seconds
+    began = time.perf_counter()
+    writers = [*_image_writers(result, names), *_mesh_writers(result, names), *_table_writers(result, names, content)]
+    seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
+    for kind, name, write in writers:
+        began = time.perf_counter()
+        write(folder / name)
+        seconds["write"] = seconds.get("write", 0.0) + time.perf_counter() - began
+        yield kind, folder / name
+    if result.has_ids:
+        object_files.remove_old(folder, names, [folder / name for _, name, _ in writers])
+
+
+def _has_surface(result: Result) -> bool:
+    return bool(result.labels.any()) and result.stop.reason not in ("vanished", "filled")
+
+
+def _image_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """What writes the label map and the signed distance."""
     from accelsurf import io
 
-    seconds = {} if seconds is None else seconds
-    empty, config = result.stop.reason in ("vanished", "filled"), result.config
-    began = time.perf_counter()
-    mesh: Any = None
-    if not empty and any(kind.startswith(("surface-", "contour-")) for kind in names):
-        mesh = result.contours if result.geometry.slice_axis is not None else result.surface
-    seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
-    writers: dict[str, Callable[[Path], Any]] = {}
-    for kind in names:
-        if kind == "labels" and not empty:
-            writers[kind] = lambda path: io.write_labels(result.labels_volume(), path)
-        elif kind.startswith(("surface-", "contour-")) and mesh is not None:
-            writers[kind] = lambda path: mesh.write(path, config.mesh_space)
-        elif kind == "sdf" and not empty:
-            writers[kind] = lambda path: io.write(result.labels_volume().with_array(result.psi), path)
-        elif kind == "trace":
-            writers[kind] = lambda path: write_bytes(path, tables.trace_csv(result.history).encode())
-        elif kind == "preview":
-            writers[kind] = lambda path: write_bytes(path, preview.preview_png(content))
-    for kind, writer in writers.items():
-        began = time.perf_counter()
-        writer(folder / names[kind])
-        seconds["write"] = seconds.get("write", 0.0) + time.perf_counter() - began
-        yield kind.partition("-")[0], folder / names[kind]
+    if "labels" in names and _has_surface(result):
+        yield "labels", names["labels"], lambda path: io.write_labels(result.labels_volume(), path)
+    if "sdf" in names and _has_surface(result):
+        yield "sdf", names["sdf"], lambda path: io.write(result.labels_volume().with_array(result.psi), path)
+
+
+def _mesh_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """What writes surfaces or contours, which are extracted here; of several objects those with a voxel."""
+    kinds = [kind for kind in names if kind.startswith(object_files.EACH)]
+    if not kinds or not _has_surface(result):
+        return
+    is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
+    for one in result.objects:
+        if not one.labels.any():
+            continue
+        mesh = one.contours if is_2d else one.surface
+        for kind in kinds:
+            name = object_files.name_of(names[kind], one.id) if result.has_ids else names[kind]
+            yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space)
+
+
+def _write_mesh(mesh: Surface | Contours, space: Literal["lps", "ras"], path: Path) -> None:
+    mesh.write(path, space)
+
+
+def _table_writers(result: Result, names: Mapping[str, str], content: PreviewContent) -> Iterator[Writer]:
+    """What writes the tables and the picture."""
+    if "objects" in names and result.has_ids:
+        rows = describe_objects(result)
+        yield "objects", names["objects"], lambda path: write_bytes(path, tables.objects_csv(rows).encode())
+    if "trace" in names:
+        if result.has_ids:
+            text = tables.objects_trace_csv({one.id: one.history for one in result.objects})
+        else:
+            text = tables.trace_csv(result.history)
+        yield "trace", names["trace"], lambda path: write_bytes(path, text.encode())
+    if "preview" in names:
+        yield "preview", names["preview"], lambda path: write_bytes(path, preview.preview_png(content))
 
 
 def outcome_title(name: str, result: Result) -> str:
@@ -235,13 +277,12 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         Labels to draw as a second contour.
     """
     is_2d = result.geometry.slice_axis is not None
-    has_surface = not is_2d and result.labels.any() and result.stop.reason not in ("vanished", "filled")
     return PreviewContent(
         image=result.image,
         psi=result.psi,
         geometry=result.geometry,
         history=result.history,
-        surface=result.surface if has_surface else None,
+        surface=result.surface if not is_2d and _has_surface(result) else None,
         start=result.start,
         title=title,
         anatomical=is_anatomical(result.volume.metadata),

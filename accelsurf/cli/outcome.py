@@ -1,0 +1,119 @@
+"""What is wrong with a run that did end, and what a person is told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
+
+if TYPE_CHECKING:
+    from accelsurf.segmentation.result import Result, SegmentedObject
+
+_LATER = "raise --max-steps; the outputs show how far it got"
+_LOOK = "look at the picture; without --strict it is a warning"
+_REPORT = "use a smaller --cfl; and please report this image and its settings"
+
+
+def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError | None, list[str]]:
+    """Say what is wrong with a result: an error or None, and warnings.
+
+    An object of several that vanished is a warning; it is an error when none is left.
+
+    Parameters
+    ----------
+    name : str
+        Of the case.
+    result : Result
+    strict : bool
+        Whether a run that did not converge, or whose result is doubtful, counts as failed.
+    """
+    stop = result.stop
+    summary = f"{name}: {stop.message}"
+    if not result.has_ids:
+        summary = f"{name}: {stop.reason} after {stop.steps} steps: {stop.message}"
+    if stop.reason in ("vanished", "filled") and not result.has_ids:
+        return EmptyResultError(summary, "start closer to the object, or with less --smoothness"), []
+    if result.has_ids and not result.labels.any():
+        return EmptyResultError(summary, "start closer to the objects, or with less --smoothness"), []
+    if stop.reason == "diverged":
+        return DivergedError(summary, _REPORT), []
+    late = [text for one in result.objects for text in _late(name, result, one)]
+    doubts = [text for one in result.objects for text in _doubts(result, one)]
+    if strict and late:
+        return NotConvergedError(f"{late[0]}{_and_more(late)}", _LATER), []
+    if strict and doubts:
+        start = "" if result.has_ids else f"{name}: "
+        return DoubtfulError(f"{start}{doubts[0]}{_and_more(doubts)}", _LOOK), []
+    return None, late + doubts
+
+
+def _late(name: str, result: Result, one: SegmentedObject) -> list[str]:
+    if one.stop.reason not in ("max-steps", "stalled"):
+        return []
+    whose = f"object {one.id}" if result.has_ids else name
+    return [f"{whose}: {one.stop.reason} after {one.stop.steps} steps: {one.stop.message}"]
+
+
+def _doubts(result: Result, one: SegmentedObject) -> list[str]:
+    if not result.has_ids:
+        return list(one.quality.warnings)
+    if not one.labels.any():
+        return [f"object {one.id}: vanished after {one.stop.steps} steps"]
+    return [f"object {one.id}: {doubt}" for doubt in one.quality.warnings]
+
+
+def _and_more(texts: Sequence[str]) -> str:
+    return f" (and {len(texts) - 1} more)" if len(texts) > 1 else ""
+
+
+def summary_lines(
+    name: str, result: Result, outputs: Sequence[dict[str, str]], report: Path, seconds: float
+) -> list[str]:
+    """Return the lines that a person sees at the end: how the run ended, the measures, the files.
+
+    Parameters
+    ----------
+    name : str
+        Of the case.
+    result : Result
+    outputs : sequence of dict
+        Kind and path of each file.
+    report : Path
+    seconds : float
+        Wall time of everything.
+    """
+    lines = _ending(name, result, seconds)
+    by_kind: dict[str, list[str]] = {}
+    for output in outputs:
+        by_kind.setdefault(output["kind"], []).append(output["path"])
+    if result.has_ids or {"surface", "contour"} & set(by_kind):
+        lines.append(_measures(result))
+    for kind, paths in by_kind.items():
+        if result.has_ids:
+            more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+            lines.append(f"  {kind:8} {paths[0]}{more}")
+        else:
+            lines += [f"  {kind:8} {path}" for path in paths]
+    return [*lines, f"  {'report':8} {report.absolute()}"]
+
+
+def _ending(name: str, result: Result, seconds: float) -> list[str]:
+    stop = result.stop
+    if result.has_ids:
+        return [f"{name}: {stop.message}; up to {stop.steps} steps, {seconds:.1f} s"]
+    levels = f" on {len(result.levels)} levels" if len(result.levels) > 1 else ""
+    return [f"{name}: {stop.reason} after {stop.steps} steps{levels}, {seconds:.1f} s ({stop.message})"]
+
+
+def _measures(result: Result) -> str:
+    is_2d = result.geometry.slice_axis is not None
+    sizes = f"volume {result.volume_mm3:.6g} mm3, area {result.area_mm2:.6g} mm2"
+    if is_2d:
+        sizes = f"area {result.enclosed_mm2:.6g} mm2, length {result.length_mm:.6g} mm"
+    if result.has_ids:
+        return f"{sizes} in all"
+    parts = f"{result.components} component{'' if result.components == 1 else 's'}"
+    border = f", touches the {'image' if is_2d else 'volume'}'s border" if result.touches_border else ""
+    return f"{sizes}, {parts}{border}"

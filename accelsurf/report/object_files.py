@@ -1,0 +1,57 @@
+"""The files of each of several objects: surfaces or contours that carry its id in their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+from accelsurf.errors import OutputError
+
+#: Kinds of outputs that there is one of for each object.
+EACH = ("surface", "contour")
+
+
+def name_of(name: str, own: int) -> str:
+    """Return the name of a file for the object ``own``.
+
+    Examples
+    --------
+    >>> name_of("scan_surface.ply", 7)
+    'scan_surface_7.ply'
+    """
+    stem, _, suffix = name.rpartition(".")
+    return f"{stem}_{own}.{suffix}"
+
+
+def existing(folder: Path, names: Mapping[str, str]) -> list[Path]:
+    """Return the files there are that are named as the surface or contour of an object, whatever its id.
+
+    Parameters
+    ----------
+    folder : Path
+    names : mapping of str to str
+        Name of the file by kind, as of a run of one object.
+    """
+    parts = [names[kind].rpartition(".") for kind in names if kind.startswith(EACH)]
+    known = re.compile("|".join(rf"{re.escape(stem)}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in parts))
+    files = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path for path in files if known.fullmatch(path.name))
+
+
+def remove_old(folder: Path, names: Mapping[str, str], written: Collection[Path]) -> None:
+    """Remove files of objects that this run does not have: with the new label map they would be taken for its own.
+
+    Raises
+    ------
+    OutputError
+        When one cannot be removed.
+    """
+    for path in existing(folder, names):
+        if path not in written:
+            try:
+                path.unlink()
+            except OSError as error:
+                raise OutputError(
+                    f"{path}: cannot be removed ({error.strerror or error})", "choose another folder with -o"
+                ) from None
