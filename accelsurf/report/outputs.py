@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from accelsurf import io
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import object_files, preview, tables
@@ -201,8 +202,10 @@ def write_result(
     """
     seconds = {} if seconds is None else seconds
     began = time.perf_counter()
-    writers = [*_image_writers(result, names), *_mesh_writers(result, names), *_table_writers(result, names, content)]
+    meshes = list(_mesh_writers(result, names))
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
+    writers = [*_label_writer(result, names), *meshes, *_distance_writer(result, names)]
+    writers += _table_writers(result, names, content)
     for kind, name, write in writers:
         began = time.perf_counter()
         write(folder / name)
@@ -216,12 +219,14 @@ def _has_surface(result: Result) -> bool:
     return bool(result.labels.any()) and result.stop.reason not in ("vanished", "filled")
 
 
-def _image_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """What writes the label map and the signed distance."""
-    from accelsurf import io
-
+def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """What writes the label map."""
     if "labels" in names and _has_surface(result):
         yield "labels", names["labels"], lambda path: io.write_labels(result.labels_volume(), path)
+
+
+def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """What writes the signed distance."""
     if "sdf" in names and _has_surface(result):
         yield "sdf", names["sdf"], lambda path: io.write(result.labels_volume().with_array(result.psi), path)
 

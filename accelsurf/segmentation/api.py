@@ -15,7 +15,8 @@ from accelsurf.grid.geometry import Box
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.region import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
-from accelsurf.segmentation.run import AROUND, EnergyLike, ObjectsLike, Run
+from accelsurf.segmentation.run import AROUND, Run
+from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
 from accelsurf.segmentation.solver_setup import half_width, stop_rule
 from accelsurf.settings.run_config import RunConfig
 

@@ -8,7 +8,7 @@ from typing import Any
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
-from accelsurf.segmentation.evolving_object import Ball
+from accelsurf.segmentation.balls import Ball
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,11 +20,13 @@ from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner, corner_of, shared, widened
 from accelsurf.grid.geometry import Box
-from accelsurf.grid.pyramid import Level, prolong, restrict
+from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
+from accelsurf.segmentation.balls import Ball, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
+from accelsurf.segmentation.start_pyramid import ObjectStart, StartPyramid, finer_box, to_finest
 
 #: Voxels around an object's band at least, and as part of its extent; nearer than this the grid is made larger.
 ROOM, ROOM_PART, GUARD = 10, 0.5, 3
@@ -39,12 +40,8 @@ class MadeEnergy(NamedTuple):
     terms: list[dict[str, Any]]
 
 
-class Ball(NamedTuple):
-    """A ball to be added to an object or removed from it: ``centre`` (z, y, x) as voxel index, ``radius`` in mm."""
-
-    kind: str
-    centre: tuple[float, float, float]
-    radius: float
+#: Makes the energy of (image, spacing, context).
+EnergyMaker = Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy]
 
 
 class ObjectCheckpoint(NamedTuple):
@@ -59,24 +56,6 @@ class ObjectCheckpoint(NamedTuple):
     def nbytes(self) -> int:
         """Memory that it takes at most."""
         return self.evolution.nbytes
-
-
-@dataclass(frozen=True)
-class ObjectStart:
-    """What an object begins with.
-
-    Attributes
-    ----------
-    id : int
-    corner : (z, y, x)
-        First voxel of ``psi`` on the finest level.
-    psi : ndarray (nz, ny, nx), float32
-        Of the first surface, mm, negative inside; its memory is used up.
-    """
-
-    id: int
-    corner: Corner
-    psi: NDArray[np.float32]
 
 
 class EvolvingObject:
@@ -108,7 +87,7 @@ class EvolvingObject:
         inputs: LevelInputs,
         context: ImageContext,
         setup: SolverSetup,
-        make_energy: Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy],
+        make_energy: EnergyMaker,
         workers: Workers,
         max_steps: int,
         max_volume: float | None,
@@ -120,9 +99,7 @@ class EvolvingObject:
         self._among_others = among_others
         self._max_steps, self._stop_requested = max_steps, False
         self._min_room = (ROOM, ROOM, ROOM)
-        #: First voxel and psi of the start on each level, finest first; the present level last.
-        self._starts = self._restricted(start)
-        self.level = len(self._starts) - 1
+        self._starts = StartPyramid(start, inputs.grids)
         self.corner: Corner = (0, 0, 0)
         self.made: MadeEnergy
         self.evolution: Evolution
@@ -138,6 +115,11 @@ class EvolvingObject:
     def flow(self) -> Flow:
         """How it moves."""
         return self.evolution.flow
+
+    @property
+    def level(self) -> int:
+        """The present level; 0 is the image's own grid."""
+        return self._starts.level
 
     @property
     def grid(self) -> Level:
@@ -183,42 +165,20 @@ class EvolvingObject:
 
     # -- starts and levels ---------------------------------------------------------------------------------
 
-    def _restricted(self, start: ObjectStart) -> list[tuple[Corner, NDArray[np.float32]]]:
-        """The start on every level, finest first; a box is made of whole blocks of the coarsest level."""
-        grids = self._inputs.grids
-        corner, psi = start.corner, start.psi
-        if len(grids) > 1:
-            corner, psi = _aligned(corner, psi, grids)
-        starts = [(corner, psi)]
-        for fine, coarse in zip(grids, grids[1:], strict=False):
-            corner, psi = starts[-1]
-            ratio = [c // f for c, f in zip(coarse.factors, fine.factors, strict=True)]
-            small = fine._replace(shape=psi.shape)
-            counts = tuple(-(-n // r) for n, r in zip(psi.shape, ratio, strict=True))
-            blocks = coarse._replace(shape=counts)
-            at = tuple(c // r for c, r in zip(corner, ratio, strict=True))
-            starts.append(((at[0], at[1], at[2]), restrict(psi, small, blocks)))
-        return starts
-
     def start_is_resolved(self) -> bool:
         """Whether the start has something inside and outside on the present level."""
-        inside = self._starts[-1][1] < 0
-        return bool(inside.any() and not inside.all())
+        return self._starts.is_resolved()
 
     def skip_level(self) -> None:
         """Begin on the next finer level instead."""
-        self._starts.pop()
-        self.level -= 1
+        self._starts.to_finer()
 
     def begin(self) -> None:
         """Begin on the present level, from the start."""
         self._begin_from_start(None)
 
     def _begin_from_start(self, state: LoopState | None) -> None:
-        corner, psi = self._starts[-1]
-        if self.level == 0:
-            # The last to need it: a whole volume less while the finest level runs.
-            self._starts = [(corner, np.zeros((0, 0, 0), np.float32))]
+        corner, psi = self._starts.take()
         if not self._among_others:
             self.corner = corner
             self._evolve(LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True), state)
@@ -232,21 +192,13 @@ class EvolvingObject:
         before, coarse = self.evolution, self.grid
         if before.stop is None:
             raise ValueError(f"object {self.id} has not ended on level {self.level}")
-        self._starts.pop()
-        self.level -= 1
+        self._starts.to_finer()
         if before.stop.reason in FAILED:
             self._begin_from_start(before.state.on_next_grid(with_fields=False))
             return
-        # The start there is not needed any more; a whole volume on the finest level.
-        self._starts[-1] = (self.corner, np.zeros((0, 0, 0), np.float32))
-        ratio = [c // f for c, f in zip(coarse.factors, self.grid.factors, strict=True)]
-        first = [c * r for c, r in zip(self.corner, ratio, strict=True)]
-        nz, ny, nx = (
-            min(n * r, whole - c)
-            for n, r, whole, c in zip(before.surface.shape, ratio, self.grid.shape, first, strict=True)
-        )
-        mine, theirs = coarse._replace(shape=before.surface.shape), self.grid._replace(shape=(nz, ny, nx))
-        self.corner = (first[0], first[1], first[2])
+        self._starts.release()
+        self.corner, shape = finer_box(self.corner, before.surface.shape, coarse, self.grid)
+        mine, theirs = coarse._replace(shape=before.surface.shape), self.grid._replace(shape=shape)
         surface, fields = prolong_surface(before.surface, before.flow, mine, theirs, self._setup.half_width)
         self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
 
@@ -394,7 +346,7 @@ class EvolvingObject:
     def edit(
         self,
         setup: SolverSetup,
-        make_energy: Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy],
+        make_energy: EnergyMaker,
         new_energy: bool,
         balls: tuple[Ball, ...],
     ) -> None:
@@ -428,38 +380,18 @@ class EvolvingObject:
             (lambda surface: self._change_psi(surface, balls)) if balls else None,
         )
 
-    def _on_level(self, ball: Ball) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Centre of a ball as index of the level's grid, and half its size in voxels of it."""
-        middle = (np.array(ball.centre) + 0.5) / self.grid.factors - 0.5
-        return middle, ball.radius / np.array(self.grid.spacing)
-
     def _make_room(self, ball: Ball) -> None:
-        middle, size = self._on_level(ball)
-        low = np.maximum(np.floor(middle - size), 0).astype(np.int64)
-        high = np.minimum(np.ceil(middle + size) + 1, self.grid.shape).astype(np.int64)
+        """Have a grid that holds a ball too."""
+        low, high = ball.extent(self.grid)
         own_low, own_high = self.extent()
         if self.surface.size:
             low, high = np.minimum(low, own_low), np.maximum(high, own_high)
         self.grow_grid(low, high)
 
     def _change_psi(self, surface: LevelSet, balls: tuple[Ball, ...]) -> None:
-        """Unite the object with balls, or take them away from it: psi near them, negative inside."""
+        """Unite the object with balls, or take them away from it, within the mask."""
         psi = surface.dense.psi.reshape(surface.shape)
-        for ball in balls:
-            middle = self._on_level(ball)[0] - self.corner
-            reach = (ball.radius + float(surface.gamma)) / np.array(self.grid.spacing)
-            low = np.maximum(np.floor(middle - reach), 0).astype(int)
-            high = np.minimum(np.ceil(middle + reach) + 1, surface.shape).astype(int)
-            box = tuple(slice(a, max(a, b)) for a, b in zip(low, high, strict=True))
-            axes = [np.arange(s.start, s.stop) for s in box]
-            squares = [((x - m) * h) ** 2 for x, m, h in zip(axes, middle, self.grid.spacing, strict=True)]
-            far = np.sqrt(squares[0][:, None, None] + squares[1][None, :, None] + squares[2][None, None, :])
-            inside = (far - ball.radius).astype(np.float32)
-            part = psi[box]
-            if ball.kind == "add":
-                np.minimum(part, inside, out=part)
-            else:
-                np.maximum(part, -inside, out=part)
+        apply_balls(psi, balls, self.grid, self.corner, float(surface.gamma))
         distance = self._inputs.mask_distance(self.level, self._box())
         if distance is not None:
             np.maximum(psi, distance, out=psi)
@@ -474,7 +406,7 @@ class EvolvingObject:
         self,
         checkpoint: ObjectCheckpoint,
         setup: SolverSetup,
-        make_energy: Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy],
+        make_energy: EnergyMaker,
         new_energy: bool,
     ) -> None:
         """Go back to a state of this level, with the set-up that was in force then."""
@@ -500,27 +432,4 @@ class EvolvingObject:
 
     def psi_on_finest(self) -> tuple[Corner, NDArray[np.float32]]:
         """First voxel and psi of the surface on the finest level's grid; from a coarse level it is interpolated."""
-        corner, psi = self.corner, self.surface.psi
-        grids = self._inputs.grids
-        for number in range(self.level, 0, -1):
-            coarse, fine = grids[number], grids[number - 1]
-            ratio = [c // f for c, f in zip(coarse.factors, fine.factors, strict=True)]
-            first = [c * r for c, r in zip(corner, ratio, strict=True)]
-            sizes = [min(n * r, w - c) for n, r, w, c in zip(psi.shape, ratio, fine.shape, first, strict=True)]
-            psi = prolong(psi, coarse._replace(shape=psi.shape), fine._replace(shape=tuple(sizes)))
-            corner = (first[0], first[1], first[2])
-        return corner, psi
-
-
-def _aligned(
-    corner: Corner, psi: NDArray[np.float32], grids: tuple[Level, ...]
-) -> tuple[Corner, NDArray[np.float32]]:
-    """A start on a box of whole blocks of the coarsest level; outside of what is known it is far away."""
-    blocks, whole = grids[-1].factors, grids[0].shape
-    low = [c // f * f for c, f in zip(corner, blocks, strict=True)]
-    high = [min(-(-(c + n) // f) * f, w) for c, n, f, w in zip(corner, psi.shape, blocks, whole, strict=True)]
-    if low == list(corner) and [b - a for a, b in zip(low, high, strict=True)] == list(psi.shape):
-        return corner, psi
-    pad = [(c - a, b - c - n) for a, b, c, n in zip(low, high, corner, psi.shape, strict=True)]
-    far = float(np.abs(psi[np.isfinite(psi)]).max())
-    return (low[0], low[1], low[2]), np.pad(psi, pad, constant_values=far)
+        return to_finest(self.corner, self.surface.psi, self.level, self._inputs.grids)

@@ -289,16 +289,3 @@ def apply(image: NDArray[np.float32], scale: Scale) -> NDArray[np.float32]:
     image -= np.float32(scale.low)
     image *= np.float32(1.0 / scale.width)
     return image
-
-
-def scale(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Put the `SCALE_PERCENTILES` of the image at 0 and 1, its extremes where those two are equal; in place.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = scale(np.arange(-50, 51, dtype=np.float32).reshape(1, 1, 101))
-    >>> [float(v) for v in np.percentile(image, SCALE_PERCENTILES).round(6)]
-    [0.0, 1.0]
-    """
-    return apply(image, scale_of(image))

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-import os
-import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies import Energy
-from accelsurf.energies.local_region import TENT
-from accelsurf.errors import UsageError
-from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import Step, StepRecord, Stop
-from accelsurf.evolution.setup import SolverSetup
-from accelsurf.flows import StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
@@ -28,64 +18,28 @@ from accelsurf.initialization import object_starts
 from accelsurf.io.channels import read_further
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import edit_checks
-from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop, union_of, within
-from accelsurf.segmentation.evolving_object import EvolvingObject, MadeEnergy, ObjectCheckpoint, ObjectStart
-from accelsurf.segmentation.image_context import ImageContext
+from accelsurf.segmentation.evolving_object import EnergyMaker, EvolvingObject
 from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.preprocessing import preprocess
-from accelsurf.segmentation.solver_setup import (
-    half_width,
-    is_maker,
-    make_flow,
-    own_energy,
-    stop_rule,
+from accelsurf.segmentation.run_checkpoint import RunCheckpoint
+from accelsurf.segmentation.run_setup import (
+    EnergyLike,
+    ObjectsLike,
+    available_cores,
+    choose_levels,
+    energy_key,
+    energy_maker,
+    seeded,
+    setup_of,
+    window_reach,
 )
-from accelsurf.segmentation.term_makers import WINDOW_VOXELS
-from accelsurf.settings import energy_expression
-from accelsurf.settings.catalogue import energy_settings
+from accelsurf.segmentation.start_pyramid import ObjectStart
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
-#: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
-#: `Result.image`, and the spacing, (hz, hy, hx) mm.
-EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
-#: What `segment_objects` takes for the first voxels of objects: a file, a label map.
-ObjectsLike = str | Volume | NDArray[Any]
 #: Voxels around an object's grid in what is kept of it.
 AROUND = 2
-
-
-class RunCheckpoint(NamedTuple):
-    """A run between two steps, before the edits of the coming one.
-
-    Attributes
-    ----------
-    step : int
-        Number of the coming step.
-    settings : RunConfig
-        In force.
-    edits_done : int
-        How many edits were applied.
-    level : int
-    objects : tuple of ObjectCheckpoint
-    summaries : tuple of LevelSummary
-        Of the levels before.
-    warnings : tuple of str
-    """
-
-    step: int
-    settings: RunConfig
-    edits_done: int
-    level: int
-    objects: tuple[ObjectCheckpoint, ...]
-    summaries: tuple[LevelSummary, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def nbytes(self) -> int:
-        """Memory that it takes at most."""
-        return sum(one.nbytes for one in self.objects)
 
 
 class Run:
@@ -148,7 +102,8 @@ class Run:
             self.check(edit, [one.id for one in starts] or [1])
         threads = available_cores() if config.threads == "auto" else config.threads
         self.workers = Workers(threads)
-        grids = self._grids(psi if not starts else None)
+        named = energy is None or isinstance(energy, str)
+        grids = choose_levels(config, self.geometry, None if starts else psi, named)
         self._levels = len(grids)
         self._inputs = LevelInputs(self.prepared.images, self.prepared.mask_distance, grids)
         if not starts:
@@ -176,7 +131,7 @@ class Run:
             start,
             self._inputs,
             context,
-            self._setup(self.settings, place),
+            setup_of(self.settings, place, self._levels),
             self._energy_maker(self.settings),
             Workers(1) if self.has_ids else self.workers,
             self._max_steps,
@@ -184,52 +139,8 @@ class Run:
             self.has_ids,
         )
 
-    def _grids(self, psi: NDArray[np.float32] | None) -> list[pyramid.Level]:
-        """The levels that the configuration asks for; see record 0015 for what ``auto`` is.
-
-        Several objects (``psi`` is None) run on the image's own grid unless told otherwise.
-        """
-        shape, spacing, wanted = self.geometry.shape, self.geometry.spacing, self.config.levels
-        if wanted == "auto":
-            terms = energy_expression.parse(self.config.energy)
-            if psi is None or self._energy is not None or any(term.name == "geodesic" for term in terms):
-                return pyramid.levels(shape, spacing, 1)
-            grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
-            return grids[: pyramid.resolved(grids, psi)]
-        grids = pyramid.levels(shape, spacing, wanted)
-        if len(grids) < wanted:
-            raise UsageError(
-                f"levels: {wanted} was given, expected at most {len(grids)} for this image",
-                f"the coarsest grid has at least {pyramid.FEWEST} voxels along an axis that is halved",
-            )
-        return grids
-
-    def _setup(self, settings: RunConfig, place: int) -> SolverSetup:
-        """How the object at a place moves under these settings; each has random numbers of its own."""
-        seed = None if settings.seed is None else settings.seed + place
-        return SolverSetup(
-            make_flow(settings.replace(seed=seed) if place else settings),
-            StepLimits(settings.cfl, settings.percentile),
-            Restart() if settings.restart == "auto" else None,
-            half_width(settings),
-            stop_rule(settings, self._levels),
-        )
-
-    def _energy_maker(
-        self, settings: RunConfig
-    ) -> Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy]:
-        """What makes the energy on each grid; an energy that is made already is only for one."""
-        energy = self._energy
-        if energy is None or isinstance(energy, str):
-            return functools.partial(_named_energy, settings)
-        if (self._levels > 1 or self.has_ids) and not is_maker(energy):
-            levels = self._levels > 1
-            what = f"levels: {self._levels} was given, expected 1" if levels else "objects: several were given"
-            raise UsageError(
-                f"{what}: the energy has one image, and each {'level' if levels else 'object'} needs its own",
-                "give a class or function that makes the energy of (image, spacing), or levels=1 and one object",
-            )
-        return functools.partial(_own_energy, energy, settings)
+    def _energy_maker(self, settings: RunConfig) -> EnergyMaker:
+        return energy_maker(self._energy, settings, self._levels, self.has_ids)
 
     @property
     def geometry(self) -> Geometry:
@@ -351,7 +262,7 @@ class Run:
 
     def _enter_level(self) -> None:
         self._inputs.release_coarser(self.level)
-        reach = self._window_reach() if self.has_ids else 0.0
+        reach = window_reach(self.settings, self.geometry) if self.has_ids else 0.0
         for one in self.objects if self.has_ids else ():
             one.set_min_room(reach)
 
@@ -386,14 +297,6 @@ class Run:
             f"level {self.grid.number} ({size} voxels): {what}; the run {then} on the next finer level"
         )
 
-    def _window_reach(self) -> float:
-        """How far, mm, windows of the energy reach beyond an object; they are cut by it half a width off, and reach as
-        far again.
-        """
-        usual = WINDOW_VOXELS * max(self.geometry.steps)
-        terms = [t for t in energy_expression.parse(self.settings.energy) if t.name == "local-region"]
-        return max((2.0 * TENT * float(term.settings.get("R", usual)) for term in terms), default=0.0)
-
     # -- edits ---------------------------------------------------------------------------------------------
 
     def apply_edits(self) -> None:
@@ -405,14 +308,14 @@ class Run:
             settings = self.settings
             if edit.settings:
                 settings = settings.replace(**edit.settings, seed=self.config.seed)
-            new_energy = _energy_key(settings) != _energy_key(self.settings)
+            new_energy = energy_key(settings) != energy_key(self.settings)
             balls = edit_checks.balls_of(edit, self.geometry)
             for place, one in enumerate(self.objects):
                 own = balls if not self.has_ids else edit_checks.balls_for(one.id, edit, balls)
                 stopped = one.evolution.stop
                 if stopped is not None and (stopped.reason not in ("converged", "stalled") or not one.surface.size):
                     continue
-                one.edit(self._setup(settings, place), self._energy_maker(settings), new_energy, own)
+                one.edit(setup_of(settings, place, self._levels), self._energy_maker(settings), new_energy, own)
             self.settings, self._edits_done = settings, self._edits_done + 1
 
     @property
@@ -469,7 +372,7 @@ class Run:
         """
         if checkpoint.level > self.level:
             raise ValueError(f"a checkpoint of level {checkpoint.level}, and the run is on {self.level}")
-        changed = _energy_key(checkpoint.settings) != _energy_key(self.settings)
+        changed = energy_key(checkpoint.settings) != energy_key(self.settings)
         if checkpoint.level < self.level:
             self.level = checkpoint.level
             self._enter_level()
@@ -477,7 +380,7 @@ class Run:
                 one.release_to(self.level)
         for place, (one, state) in enumerate(zip(self.objects, checkpoint.objects, strict=True)):
             settings = checkpoint.settings
-            one.restore(state, self._setup(settings, place), self._energy_maker(settings), changed)
+            one.restore(state, setup_of(settings, place, self._levels), self._energy_maker(settings), changed)
         self._stop_requested = False
         self.settings, self._edits_done = checkpoint.settings, checkpoint.edits_done
         self._steps_made = checkpoint.step
@@ -487,39 +390,3 @@ class Run:
     def separated(self) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
         return self._ensemble.separated(self.prepared.mask_distance)
-
-
-def seeded(config: RunConfig) -> RunConfig:
-    """The configuration, with a seed if it has noise at any time; drawn once and kept, so that it repeats the run."""
-    noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
-    return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config
-
-
-def available_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _named_energy(
-    settings: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float], context: ImageContext
-) -> MadeEnergy:
-    made = make_energy(settings, image, spacing, context)
-    return MadeEnergy(made.energy, settings.energy, made.terms)
-
-
-def _own_energy(
-    energy: Any,
-    settings: RunConfig,
-    image: NDArray[np.float32],
-    spacing: tuple[float, float, float],
-    context: ImageContext,
-) -> MadeEnergy:
-    own = own_energy(energy, settings, image, spacing)
-    return MadeEnergy(own, own.name, [])
-
-
-def _energy_key(config: RunConfig) -> tuple[Any, ...]:
-    """The settings that make the energy what it is."""
-    return tuple(getattr(config, key) for key in ("energy", *energy_settings()))

@@ -57,9 +57,9 @@ def history(flow: Flow, n: int, dim: int, steps: int, enough: float = -np.inf) -
     evolution = Evolution(surface, energy, flow, StepLimits(0.5, 95.0), steps, Restart())
     energies, cells, seconds = [], [0], [0.0]
     for step in evolution:
-        energies.append(step.row.potential)
-        cells.append(cells[-1] + step.row.cells_visited)
-        seconds.append(seconds[-1] + step.row.seconds)
+        energies.append(step.record.potential)
+        cells.append(cells[-1] + step.record.cells_visited)
+        seconds.append(seconds[-1] + step.record.seconds)
         if settled(energies) or energies[-1] <= enough:
             break
     return {"energy": np.array(energies), "cells": np.array(cells), "seconds": np.array(seconds)}

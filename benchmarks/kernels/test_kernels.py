@@ -113,5 +113,5 @@ def test_chan_vese_force(benchmark: Any, case: Case) -> None:
 
 def test_whole_step(benchmark: Any, case: Case) -> None:
     made = iter(evolution(case.psi, case.image, 10_000))
-    row = benchmark.pedantic(lambda: next(made).row, rounds=12, warmup_rounds=2)
+    row = benchmark.pedantic(lambda: next(made).record, rounds=12, warmup_rounds=2)
     benchmark.extra_info["band_cells"] = row.band_cells

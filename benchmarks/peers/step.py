@@ -95,12 +95,12 @@ def profile(psi: np.ndarray, image: np.ndarray, count: int, ns: float) -> dict[s
     made = evolution(psi, image, count, workers=workers)
     seconds, cells, half = 0.0, 0, count // 2
     for taken in made:
-        if taken.row.step + 1 == half:
+        if taken.record.step + 1 == half:
             clock.reset()
             seconds, cells = 0.0, 0
-        elif taken.row.dt > 0:
-            seconds += taken.row.seconds
-            cells += taken.row.band_cells
+        elif taken.record.dt > 0:
+            seconds += taken.record.seconds
+            cells += taken.record.band_cells
     parts = clock.stages or clock.kernels
     counted = {name: 1e9 * s / cells for name, s in sorted(parts.items(), key=lambda item: -item[1])}
     rest = "not in a stage" if clock.stages else "march and other work outside the threads' kernels"

@@ -111,7 +111,7 @@ def test_an_object_and_a_maker_run_as_the_named_energy_does():
         assert [r.potential for r in run.history] == [r.potential for r in named.history]
     assert dice(named.labels, truth) > 0.97
     steps = list(evolve(image, energy=two_means, start="ball:17,14,13,5vox", presmooth=0.7))
-    assert [s.row.potential for s in steps] == [r.potential for r in made.history]
+    assert [s.record.potential for s in steps] == [r.potential for r in made.history]
 
 
 def test_a_class_is_made_with_the_scaled_image_and_the_spacing():

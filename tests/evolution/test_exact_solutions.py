@@ -202,7 +202,7 @@ def test_spheroid_follows_the_spectral_solution(k: float) -> None:
         while time < end - 1e-9:
             left = math.ceil((end - time) / (0.5 * h) - 1e-9)
             evolution.limits = evolution.limits._replace(dt_max=(end - time) / left)
-            row = next(rows).row
+            row = next(rows).record
             time = row.t + row.dt
         assert time == pytest.approx(end, abs=1e-6)
         true, points = exact.SPHEROID[mark], surface_points(surface, on)
@@ -213,7 +213,7 @@ def test_spheroid_follows_the_spectral_solution(k: float) -> None:
         assert area.sum() == pytest.approx(true.area, rel=0.004)
         assert surface.volume(part) == pytest.approx(true.volume, rel=0.002)
         assert energy.value(surface, part, area) == pytest.approx(true.potential, abs=0.004)
-        after = next(rows).row
+        after = next(rows).record
         time = after.t + after.dt
         # The flow's T is that of k at its time; T/w is the same for every k.
         ratio = (k**2 * end ** (k - 2.0)) / 4.0
@@ -313,7 +313,7 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, 0.05)
         # The automatic diffusion on: it has to scale too.
         evolution = Evolution(surface, energy, ConstantDensity(2.0, lambda_, rho), StepLimits(0.5, 95.0, dt), 40)
-        times = [step.row.t for step in evolution]
+        times = [step.record.t for step in evolution]
         return times, surface.psi.copy()
 
     times, psi = run(1.0, 1.0, h)

@@ -85,8 +85,8 @@ def test_no_force_at_all_has_converged():
 def test_interrupted_leaves_a_valid_surface():
     evolution = Evolution(ball(4), ChanVese(smooth_image()), ConstantDensity())
     for step in evolution:
-        if step.row.step == 5:
-            evolution.ask_to_stop()
+        if step.record.step == 5:
+            evolution.request_stop()
     assert evolution.stop.reason == "interrupted" and evolution.stop.steps == 6
     assert check_level_set(evolution.surface) == []
 
@@ -95,7 +95,7 @@ def test_the_iteration_may_be_abandoned():
     evolution = Evolution(ball(4), ChanVese(smooth_image()), ConstantDensity())
     with pytest.raises(KeyboardInterrupt):
         for step in evolution:
-            if step.row.step == 5:
+            if step.record.step == 5:
                 raise KeyboardInterrupt
     assert evolution.stop is None and len(evolution.history) == 6
     assert check_level_set(evolution.surface) == []
@@ -176,7 +176,7 @@ def test_restart_when_the_potential_rises_after_travel():
 def test_restart_converges_where_plain_friction_oscillates():
     """A quadratic well: 3/t friction lets the energy decay like a power, restart makes it fall faster."""
     energies = []
-    for restart in (None, Restart(travel=1.0, rest=5)):
+    for restart in (None, Restart(travel=1.0, steps=5)):
         evolution = Evolution(
             ball(5),
             ChanVese(smooth_image(), means=(1.0, 0.0)),

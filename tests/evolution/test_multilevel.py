@@ -106,7 +106,7 @@ def test_momentum_goes_on(cube, flow, monkeypatch):
 
 
 def test_steps_have_the_grid_of_their_level(cube):
-    shapes = {step.row.level: step.surface.shape for step in evolve(cube.image, levels=2, **START)}
+    shapes = {step.record.level: step.surface.shape for step in evolve(cube.image, levels=2, **START)}
     assert shapes == {1: (32, 32, 32), 0: (64, 64, 64)}
 
 

@@ -100,7 +100,7 @@ def test_sobolev_descent_lowers_the_energy_and_steps_beyond_the_curvature_bound(
         surface = sphere(9.0)
         surface = LevelSet(np.maximum(np.maximum(abs(z), abs(y)), abs(x)) - 10.0, (1.0, 1.0, 1.0))
         evolution = Evolution(surface, RegionField(field, 2.0), flow, StepLimits(0.5, 95.0), 40)
-        histories[flow.name] = [step.row for step in evolution]
+        histories[flow.name] = [step.record for step in evolution]
     for rows in histories.values():
         assert rows[-1].potential < rows[0].potential
     # Explicit curvature flow may not exceed h^2/(4 alpha) = 1/8.
@@ -115,8 +115,8 @@ def test_momentum_blends_the_last_step_with_the_force() -> None:
     flow, steps = HeavyBall(0.6), []
     evolution = Evolution(surface, RegionField(np.full(z.shape, 0.5)), flow, StepLimits(0.5, 100.0), 8)
     for step in evolution:
-        if step.row.dt:
-            steps.append(step.row.motion_voxels)
+        if step.record.dt:
+            steps.append(step.record.motion_voxels)
     want = 0.5 * (1.0 - 0.6 ** np.arange(1, len(steps) + 1))
     np.testing.assert_allclose(steps, want, rtol=1e-3)
     # At rest it begins again.

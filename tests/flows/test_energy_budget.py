@@ -26,9 +26,9 @@ def run(
     energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, alpha)
     rows = []
     for step in Evolution(surface, energy, flow, StepLimits(0.5, 100.0, 0.5 * on.spacing[0]), 10_000, restart):
-        if step.row.t > t_end or step.row.dt == 0:
+        if step.record.t > t_end or step.record.dt == 0:
             break
-        rows.append(step.row)
+        rows.append(step.record)
     return rows
 
 

@@ -98,7 +98,7 @@ def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[f
     axes, worst, density = ellipsoid_axes(t_end), 0.0, 0.0
     evolution = Evolution(surface, QuadraticInVolume(), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000)
     for step in evolution:
-        t = step.row.t + step.row.dt
+        t = step.record.t + step.record.dt
         if t > t_end:
             break
         points, d = surface_points(surface, on), axes(t)
@@ -108,7 +108,7 @@ def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[f
         near = surface.front(1.0)
         true = uniform_on_the_sphere(points, d)
         density = max(density, float(np.abs(flow.density[near] / true - 1.0).max()))
-    return worst, density, step.row
+    return worst, density, step.record
 
 
 def test_triaxial_ellipsoid() -> None:
@@ -158,7 +158,7 @@ def density_mode(n: int, degree: int, amplitude: float, flow: Given) -> float:
     limits = StepLimits(0.5, 100.0, 0.5 * h / math.sqrt(4.0 * g * mass))
     worst = 0.0
     for step in Evolution(surface, RegionField(np.zeros_like(on.radius)), flow, limits, 10_000):
-        t = step.row.t + step.row.dt
+        t = step.record.t + step.record.dt
         if t > t_end:
             break
         area, shape = surface.fraction_and_area()[1], mode(feet(surface, on))
@@ -184,7 +184,7 @@ def test_the_mass_potential_is_inert_at_uniform_density() -> None:
         surface = LevelSet(on.radius - 0.9, on.spacing, 4.0)
         flow = FlowableMass(gravity, diffusion=0.0)
         limits = StepLimits(0.5, 100.0, 0.2 * WIDTH / 31)
-        rows[gravity] = [s.row for s in Evolution(surface, energy_of(exact.E, on.radius), flow, limits, 40)]
+        rows[gravity] = [s.record for s in Evolution(surface, energy_of(exact.E, on.radius), flow, limits, 40)]
         surfaces[gravity] = surface.psi.copy()
     assert np.abs(surfaces[0.02] - surfaces[0.0]).max() < 0.01 * WIDTH / 31
     # g A int 1/2 rho^2 dA = g M^2/2 for any uniform density.
@@ -208,7 +208,7 @@ def test_negative_tension_is_clamped_and_told() -> None:
         flow = Given(gravity=0.2, support=0.0 if clamp else None, diffusion=0.0)
         flow.on, flow.density_at = on, bumpy
         energy = RegionField(np.zeros_like(on.radius))
-        rows = [s.row for s in Evolution(surface, energy, flow, StepLimits(0.5, 100.0), 60)]
+        rows = [s.record for s in Evolution(surface, energy, flow, StepLimits(0.5, 100.0), 60)]
         rough[clamp] = float(np.linalg.norm(surface_points(surface, on), axis=1).std())
         assert all((row.clamped_fraction > 0.2) == clamp for row in rows[:-1])
     assert rough[True] < rough[False]
@@ -216,7 +216,7 @@ def test_negative_tension_is_clamped_and_told() -> None:
     surface = LevelSet(on.radius - 1.0, on.spacing, 4.0)
     flow = Given(gravity=0.01, support=0.1, diffusion=0.0)
     flow.on, flow.density_at = on, bumpy
-    rows = [s.row for s in Evolution(surface, RegionField(np.zeros_like(on.radius), 0.1), flow, StepLimits(), 5)]
+    rows = [s.record for s in Evolution(surface, RegionField(np.zeros_like(on.radius), 0.1), flow, StepLimits(), 5)]
     assert all(row.clamped_fraction == 0.0 for row in rows)
 
 
@@ -224,7 +224,7 @@ def test_negative_tension_is_clamped_and_told() -> None:
 
 
 def mass_through(surface: LevelSet, field: np.ndarray, n_steps: int) -> list[StepRecord]:
-    return [s.row for s in Evolution(surface, RegionField(field), FlowableMass(), StepLimits(0.5, 95.0), n_steps)]
+    return [s.record for s in Evolution(surface, RegionField(field), FlowableMass(), StepLimits(0.5, 95.0), n_steps)]
 
 
 def components(surface: LevelSet) -> int:
@@ -265,7 +265,7 @@ def test_mass_is_conserved_through_large_deformation() -> None:
     z, y, x = on.points
     field = 0.6 * (np.sqrt((x / 1.1) ** 2 + (y / 0.35) ** 2 + (z / 0.35) ** 2) - 1.0)
     surface = LevelSet(on.radius - 0.4, on.spacing, 4.0)
-    rows = [s.row for s in Evolution(surface, RegionField(field, 0.01), FlowableMass(), StepLimits(0.5, 95.0), 120)]
+    rows = [s.record for s in Evolution(surface, RegionField(field, 0.01), FlowableMass(), StepLimits(0.5, 95.0), 120)]
     inside = np.argwhere(surface.labels)
     extent = np.ptp(inside, axis=0) * on.spacing[0]
     assert extent[2] > 2.0 * 0.8 and extent[2] > 2.0 * extent[0]
@@ -282,7 +282,7 @@ def test_momentum_stays_zero_where_the_energy_does_not_depend_on_place() -> None
     flow, worst = FlowableMass(diffusion=0.0), 0.0
     limits = StepLimits(0.5, 100.0, 0.5 * on.spacing[0])
     for step in Evolution(surface, RegionField(np.full(on.radius.shape, 0.3), 0.05), flow, limits, 10_000):
-        if step.row.t > 0.8:
+        if step.record.t > 0.8:
             break
         weight = surface.fraction_and_area()[1] * flow.density
         total = (weight[:, None] * flow.velocity).sum(axis=0)
@@ -301,7 +301,7 @@ def test_lambda_and_rho_only_rescale_time() -> None:
         surface = LevelSet(surface.psi, on.spacing, 4.0)
         energy = RegionField(0.5 * (on.radius**2 - 0.36) / on.radius, 0.05)
         flow = FlowableMass(0.125 / rho**2, 0.05, lambda_=lambda_, rho=rho)
-        times = [step.row.t for step in Evolution(surface, energy, flow, StepLimits(0.5, 95.0, dt), 30)]
+        times = [step.record.t for step in Evolution(surface, energy, flow, StepLimits(0.5, 95.0, dt), 30)]
         return times, surface.psi.copy()
 
     times, psi = run(1.0, 1.0, h)

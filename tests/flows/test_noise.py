@@ -41,7 +41,7 @@ def spread(dt: float, seed: int, t_end: float = 1.0) -> float:
     surface = plane()
     flow = ConstantDensity(friction=1e-6, diffusion=0.0, noise=Noise(0.2, 6.0, seed, until=99.0))
     for step in Evolution(surface, RegionField(np.full(FLAT, 1e-9)), flow, StepLimits(0.5, 100.0, dt), 10_000):
-        if step.row.t + step.row.dt > t_end:
+        if step.record.t + step.record.dt > t_end:
             break
     area = surface.fraction_and_area()[1]
     return float((area * flow.beta.astype(float) ** 2).sum() / area.sum())
@@ -76,7 +76,7 @@ def test_none_costs_nothing() -> None:
         surface = LevelSet(np.sqrt(z**2 + y**2 + x**2) - 8.0, (1.0, 1.0, 1.0))
         flow = ConstantDensity(noise=noise)
         field = np.sqrt(z**2 + y**2 + x**2) / 6.0 - 1.0
-        return [step.row for step in Evolution(surface, RegionField(field), flow, max_steps=12)]
+        return [step.record for step in Evolution(surface, RegionField(field), flow, max_steps=12)]
 
     without, zero = run(None), run(Noise(0.0))
     assert [row._replace(seconds=0.0) for row in without] == [row._replace(seconds=0.0) for row in zero]
@@ -103,6 +103,6 @@ def test_noise_leaves_a_saddle() -> None:
         surface = LevelSet(z - 19.5, (1.0, 1.0, 1.0))
         flow = ConstantDensity(noise=Noise(tau, 6.0, seed=1, until=5.0) if tau else None)
         evolution = Evolution(surface, RegionField(ridge.astype(np.float32)), flow, StepLimits(dt_max=0.5), 150)
-        history = [step.row for step in evolution]
+        history = [step.record for step in evolution]
         moved[tau] = abs(history[-1].volume_mm3 - history[0].volume_mm3) / 14**2
     assert moved[0.0] < 0.05 and moved[0.05] > 5.0

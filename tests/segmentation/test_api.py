@@ -7,7 +7,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms.recipes import distance_at, make, recipe_from
 from accelsurf.segmentation.api import evolve, segment
-from accelsurf.segmentation.preprocessing import presmoothed, scale
+from accelsurf.segmentation.preprocessing import apply, presmoothed, scale_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 
@@ -168,7 +168,7 @@ def test_evolve_yields_the_same_run():
     options = {"start": "ball:19,17,15,6", "max_steps": 12}
     result = segment(noisy(), **options)
     steps = list(evolve(noisy(), **options))
-    assert [s.row.potential for s in steps] == [row.potential for row in result.history]
+    assert [s.record.potential for s in steps] == [row.potential for row in result.history]
     np.testing.assert_array_equal(steps[-1].surface.labels, result.labels)
 
 
@@ -198,19 +198,20 @@ def test_presmoothing_is_in_mm_and_spares_the_missing_axis():
 
 def test_scaled_puts_the_percentiles_at_0_and_1():
     image = np.arange(2000, dtype=np.float32).reshape(10, 10, 20)
-    low, high = np.percentile(scale(image.copy()), [0.5, 99.5])
+    low, high = np.percentile(apply(image.copy(), scale_of(image)), [0.5, 99.5])
     assert (low, high) == pytest.approx((0.0, 1.0), abs=1e-5)
     # A tiny object on a flat background: the percentiles coincide, the extremes do not.
     image[:] = 0
     image[0, 0, 0] = 4
-    assert scale(image.copy()).max() == 1
+    assert apply(image.copy(), scale_of(image)).max() == 1
 
 
 def test_the_run_is_made_of_what_the_configuration_says():
     config = RunConfig(start="ball:19,17,15,6", flow="gradient", diffusion=0.5, cfl=0.3, percentile=80, restart="off")
     run = Run(Volume.from_array(noisy()), config)
-    assert run.evolution.limits.cfl == 0.3 and run.evolution.limits.percentile == 80
-    assert run.evolution.restart is None and run.evolution.flow.name == "gradient"
+    evolution = run.objects[0].evolution
+    assert evolution.limits.cfl == 0.3 and evolution.limits.percentile == 80
+    assert evolution.restart is None and evolution.flow.name == "gradient"
 
 
 def test_the_report_has_what_the_run_took_from_image_and_grid():

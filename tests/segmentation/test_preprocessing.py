@@ -100,7 +100,7 @@ def test_the_surface_never_leaves_the_mask(tmp_path, flow, levels):
     words = dict(start=at(centre, 4), flow=flow, mask=masked(tmp_path, volume, mask), levels=levels, max_steps=300)
     seen = []
     for step in evolve(volume, **words):
-        if step.row.level == 0:
+        if step.record.level == 0:
             seen.append(bool((step.surface.labels > 0)[~mask].any()))
     # The first step of a level may find a surface that a coarser grid has let through by part of a voxel.
     assert not any(seen[1:])

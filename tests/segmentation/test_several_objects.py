@@ -13,9 +13,9 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
 from accelsurf.levelset import LevelSet
+from accelsurf.levelset.transfer import shift_fields
 from accelsurf.phantoms import recipes
-from accelsurf.segmentation.objects import moved
-from accelsurf.segmentation.several import segment_objects
+from accelsurf.segmentation.api import segment_objects
 from accelsurf.settings.run_config import RunConfig
 
 ISOTROPIC = (1.0, 1.0, 1.0)
@@ -64,14 +64,14 @@ def two(request):
 
 def test_two_balls_that_touch_part_at_the_plane_between_them(two):
     image, truth, starts, spacing, result = two
-    assert list(result.objects) == [7, 300] and result.labels.dtype == np.uint16
-    assert {one.stop.reason for one in result.objects.values()} == {"converged"}
+    assert list(result.by_id) == [7, 300] and result.labels.dtype == np.uint16
+    assert {one.stop.reason for one in result.objects} == {"converged"}
     for own, true in ((7, 1), (300, 2)):
         assert dice(result.labels == own, truth == true) >= 0.97
-        assert result.objects[own].components == 1
+        assert result.by_id[own].components == 1
     # On the common plane, x = 25 mm, and nowhere beyond it by more than half a voxel.
     for own, sign in ((7, 1.0), (300, -1.0)):
-        beyond = sign * (result.objects[own].surface.vertices[:, 0] - 25.0)
+        beyond = sign * (result.by_id[own].surface.vertices[:, 0] - 25.0)
         assert beyond.max() <= 0.75
 
 
@@ -92,8 +92,8 @@ def test_phantom_of_two_balls_from_a_ball_in_each(touching, tmp_path):
     assert result.stop.reason == "converged"
     assert dice(result.labels > 0, touching.truth.array) >= 0.97
     for one, sign in ((1, -1.0), (2, 1.0)):
-        assert result.objects[one].volume_mm3 == pytest.approx(4 / 3 * np.pi * 10**3, rel=0.05)
-        assert (sign * result.objects[one].surface.vertices[:, 0]).min() >= -1.0
+        assert result.by_id[one].volume_mm3 == pytest.approx(4 / 3 * np.pi * 10**3, rel=0.05)
+        assert (sign * result.by_id[one].surface.vertices[:, 0]).min() >= -1.0
 
 
 def test_starts_in_the_background_take_the_background_and_that_is_told(touching, tmp_path):
@@ -102,7 +102,7 @@ def test_starts_in_the_background_take_the_background_and_that_is_told(touching,
     result = segment_objects(touching.image, table, max_steps=60)
     taken = result.labels > 0
     assert np.count_nonzero(taken & (touching.truth.array > 0)) < 0.02 * np.count_nonzero(taken)
-    for one in result.objects.values():
+    for one in result.objects:
         assert any(warning.startswith("border") for warning in one.quality.warnings)
 
 
@@ -111,7 +111,7 @@ def test_mass_that_meets_mass_comes_to_rest_and_gains_no_energy(flow):
     shape, centres = (22, 22, 36), [(10.5, 10.5, 11.0), (10.5, 10.5, 24.0)]
     image, truth = scene(shape, ISOTROPIC, centres, 8.0, noise=0.1)
     result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 3.5, (1, 2)), flow=flow, max_steps=400)
-    for own, one in result.objects.items():
+    for own, one in result.by_id.items():
         assert one.stop.reason == "converged"
         assert dice(result.labels == own, truth == own) >= 0.95
         rows = one.history
@@ -142,8 +142,8 @@ def test_objects_within_a_mask(tmp_path):
 def test_no_voxel_is_in_two(two):
     *_, result = two
     psi = np.full((2, *result.labels.shape), 1.0, np.float32)
-    for place, own in enumerate(result.objects):
-        psi[place][result.boxes[own]] = result.objects[own].psi
+    for place, own in enumerate(result.by_id):
+        psi[place][result.by_id[own].box] = result.by_id[own].psi
     assert not ((psi[0] < 0) & (psi[1] < 0)).any()
     assert np.array_equal(psi[0] < 0, result.labels == 7) and np.array_equal(psi[1] < 0, result.labels == 300)
     assert np.array_equal(result.psi < 0, result.labels > 0)
@@ -153,9 +153,9 @@ def test_same_bytes_for_any_number_of_threads_and_any_order_of_labels_in_memory(
     image, _, starts, spacing, result = two
     again = segment_objects(image, np.asfortranarray(starts), spacing=spacing, threads=3)
     assert again.labels.tobytes() == result.labels.tobytes()
-    for own, one in result.objects.items():
-        assert again.objects[own].psi.tobytes() == one.psi.tobytes()
-        assert [row._replace(seconds=0) for row in again.objects[own].history] == [
+    for own, one in result.by_id.items():
+        assert again.by_id[own].psi.tobytes() == one.psi.tobytes()
+        assert [row._replace(seconds=0) for row in again.by_id[own].history] == [
             row._replace(seconds=0) for row in one.history
         ]
 
@@ -183,7 +183,7 @@ def test_objects_that_meet_at_the_border_come_to_rest():
     result = segment_objects(image, starts, spacing=(2.2, 1.0, 1.0), energy="threshold:0.5,", max_steps=120)
     assert result.stop.reason == "converged"
     assert np.count_nonzero(result.labels[:, :, 5:35]) >= 0.995 * 14 * 22 * 30
-    assert sum(row.removed_components for one in result.objects.values() for row in one.history) <= 5
+    assert sum(row.removed_components for one in result.objects for row in one.history) <= 5
 
 
 def test_none_swallows_another_that_is_alike():
@@ -216,8 +216,8 @@ def test_cost_goes_with_the_surfaces_not_with_the_volume_times_their_number():
         centres = [(9.5, 9.5, 9.5 + 20 * i) for i in range(count)]
         image, _ = scene(shape, ISOTROPIC, centres, 6.0, noise=0.0)
         result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 4.0, range(1, count + 1)), max_steps=15)
-        assert max(one.labels.shape[2] for one in result.objects.values()) < 45
-        return [sum(row.cells_visited for row in one.history) for one in result.objects.values()]
+        assert max(one.labels.shape[2] for one in result.objects) < 45
+        return [sum(row.cells_visited for row in one.history) for one in result.objects]
 
     one, four = cells(1, 80), cells(4, 20)
     assert sum(four) == pytest.approx(4 * one[0], rel=0.15)
@@ -230,7 +230,7 @@ def test_a_grid_that_grows_changes_nothing_for_an_energy_that_sees_only_the_plac
     starts = seeds(shape, ISOTROPIC, [(14.5, 14.5, 47.0)], 2.6, (1,))
     many = segment_objects(image, starts, **told)
     alone = accelsurf.segment(Volume.from_array(image), **told, start="ball:47,14.5,14.5,2.6")
-    assert many.objects[1].labels.shape[2] < 90 and many.stop.reason == alone.stop.reason == "converged"
+    assert many.by_id[1].labels.shape[2] < 90 and many.stop.reason == alone.stop.reason == "converged"
     assert dice(many.labels, alone.labels) >= 0.999
 
 
@@ -238,7 +238,7 @@ def test_fields_on_a_larger_grid_are_those_of_the_same_places():
     psi = distances((20, 20, 20), ISOTROPIC, [(9.3, 9.6, 9.9)], 5.2)[0].astype(np.float32)
     old, new = LevelSet(psi[3:, 2:, 1:], ISOTROPIC), LevelSet(psi, ISOTROPIC)
     place = np.stack(np.unravel_index(old.band.cells, old.shape))
-    (field,) = moved([place[0].astype(np.float32)], old, (3, 2, 1), new, (0, 0, 0))
+    (field,) = shift_fields([place[0].astype(np.float32)], old, (3, 2, 1), new, (0, 0, 0))
     there = np.stack(np.unravel_index(new.band.cells, new.shape))[0] - 3
     front = new.front()
     assert front.sum() > 500 and np.array_equal(field[front], there[front].astype(np.float32))
@@ -248,7 +248,7 @@ def test_an_object_that_vanishes_is_a_row_and_the_others_stay():
     image, truth = scene((24, 24, 40), ISOTROPIC, [(11.5, 11.5, 12.0)], 7.0, noise=0.05)
     starts = seeds(image.shape, ISOTROPIC, [(11.5, 11.5, 12.0), (11.5, 11.5, 33.0)], 3.5, (4, 2))
     result = segment_objects(image, starts, energy="threshold:0.5,")
-    assert [one.stop.reason for one in result.objects.values()] == ["vanished", "converged"]
+    assert [one.stop.reason for one in result.objects] == ["vanished", "converged"]
     assert result.stop.reason == "converged" and result.stop.message == "of 2 objects 1 converged, 1 vanished"
     assert dice(result.labels == 4, truth == 1) > 0.97 and not (result.labels == 2).any()
     row = {one["id"]: one for one in result.report["objects"]}[2]
@@ -260,12 +260,12 @@ def test_one_slice_mask_roi_and_largest_volume():
     starts = seeds(image.shape, (5.0, 1.0, 1.0), [(0.0, 20.0, 20.0), (0.0, 20.0, 42.0)], 5.0, (1, 2))
     result = segment_objects(image[0], starts[0], spacing=(5.0, 1.0, 1.0))
     lens = 13**2 * (2 * np.arccos(11 / 13) - np.sin(2 * np.arccos(11 / 13))) / 2
-    for one in result.objects.values():
+    for one in result.objects:
         assert one.enclosed_mm2 == pytest.approx(np.pi * 13**2 - lens, rel=0.05)
         assert one.contours.length > 0
     cut = segment_objects(image[0], starts[0], spacing=(5.0, 1.0, 1.0), roi="0,0,-1,60,22,1vox", max_volume=1500)
-    assert not cut.labels[:, 23:].any() and cut.objects[1].geometry.shape[1] <= 25
-    assert {one.stop.reason for one in cut.objects.values()} <= {"leaked", "converged"} and cut.stop.reason == "leaked"
+    assert not cut.labels[:, 23:].any() and cut.by_id[1].geometry.shape[1] <= 25
+    assert {one.stop.reason for one in cut.objects} <= {"leaked", "converged"} and cut.stop.reason == "leaked"
 
 
 # ---------------------------------------------------------------------------------------------------------- starts
@@ -336,13 +336,8 @@ def test_bad_label_maps_are_told(tmp_path):
 def test_settings_that_do_not_go_together():
     with pytest.raises(UsageError, match="start: ball:1,2,3,4 was given with objects"):
         RunConfig(objects="a.csv", start="ball:1,2,3,4")
-    with pytest.raises(UsageError, match="levels: 2 was given with objects"):
-        RunConfig(objects="a.csv", levels=2)
     image = np.zeros(GRID.shape)
     image[2:6, 2:6, 2:6] = 1
-    with pytest.raises(UsageError) as refused:
-        accelsurf.segment(image, objects="a.csv")
-    assert "accelsurf segment --objects" in refused.value.hint and "--start label:FILE@ID" in refused.value.hint
     with pytest.raises(UsageError, match="nothing was given"):
         segment_objects(image)
 
@@ -421,10 +416,10 @@ def test_each_object_learns_from_its_own_start(energy):
     result = segment_objects(image, seeds(shape, ISOTROPIC, centres, 5.0, (1, 2)), spacing=1.0, energy=energy)
     for own, truth in zip((1, 2), away, strict=True):
         assert dice(result.labels == own, truth < 0) > 0.95, own
-    one, two = (result.objects[own].terms[0] for own in (1, 2))
+    one, two = (result.by_id[own].terms[0] for own in (1, 2))
     told = [key for key in one if one[key] != two[key]]
     assert told and all(result.terms[0][key] == "by object" for key in told)
-    assert result.objects[1].quality.unlike_learned < 0.1
+    assert result.by_id[1].quality.unlike_learned < 0.1
 
 
 def test_what_is_given_as_foreground_is_learned_by_all(tmp_path):
@@ -437,8 +432,8 @@ def test_what_is_given_as_foreground_is_learned_by_all(tmp_path):
     result = segment_objects(
         image, starts, spacing=1.0, energy="threshold:learned,", foreground=f"label:{tmp_path / 'bright.nii.gz'}"
     )
-    assert result.objects[1].stop.reason == "vanished" and dice(result.labels == 2, away[1] < 0) > 0.95
-    assert result.terms == result.objects[2].terms
+    assert result.by_id[1].stop.reason == "vanished" and dice(result.labels == 2, away[1] < 0) > 0.95
+    assert result.terms == result.by_id[2].terms
 
 
 def test_touching_nuclei_of_other_brightness():
@@ -461,4 +456,4 @@ def test_touching_nuclei_of_other_brightness():
     )
     found = [dice(result.labels == own, truth == own) for own in range(1, 8)]
     print(f"touching nuclei: Dice {np.round(found, 3)}")
-    assert min(found) > 0.85 and all(one.stop.reason == "converged" for one in result.objects.values())
+    assert min(found) > 0.85 and all(one.stop.reason == "converged" for one in result.objects)

@@ -26,16 +26,20 @@ def volume(shape=(24, 30, 34), spacing=(1.5, 1.0, 1.0), seed=0):
 
 def state(run):
     """All that a run has, as bytes."""
-    now, surface = run.evolution._now, run.evolution.surface
-    rows = [row._replace(seconds=0.0, cells_visited=0) for row in run.evolution.history]
-    fields = b"".join(np.ascontiguousarray(f).tobytes() for f in run.evolution.flow.fields)
-    arrays = (surface.dense.psi, surface.dense.slot, *surface.band)
-    return b"".join(a.tobytes() for a in arrays) + fields, rows, now._time, surface._inside_beyond_band
+    found = []
+    for one in run.objects:
+        surface = one.surface
+        records = [record._replace(seconds=0.0, cells_visited=0) for record in one.evolution.history]
+        fields = b"".join(np.ascontiguousarray(f).tobytes() for f in one.flow.fields)
+        arrays = (surface.dense.psi, surface.dense.slot, *surface.band)
+        data = b"".join(a.tobytes() for a in arrays) + fields
+        found.append((data, records, one.evolution.state.time, surface._inside_beyond_band, one.corner))
+    return found
 
 
 def stepped(run, steps):
     for _ in range(steps):
-        assert run.step() is not None
+        assert run.step()
     return run
 
 
@@ -92,7 +96,7 @@ def test_going_back_and_on_is_the_same_run(flow, energy):
     _ended(straight)
     _ended(back)
     assert result_of(straight).labels.tobytes() == result_of(back).labels.tobytes()
-    assert straight.evolution.stop == back.evolution.stop
+    assert straight.stop == back.stop
     assert state(back) == state(straight)
 
 
@@ -132,16 +136,16 @@ def _ended(run):
 def test_going_back_from_the_end():
     run = Run(volume(), RunConfig(start="ball:17,15,16,6", levels=1))
     kept = {}
-    while run.evolution.stop is None:
+    while run.stop is None:
         kept[run.step_number] = run.checkpoint()
         run.step()
-    end, stop, last = state(run), run.evolution.stop, run.step_number - 1
+    end, stop, last = state(run), run.stop, run.step_number - 1
     assert stop.reason == "converged"
     # Also from right before the stop, which looks back at a surface a window before.
     for k in (last, last - 7, 2):
         run.restore(kept[k])
-        assert run.evolution.stop is None
-        assert state(_ended(run)) == end and run.evolution.stop == stop
+        assert run.stop is None
+        assert state(_ended(run)) == end and run.stop == stop
 
 
 def test_keeping_changes_nothing_and_a_state_outlives_the_run():
@@ -195,11 +199,11 @@ def test_edits_from_the_start_and_while_it_runs_are_the_same(flow):
         live.set_edits(tuple(edit for edit in edits if edit.step <= live.step_number))
         live.step()
     assert state(live) == state(given)
-    assert [row.edits for row in given.evolution.history] == [
+    assert [row.edits for row in given.history] == [
         sum(edit.step == step for edit in edits) for step in range(26)
     ]
-    assert not check_level_set(given.evolution.surface)
-    assert given.now.smoothness == 0.4 and given.now.cfl == 0.3
+    assert not check_level_set(given.objects[0].surface)
+    assert given.settings.smoothness == 0.4 and given.settings.cfl == 0.3
     plain = stepped(Run(volume(), config), 26)
     assert state(plain) != state(given)
 
@@ -221,7 +225,7 @@ def test_another_flow_and_energy_on_the_way_and_back_again(flow, other):
         back.restore(kept[k])
         stepped(back, 26 - k)
         assert state(back) == state(straight), k
-    assert (straight.now.flow, straight.now.energy) == (flow, "chan-vese")
+    assert (straight.settings.flow, straight.settings.energy) == (flow, "chan-vese")
 
 
 def test_the_account_goes_on_over_edits():
@@ -268,15 +272,15 @@ def test_a_ball_lands_where_it_was_put_on_any_grid():
     for text, centre in (("ball:30,8,20,4", (10, 8, 30)), ("ball:30,8,10,4vox", (10, 8, 30))):
         for levels in (1, 2):
             run = Run(image, RunConfig(start="ball:12,20,18,5", levels=levels, edit=[f"step=0 add={text}"]))
-            before = run.evolution.surface.labels.astype(int)
-            run.apply()
-            where = np.argwhere(run.evolution.surface.labels - before)
-            level = run.evolution.level
+            before = run.objects[0].surface.labels.astype(int)
+            run.apply_edits()
+            where = np.argwhere(run.objects[0].surface.labels - before)
+            level = run.grid
             found = (where.mean(axis=0) + 0.5) * level.factors - 0.5
             assert np.abs(found - centre).max() < 0.5 * max(level.factors)
             volume_mm3 = len(where) * np.prod(level.spacing)
             assert volume_mm3 == pytest.approx(4 / 3 * np.pi * 4**3, rel=0.15 if levels == 1 else 0.4)
-            assert not check_level_set(run.evolution.surface)
+            assert not check_level_set(run.objects[0].surface)
 
 
 def test_taking_all_away_ends_the_run():

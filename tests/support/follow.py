@@ -79,11 +79,11 @@ def steps(
     """Evolve with steps of ``dt`` up to ``t_end``: after each, the time now and the row of the step."""
     evolution = Evolution(surface, energy, flow, StepLimits(cfl, percentile=100.0, dt_max=dt), max_steps=10_000)
     for step in evolution:
-        assert step.row.dt > 0, evolution.stop
-        now = step.row.t + step.row.dt
+        assert step.record.dt > 0, evolution.stop
+        now = step.record.t + step.record.dt
         if now > t_end + 1e-9:
             return
-        yield now, step.row
+        yield now, step.record
 
 
 class Misfit(NamedTuple):

@@ -1,0 +1,64 @@
+"""Balls that are added to an object or removed from it by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.grid.boxes import Corner
+from accelsurf.grid.pyramid import Level
+
+
+class Ball(NamedTuple):
+    """A ball to be added to an object or removed from it: ``centre`` (z, y, x) as voxel index, ``radius`` in mm."""
+
+    kind: str
+    centre: tuple[float, float, float]
+    radius: float
+
+    def on_level(self, grid: Level) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Its centre as index of a level's grid, and its radius in voxels of it along each axis."""
+        middle = (np.array(self.centre) + 0.5) / grid.factors - 0.5
+        return middle, self.radius / np.array(grid.spacing)
+
+    def extent(self, grid: Level) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First voxel that it may reach on a level's grid, and the one after the last."""
+        middle, size = self.on_level(grid)
+        low = np.maximum(np.floor(middle - size), 0).astype(np.int64)
+        high = np.minimum(np.ceil(middle + size) + 1, grid.shape).astype(np.int64)
+        return low, high
+
+
+def apply_balls(psi: NDArray[np.float32], balls: Sequence[Ball], grid: Level, corner: Corner, gamma: float) -> None:
+    """Unite an object with balls, or take them away from it: psi near them, in place.
+
+    Parameters
+    ----------
+    psi : ndarray (nz, ny, nx), float32
+        mm, negative inside.
+    balls : sequence of Ball
+    grid : Level
+        Of which psi is a box.
+    corner : (z, y, x)
+        First voxel of that box.
+    gamma : float
+        How far beyond a ball psi is changed, mm.
+    """
+    for ball in balls:
+        middle = ball.on_level(grid)[0] - corner
+        reach = (ball.radius + gamma) / np.array(grid.spacing)
+        low = np.maximum(np.floor(middle - reach), 0).astype(int)
+        high = np.minimum(np.ceil(middle + reach) + 1, psi.shape).astype(int)
+        box = tuple(slice(a, max(a, b)) for a, b in zip(low, high, strict=True))
+        axes = [np.arange(s.start, s.stop) for s in box]
+        squares = [((x - m) * h) ** 2 for x, m, h in zip(axes, middle, grid.spacing, strict=True)]
+        far = np.sqrt(squares[0][:, None, None] + squares[1][None, :, None] + squares[2][None, None, :])
+        inside = (far - ball.radius).astype(np.float32)
+        part = psi[box]
+        if ball.kind == "add":
+            np.minimum(part, inside, out=part)
+        else:
+            np.maximum(part, -inside, out=part)

@@ -1,0 +1,148 @@
+"""What a run is made of under given settings: its levels, how each object moves, what makes its energy."""
+
+from __future__ import annotations
+
+import functools
+import os
+import secrets
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies import Energy
+from accelsurf.energies.local_region import TENT
+from accelsurf.errors import UsageError
+from accelsurf.evolution.convergence import Restart
+from accelsurf.evolution.setup import SolverSetup
+from accelsurf.flows import StepLimits
+from accelsurf.grid import pyramid
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.energy_assembly import make_energy
+from accelsurf.segmentation.evolving_object import EnergyMaker, MadeEnergy
+from accelsurf.segmentation.image_context import ImageContext
+from accelsurf.segmentation.solver_setup import half_width, is_maker, make_flow, own_energy, stop_rule
+from accelsurf.segmentation.term_makers import WINDOW_VOXELS
+from accelsurf.settings import energy_expression
+from accelsurf.settings.catalogue import energy_settings
+from accelsurf.settings.run_config import RunConfig
+
+#: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
+#: `Result.image`, and the spacing, (hz, hy, hx) mm.
+EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
+#: What `segment_objects` takes for the first voxels of objects: a file, a label map.
+ObjectsLike = str | Volume | NDArray[Any]
+
+
+def choose_levels(
+    config: RunConfig, geometry: Geometry, psi: NDArray[np.float32] | None, has_name: bool
+) -> list[pyramid.Level]:
+    """The levels that a configuration asks for, finest first; see record 0015 for what ``auto`` is.
+
+    Parameters
+    ----------
+    config : RunConfig
+    geometry : Geometry
+        Of the region of interest.
+    psi : ndarray or None
+        Of the start; None for several objects, which run on the image's own grid unless told otherwise.
+    has_name : bool
+        Whether the energy is one with a name.
+
+    Raises
+    ------
+    UsageError
+        When there are not so many.
+    """
+    shape, spacing, wanted = geometry.shape, geometry.spacing, config.levels
+    if wanted == "auto":
+        terms = energy_expression.parse(config.energy)
+        if psi is None or not has_name or any(term.name == "geodesic" for term in terms):
+            return pyramid.levels(shape, spacing, 1)
+        grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
+        return grids[: pyramid.resolved(grids, psi)]
+    grids = pyramid.levels(shape, spacing, wanted)
+    if len(grids) < wanted:
+        raise UsageError(
+            f"levels: {wanted} was given, expected at most {len(grids)} for this image",
+            f"the coarsest grid has at least {pyramid.FEWEST} voxels along an axis that is halved",
+        )
+    return grids
+
+
+def setup_of(settings: RunConfig, place: int, levels: int) -> SolverSetup:
+    """How the object at a place moves under these settings; each has random numbers of its own."""
+    seed = None if settings.seed is None else settings.seed + place
+    return SolverSetup(
+        make_flow(settings.replace(seed=seed) if place else settings),
+        StepLimits(settings.cfl, settings.percentile),
+        Restart() if settings.restart == "auto" else None,
+        half_width(settings),
+        stop_rule(settings, levels),
+    )
+
+
+def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, has_ids: bool) -> EnergyMaker:
+    """What makes the energy on each grid; an energy that is made already is only for one.
+
+    Raises
+    ------
+    UsageError
+        When such an energy was given to several levels or objects.
+    """
+    if energy is None or isinstance(energy, str):
+        return functools.partial(_named_energy, settings)
+    if (levels > 1 or has_ids) and not is_maker(energy):
+        what = f"levels: {levels} was given, expected 1" if levels > 1 else "objects: several were given"
+        raise UsageError(
+            f"{what}: the energy has one image, and each {'level' if levels > 1 else 'object'} needs its own",
+            "give a class or function that makes the energy of (image, spacing), or levels=1 and one object",
+        )
+    return functools.partial(_own_energy, energy, settings)
+
+
+def seeded(config: RunConfig) -> RunConfig:
+    """The configuration, with a seed if it has noise at any time; drawn once and kept, so that it repeats the run."""
+    noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
+    return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config
+
+
+def available_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _named_energy(
+    settings: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float], context: ImageContext
+) -> MadeEnergy:
+    made = make_energy(settings, image, spacing, context)
+    return MadeEnergy(made.energy, settings.energy, made.terms)
+
+
+def _own_energy(
+    energy: Any,
+    settings: RunConfig,
+    image: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    context: ImageContext,
+) -> MadeEnergy:
+    own = own_energy(energy, settings, image, spacing)
+    return MadeEnergy(own, own.name, [])
+
+
+def energy_key(config: RunConfig) -> tuple[Any, ...]:
+    """The settings that make the energy what it is."""
+    return tuple(getattr(config, key) for key in ("energy", *energy_settings()))
+
+
+def window_reach(settings: RunConfig, geometry: Geometry) -> float:
+    """How far, mm, windows of the energy reach beyond an object; they are cut by it half a width off, and reach as far
+    again.
+    """
+    usual = WINDOW_VOXELS * max(geometry.steps)
+    terms = [term for term in energy_expression.parse(settings.energy) if term.name == "local-region"]
+    return max((2.0 * TENT * float(term.settings.get("R", usual)) for term in terms), default=0.0)
