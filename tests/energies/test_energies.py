@@ -86,7 +86,7 @@ def test_region_sums_kept_up_to_date_equal_full_ones():
         surface.advance(move.speed, move.dt)
         surface.remove_small()
         change = surface.redistance(flow.fields)
-        flow.take(change.fields)
+        flow.set_fields(change.fields)
         energy.follow(surface, change)
     fraction, area = surface.fraction_and_area()
     kept = energy.value(surface, fraction, area)

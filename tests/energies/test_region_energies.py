@@ -182,7 +182,7 @@ def test_what_is_kept_up_to_date_equals_what_is_summed_afresh(name):
         surface.advance(move.speed, move.dt)
         surface.remove_small()
         change = surface.redistance(flow.fields)
-        flow.take(change.fields)
+        flow.set_fields(change.fields)
         energy.follow(surface, change)
     fraction, area = surface.fraction_and_area()
     kept = energy.value(surface, fraction, area)
