@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
-from accelsurf.energies.protocol import ImageEnergy, Interface, RegionMoments
+from accelsurf.energies.image_energy import ImageEnergy
+from accelsurf.energies.interface import Interface
+from accelsurf.energies.region_sums import RegionMoments
 from accelsurf.levelset import LevelSet
 
 

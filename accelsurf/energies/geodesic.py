@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front, slope_at_front
-from accelsurf.energies.protocol import ImageEnergy
+from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.errors import InputError
 from accelsurf.levelset import LevelSet, dot
 

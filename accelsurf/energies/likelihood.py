@@ -9,7 +9,10 @@ import numpy as np
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front
-from accelsurf.energies.protocol import ImageEnergy, Interface, RegionMoments, RegionSums
+from accelsurf.energies.image_energy import ImageEnergy
+from accelsurf.energies.interface import Interface
+from accelsurf.energies.protocol import Energy
+from accelsurf.energies.region_sums import RegionMoments, RegionSums
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
 from accelsurf.levelset import Change, LevelSet, dot
@@ -159,7 +162,7 @@ class Parzen:
         return -dot(counts, np.log(p)), slope
 
 
-class HistogramLikelihood:
+class HistogramLikelihood(Energy):
     """U = -int_in log p1(I) - int_out log p2(I) + alpha A with Parzen densities.
 
     Fixed densities: f = log(p2/p1) + alpha H. Those of the present surface depend on it, and smoothing makes them other
@@ -232,9 +235,9 @@ class HistogramLikelihood:
         """What it carries from step to step; not to be changed."""
         return self._beyond_band
 
-    def restore(self, surface: LevelSet, kept: np.ndarray) -> None:
+    def restore(self, surface: LevelSet, state: np.ndarray) -> None:
         """Go on, on this surface, from what was ``state`` on it."""
-        self._beyond_band = kept
+        self._beyond_band = state
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the densities for the next `force`."""

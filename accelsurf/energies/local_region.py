@@ -8,7 +8,8 @@ import numpy as np
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import check_shape
-from accelsurf.energies.protocol import Interface
+from accelsurf.energies.interface import Interface
+from accelsurf.energies.protocol import Energy
 from accelsurf.kernels import windows
 from accelsurf.levelset import Change, LevelSet
 
@@ -22,7 +23,7 @@ MIN_PART = 1e-6
 SLAB = 1 << 20
 
 
-class LocalRegion:
+class LocalRegion(Energy):
     """U = int dx int K(x - y) (I(y) - f(x))^2 dy + alpha A, f the mean f1 or f2 of its window and side at x.
 
     f = int K(x - y) [(I(y) - f1(x))^2 - (I(y) - f2(x))^2] dx + alpha H at a point y of the surface: the exact first
@@ -71,10 +72,10 @@ class LocalRegion:
         """What it carries from step to step; not to be changed."""
         return self._inside.copy()
 
-    def restore(self, surface: LevelSet, kept: np.ndarray) -> None:
+    def restore(self, surface: LevelSet, state: np.ndarray) -> None:
         """Go on, on this surface, from what was ``state`` on it."""
         self._lay_out(surface)
-        self._inside = kept.copy()
+        self._inside = state.copy()
 
     def _lay_out(self, surface: LevelSet) -> None:
         """Lay out the nodes and sum the whole volume, once."""

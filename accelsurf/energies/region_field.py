@@ -6,7 +6,7 @@ import numpy as np
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front
-from accelsurf.energies.protocol import ImageEnergy
+from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.levelset import LevelSet
 
 

@@ -14,13 +14,14 @@ from accelsurf.levelset import Change, LevelSet
 METHODS = ("start", "follow", "value", "force")
 
 
-class CheckedEnergy:
+class CheckedEnergy(Energy):
     """An energy that behaves as the one given, but whose value and force are looked at before they are used.
 
     Parameters
     ----------
-    energy : Energy
-        See there for what it must have.
+    energy : object
+        With ``alpha`` and the methods `METHODS` of `Energy`; it need not derive from it. ``project``, ``state`` and
+        ``restore`` are called where it has them. This class is the only one that looks whether a method exists.
 
     Attributes
     ----------
@@ -35,20 +36,20 @@ class CheckedEnergy:
 
     def __init__(self, energy: Any) -> None:
         kind = type(energy).__name__
-        missing = [name for name in METHODS if not callable(getattr(energy, name, None))]
+        self._energy: Any = energy
+        missing = [name for name in METHODS if not self._has(name)]
         if missing:
             raise UsageError(
                 f"energy: a {kind} was given, which has no {', '.join(missing)}",
                 "an energy has alpha, start, follow, value and force: see accelsurf.energies.Energy; "
                 "accelsurf.energies.ImageEnergy has start and follow ready",
             )
-        self._energy: Energy = energy
         self._kind = kind
         self.name = f"custom: {kind}"
         self._alpha()
 
     @property
-    def alpha(self) -> float:
+    def alpha(self) -> float:  # type: ignore[override]  # read only: it is the inner energy's
         """The energy's own."""
         return self._alpha()
 
@@ -69,16 +70,24 @@ class CheckedEnergy:
         """Take up what changed."""
         self._energy.follow(surface, change)
 
-    def state(self) -> Any:
-        """What the energy carries from step to step, if it can say so."""
-        return self._energy.state() if hasattr(self._energy, "state") else None
+    def project(self, surface: LevelSet) -> None:
+        """Bring psi back to where the energy is finite, if the energy has such places."""
+        if self._has("project"):
+            self._energy.project(surface)
 
-    def restore(self, surface: LevelSet, kept: Any) -> None:
-        """Go on from what was kept, or from full sums."""
-        if hasattr(self._energy, "restore"):
-            self._energy.restore(surface, kept)
+    def state(self) -> Any:
+        """Return what the energy carries from step to step, if it says so."""
+        return self._energy.state() if self._has("state") else None
+
+    def restore(self, surface: LevelSet, state: Any) -> None:
+        """Go on from a state; an energy that has none starts again."""
+        if self._has("restore"):
+            self._energy.restore(surface, state)
         else:
             self._energy.start(surface)
+
+    def _has(self, method: str) -> bool:
+        return callable(getattr(self._energy, method, None))
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; NaN and infinity pass, they end the run as ``diverged``.

@@ -11,7 +11,7 @@ from accelsurf.energies.protocol import Energy
 from accelsurf.levelset import Change, LevelSet
 
 
-class WeightedSum:
+class WeightedSum(Energy):
     """U = sum of w_i U_i, f = sum of w_i f_i.
 
     Parameters
@@ -40,17 +40,19 @@ class WeightedSum:
         for _, energy in self._terms:
             energy.follow(surface, change)
 
+    def project(self, surface: LevelSet) -> None:
+        """Bring psi back to where every term is finite."""
+        for _, energy in self._terms:
+            energy.project(surface)
+
     def state(self) -> list[Any]:
         """What the terms carry from step to step, in their order; None for those that carry nothing."""
-        return [energy.state() if hasattr(energy, "state") else None for _, energy in self._terms]
+        return [energy.state() for _, energy in self._terms]
 
-    def restore(self, surface: LevelSet, kept: list[Any]) -> None:
-        """Go on, on this surface, from what was ``state`` on it."""
-        for (_, energy), what in zip(self._terms, kept, strict=True):
-            if hasattr(energy, "restore"):
-                energy.restore(surface, what)
-            else:
-                energy.start(surface)
+    def restore(self, surface: LevelSet, state: list[Any]) -> None:
+        """Go on, on this surface, from what `state` returned on it."""
+        for (_, energy), own in zip(self._terms, state, strict=True):
+            energy.restore(surface, own)
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
@@ -64,16 +66,8 @@ class WeightedSum:
         return force
 
 
-class Balloon:
+class Balloon(Energy):
     """U = Vol, f = 1: with a weight above 0 the surface shrinks everywhere, below 0 it grows."""
-
-    alpha = 0.0
-
-    def start(self, surface: LevelSet) -> None:
-        """Nothing to take up: the surface knows its volume."""
-
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Nothing to take up."""
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """Volume, mm3."""
@@ -84,16 +78,10 @@ class Balloon:
         return front.astype(np.float32)
 
 
-class Area:
+class Area(Energy):
     """U = A, f = H: the area of the surface as a term of its own."""
 
     alpha = 1.0
-
-    def start(self, surface: LevelSet) -> None:
-        """Nothing to take up."""
-
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Nothing to take up."""
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """Area, mm2."""

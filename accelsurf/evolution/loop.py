@@ -419,7 +419,7 @@ class Evolution:
     def checkpoint(self) -> Kept:
         """Put aside the state between two steps; nothing of the run is changed by it."""
         self.begin()
-        energy = self.energy.state() if hasattr(self.energy, "state") else None
+        energy = self.energy.state()
         scalars = {name: getattr(self, name) for name in self._SCALARS}
         return Kept(
             tuple(self.history),
@@ -435,10 +435,7 @@ class Evolution:
         self.history[:] = kept.history
         restore_surface(self.surface, kept.surface)
         self.flow.restore(self.surface, kept.flow)
-        if hasattr(self.energy, "restore"):
-            self.energy.restore(self.surface, kept.energy)
-        else:
-            self.energy.start(self.surface)
+        self.energy.restore(self.surface, kept.energy)
         for name, value in kept.scalars.items():
             setattr(self, name, value)
         self._budget = copy.copy(kept.books)
@@ -512,10 +509,7 @@ class Evolution:
             surface.advance(move.speed, move.dt)
         else:
             surface.carry(move.velocity, move.dt)
-        # An energy may be infinite beyond a fence.
-        project = getattr(self.energy, "project", None)
-        if project is not None:
-            project(surface)
+        self.energy.project(surface)
         removed = surface.remove_small()
         change = surface.redistance(self.flow.fields, None if move.velocity is None else (move.velocity, move.dt))
         self.flow.set_fields(change.fields)

@@ -11,7 +11,6 @@ from accelsurf.flows.noise import Noise
 from accelsurf.flows.protocol import (
     EnergyRates,
     Flow,
-    StatefulFlow,
     StepInput,
     StepLimits,
     diffusion_reach,
@@ -141,7 +140,7 @@ class Clock:
         return self.weight(self.time + (self.last_dt if self.k > 2 else 0.0))
 
 
-class Accelerated(StatefulFlow):
+class Accelerated(Flow):
     """What the two mass models share. See `Clock` for k, lambda_, friction and t0.
 
     Parameters
@@ -169,7 +168,7 @@ class Accelerated(StatefulFlow):
         self.rho = float(rho)
         self.diffusion = diffusion
         self.noise = noise
-        self._forget()
+        self._forget_forces()
 
     @property
     def weight(self) -> float:
@@ -179,7 +178,7 @@ class Accelerated(StatefulFlow):
     def _begin(self, surface: LevelSet) -> None:
         self._workers = surface.workers
         self.clock.start()
-        self._forget()
+        self._forget_forces()
         if self.noise is not None:
             self.noise.start()
 
@@ -188,31 +187,31 @@ class Accelerated(StatefulFlow):
         noise = None if self.noise is None else self.noise.state()
         return {**super().state(), "clock": self.clock.state(), "noise": noise}
 
-    def restore(self, surface: LevelSet, kept: dict[str, Any]) -> None:
+    def restore(self, surface: LevelSet, state: dict[str, Any]) -> None:
         """Be as a flow of the same settings was when its state was ``state``."""
-        super().restore(surface, kept)
+        super().restore(surface, state)
         self._workers = surface.workers
-        self.clock.restore(kept["clock"])
+        self.clock.restore(state["clock"])
         if self.noise is not None:
-            self.noise.restore(kept["noise"])
+            self.noise.restore(state["noise"])
 
     def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
         """Go on with other settings: speeds and time on the clock stay; noise that was not there begins."""
         assert isinstance(before, Accelerated)
-        StatefulFlow.restore(self, surface, before.state())
+        Flow.restore(self, surface, before.state())
         self._workers = surface.workers
         self.clock.continue_from(before.clock)
         if self.noise is not None and before.noise is not None:
             self.noise.restore(before.noise.state())
         if forces_changed:
-            self._forget()
+            self._forget_forces()
 
     #: Also how many times steeper than the strongest force says they have shown to be, and whether the surface turned
     #: around in the last step.
-    wells = (*StatefulFlow.wells, "_steeper", "_turned")
+    state_names = (*Flow.state_names, "_steeper", "_turned")
 
-    def _forget(self) -> None:
-        super()._forget()
+    def _forget_forces(self) -> None:
+        super()._forget_forces()
         self._steeper, self._turned = 1.0, False
 
     def _put_to_rest(self) -> None:

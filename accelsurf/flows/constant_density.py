@@ -19,7 +19,7 @@ from accelsurf.flows.protocol import (
     voxel_rates,
 )
 from accelsurf.kernels import motion, statistics
-from accelsurf.levelset import FRONT_WIDTH, LevelSet
+from accelsurf.levelset import LevelSet
 
 
 class ConstantDensity(Accelerated):
@@ -30,17 +30,13 @@ class ConstantDensity(Accelerated):
     """
 
     name = "constant-density"
-    remembered = (*Accelerated.wells, "beta")
+    state_names = (*Accelerated.state_names, "beta")
     beta = np.zeros(0, np.float32)
 
     @property
     def fields(self) -> list[np.ndarray]:
         """The speed beta."""
         return [self.beta]
-
-    def stencil_width(self, surface: LevelSet) -> float:
-        """The front."""
-        return FRONT_WIDTH
 
     def start(self, surface: LevelSet) -> None:
         """At rest on ``surface``."""

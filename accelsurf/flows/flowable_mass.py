@@ -65,7 +65,7 @@ class FlowableMass(Accelerated):
     """
 
     name = "flowable-mass"
-    remembered = (*Accelerated.wells, "velocity", "density", "mass", "_correction")
+    state_names = (*Accelerated.state_names, "velocity", "density", "mass", "_correction")
     velocity = np.zeros((0, 3), np.float32)
     density = np.zeros(0, np.float32)
 

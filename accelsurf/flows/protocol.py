@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import Any, ClassVar, NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -88,156 +89,101 @@ class StepPlan(NamedTuple):
         return cls(0.0, np.zeros(surface.size, np.float32))
 
 
-class Flow(Protocol):
-    """What the loop asks of a flow.
+class Flow(ABC):
+    """What the loop asks of a flow. A subclass gives `name` and `move`; all else has a default.
+
+    The defaults are those of a flow without momentum: no fields on the surface, no kinetic energy, and nothing to do
+    when momentum is set to zero. All flows know the peak force of the run so far, by which they choose their steps.
 
     Attributes
     ----------
     name : str
+        As settings and reports have it.
+    state_names : tuple of str
+        Attributes that carry something from step to step, settings excluded: `state` copies them, `restore` sets them.
+        A subclass adds its own.
     """
 
-    name: str
+    name: ClassVar[str]
+    state_names: ClassVar[tuple[str, ...]] = ("_peak_force", "_voxel")
+
+    #: Peak force so far, in voxels of ``_voxel`` mm.
+    _peak_force, _voxel = 0.0, 1.0
+
+    @abstractmethod
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
+        """Choose the time step and the speeds of one step."""
 
     @property
     def weight(self) -> float:
         """Factor w of the potential in the energy T + w U that the flow dissipates; 1 for descent."""
-        ...
+        return 1.0
 
     def stencil_width(self, surface: LevelSet) -> float:
-        """Distance from the surface, in voxels, up to which the flow needs forces."""
-        ...
-
-    def start(self, surface: LevelSet) -> None:
-        """Begin at rest on a surface."""
-        ...
-
-    def zero_momentum(self, area: np.ndarray) -> float:
-        """Put the surface at rest, as at the start (adaptive restart); returns T/w, which is lost."""
-        ...
-
-    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        """Choose the time step and the speeds of one step."""
-        ...
-
-    @property
-    def fields(self) -> list[np.ndarray]:
-        """Fields (n,) that redistancing must extend."""
-        ...
-
-    def set_fields(self, fields: list[np.ndarray]) -> None:
-        """Take the extended fields back, on the new band."""
-        ...
-
-    @property
-    def fill_values(self) -> list[float]:
-        """Values of the fields on surface that was not there before."""
-        ...
-
-    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
-        """Speed (n,) along the inward normal that the surface would keep without forces."""
-        ...
-
-    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
-        """Add to it (n,)."""
-        ...
-
-
-    def energy(self, area: np.ndarray) -> float:
-        """U_mass + T/w now, in the units of U."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """All that the flow remembers from step to step, but not its settings; not changed by later steps."""
-        ...
-
-    def restore(self, surface: LevelSet, kept: dict[str, Any]) -> None:
-        """Be as a flow of the same settings was when its state was ``state``, on this surface."""
-        ...
-
-    def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
-        """Go on from a flow of the same class with other settings; ``forces_changed``: under another energy."""
-        ...
-
-
-class StatefulFlow:
-    """What a flow remembers: the attributes named in ``remembered``; arrays are copied."""
-
-    remembered: ClassVar[tuple[str, ...]] = ()
-    #: What is remembered of the wells: the strongest force yet, in voxels of ``_voxel`` mm.
-    wells: ClassVar[tuple[str, ...]] = ("_peak_force", "_voxel")
-    _peak_force, _voxel = 0.0, 1.0
-
-    @property
-    def fill_values(self) -> list[float]:
-        """0: surface that was not there before is at rest."""
-        return [0.0 for _ in self.fields]
-
-    @property
-    def fields(self) -> list[np.ndarray]:
-        """None, unless a flow says so."""
-        return []
-
-    def state(self) -> dict[str, Any]:
-        """All that the flow remembers from step to step, but not its settings."""
-        return {name: copy.copy(getattr(self, name)) for name in self.remembered}
-
-    def restore(self, surface: LevelSet, kept: dict[str, Any]) -> None:
-        """Be as a flow of the same settings was when its state was ``state``."""
-        for name in self.remembered:
-            setattr(self, name, copy.copy(kept[name]))
-
-    def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
-        """Go on from a flow of the same class with other settings; under another energy its forces do not count."""
-        self.restore(surface, before.state())
-        if forces_changed:
-            self._forget()
-
-    def _forget(self) -> None:
-        """Know nothing of the wells."""
-        self._peak_force = 0.0
-
-    def _peak_force_so_far(self, pull: float, surface: LevelSet) -> float:
-        """Strongest ``pull`` (voxels) so far: near the minimum forces fade, but the wells keep their steepness."""
-        # On another level voxels are others.
-        voxel = smallest_spacing(surface)
-        self._peak_force, self._voxel = max(self._peak_force * self._voxel / voxel, pull), voxel
-        return self._peak_force
-
-
-class Descent(StatefulFlow):
-    """What flows without inertia share: no kinetic energy, and a step that follows the strongest speed so far."""
-
-    weight = 1.0
-    remembered = StatefulFlow.wells
-
-    def __init__(self) -> None:
-        self._forget()
-
-    def energy(self, area: np.ndarray) -> float:
-        """None but the potential."""
-        return 0.0
-
-    def stencil_width(self, surface: LevelSet) -> float:
-        """The front."""
+        """Distance from the surface, in voxels, up to which the flow needs forces; by default the front."""
         return FRONT_WIDTH
 
     def start(self, surface: LevelSet) -> None:
-        """Forget the forces of another run."""
-        self._forget()
+        """Begin without momentum on a surface."""
+        self._forget_forces()
 
     def zero_momentum(self, area: np.ndarray) -> float:
-        """Always at rest."""
+        """Set the momentum to zero, as at the start; returns T/w, which is lost. ``area`` (n,), mm2."""
         return 0.0
 
+    @property
+    def fields(self) -> list[np.ndarray]:
+        """Fields (n,) on the band that redistancing must extend."""
+        return []
+
     def set_fields(self, fields: list[np.ndarray]) -> None:
-        """Nothing to take."""
+        """Replace the fields by those that were extended to the new band."""
+
+    @property
+    def fill_values(self) -> list[float]:
+        """Values of the fields on surface that was not there before; 0, without momentum."""
+        return [0.0 for _ in self.fields]
 
     def normal_velocity(self, surface: LevelSet) -> np.ndarray:
-        """None."""
+        """Speed (n,) along the inward normal that the surface would have without forces, mm per unit time."""
         return np.zeros(surface.size, np.float32)
 
     def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
-        """Nothing that could be pushed."""
+        """Add ``speed`` (n,) to the normal velocity; without momentum there is none to change."""
+
+    def energy(self, area: np.ndarray) -> float:
+        """U_mass + T/w now, in the units of U. ``area`` (n,), mm2."""
+        return 0.0
+
+    def state(self) -> dict[str, Any]:
+        """Copy all that the flow carries from step to step, but not its settings."""
+        return {name: copy.copy(getattr(self, name)) for name in self.state_names}
+
+    def restore(self, surface: LevelSet, state: dict[str, Any]) -> None:
+        """Go on, on this surface, as a flow of the same settings whose `state` it was."""
+        for name in self.state_names:
+            setattr(self, name, copy.copy(state[name]))
+
+    def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
+        """Go on from a flow of the same class with other settings; ``forces_changed``: under another energy."""
+        self.restore(surface, before.state())
+        if forces_changed:
+            self._forget_forces()
+
+    def _forget_forces(self) -> None:
+        """Begin anew to look for the peak force."""
+        self._peak_force = 0.0
+
+    def _peak_force_so_far(self, peak: float, surface: LevelSet) -> float:
+        """Largest ``peak`` (voxels) so far: near the minimum forces fade, but the stiffness there stays."""
+        # On another level voxels are others.
+        voxel = smallest_spacing(surface)
+        self._peak_force, self._voxel = max(self._peak_force * self._voxel / voxel, peak), voxel
+        return self._peak_force
+
+
+class Descent(Flow):
+    """What flows without inertia share: a step that follows the peak speed so far."""
 
     def cfl_dt(self, rates: np.ndarray, surface: LevelSet, limits: StepLimits) -> float:
         """Step in which the percentile of the speeds ``rates`` (voxels per unit time) moves the surface by cfl."""
@@ -248,7 +194,7 @@ class Descent(StatefulFlow):
 class DescentWithMemory(Descent):
     """A descent that carries one field from step to step on the surface."""
 
-    remembered = (*Descent.remembered, "_last")
+    state_names = (*Descent.state_names, "_last")
 
     def __init__(self) -> None:
         super().__init__()

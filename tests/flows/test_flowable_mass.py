@@ -13,7 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import sph_harm_y
 
-from accelsurf.energies import RegionField
+from accelsurf.energies import Energy, RegionField
 from accelsurf.evolution.loop import Evolution, StepRecord
 from accelsurf.flows import FlowableMass, StepInput, StepLimits, StepPlan
 from accelsurf.levelset import LevelSet
@@ -32,17 +32,11 @@ ELLIPSOID = {
 VOLUME = 4.0 * math.pi / 3.0 * 0.2
 
 
-class VolumeWell:
+class QuadraticInVolume(Energy):
     """U = 0.3 (V^2/(2 V*) - V): the force 0.3 (V/V* - 1) is the same everywhere on the surface."""
 
-    alpha = 0.0
-
-    def start(self, surface: LevelSet) -> None: ...
-
-    def follow(self, surface: LevelSet, change: object) -> None: ...
-
-    def value(self, surface: LevelSet, part: np.ndarray, area: np.ndarray) -> float:
-        self.volume = surface.volume(part)
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
+        self.volume = surface.volume(fraction)
         return 0.3 * (self.volume**2 / (2.0 * VOLUME) - self.volume)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
@@ -101,7 +95,7 @@ def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[f
 
     flow.density_at = uniform_on_the_sphere
     axes, worst, density = ellipsoid_axes(t_end), 0.0, 0.0
-    evolution = Evolution(surface, VolumeWell(), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000)
+    evolution = Evolution(surface, QuadraticInVolume(), flow, StepLimits(0.5, 100.0, 0.5 * h), 10_000)
     for step in evolution:
         t = step.row.t + step.row.dt
         if t > t_end:

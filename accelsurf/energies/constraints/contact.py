@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.protocol import ConstrainedEnergy, Energy
+from accelsurf.energies.constraints.constrained import ConstrainedEnergy
+from accelsurf.energies.protocol import Energy
+from accelsurf.flows import Flow
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
 NEAR = 1.0
 
 Corner = tuple[int, int, int]
-
-
-class Flow(Protocol):
-    """What a collision asks of a flow; see `accelsurf.flows.Flow`."""
-
-    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
-        """Speed (n,) along the inward normal that the surface would keep without forces."""
-        ...
-
-    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
-        """Add to it (n,)."""
-        ...
 
 
 class Neighbour(NamedTuple):
@@ -143,9 +133,7 @@ class NonOverlap(ConstrainedEnergy):
 
     def project(self, surface: LevelSet) -> None:
         """Give up half of what neighbours hold too; between the surface's motion and its redistancing."""
-        project = getattr(self._energy, "project", None)
-        if project is not None:
-            project(surface)
+        super().project(surface)
         for other in self.neighbours:
             on, theirs = shared_cells(surface, self._corner, other)
             cells = surface.band.cells[on]

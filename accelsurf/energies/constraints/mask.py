@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.energies.constraints.constrained import ConstrainedEnergy
 from accelsurf.energies.front_samples import sample_at_front
-from accelsurf.energies.protocol import ConstrainedEnergy, Energy
+from accelsurf.energies.protocol import Energy
 from accelsurf.levelset import LevelSet
 
 #: The surface stands at the fence when it is this close, voxels of the smallest spacing.
@@ -31,12 +30,6 @@ class MaskConstraint(ConstrainedEnergy):
         super().__init__(energy)
         self._distance = np.ascontiguousarray(distance, np.float32).reshape(-1)
 
-    def __getattr__(self, name: str) -> Any:
-        # What others ask of the energy itself, such as its name.
-        if name == "_energy":
-            raise AttributeError(name)
-        return getattr(self._energy, name)
-
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front; 0 where the surface stands at the fence and would grow."""
         force = self._energy.force(surface, front, curvature)
@@ -46,6 +39,7 @@ class MaskConstraint(ConstrainedEnergy):
 
     def project(self, surface: LevelSet) -> None:
         """Cut off what has crossed the fence; between the surface's motion and its redistancing."""
+        super().project(surface)
         cells = surface.band.cells
         surface.dense.psi[cells] = np.maximum(surface.dense.psi[cells], self._distance[cells])
 

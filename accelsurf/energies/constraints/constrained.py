@@ -1,0 +1,54 @@
+"""Base of an energy whose surface may not go everywhere."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from accelsurf.energies.protocol import Energy
+from accelsurf.levelset import Change, LevelSet
+
+
+class ConstrainedEnergy(Energy):
+    """Base of an energy whose force is limited in places; all else is the energy's own.
+
+    A subclass gives `force`, and `project` where the surface may not go somewhere.
+
+    Parameters
+    ----------
+    energy : Energy
+        What acts on the surface where it is free.
+    """
+
+    def __init__(self, energy: Energy) -> None:
+        self._energy = energy
+
+    @property
+    def alpha(self) -> float:  # type: ignore[override]  # read only: it is the inner energy's
+        """The energy's own."""
+        return self._energy.alpha
+
+    def start(self, surface: LevelSet) -> None:
+        """Start the energy on a first surface."""
+        self._energy.start(surface)
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Update the energy."""
+        self._energy.follow(surface, change)
+
+    def project(self, surface: LevelSet) -> None:
+        """Bring psi back to where the energy is finite."""
+        self._energy.project(surface)
+
+    def state(self) -> Any:
+        """Return what the energy carries from step to step."""
+        return self._energy.state()
+
+    def restore(self, surface: LevelSet, state: Any) -> None:
+        """Go on, on this surface, from what `state` returned on it."""
+        self._energy.restore(surface, state)
+
+    def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
+        """U of the present surface."""
+        return self._energy.value(surface, fraction, area)

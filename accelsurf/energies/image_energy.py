@@ -1,0 +1,53 @@
+"""Base of the energies that see an image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from accelsurf.energies.protocol import Energy
+from accelsurf.energies.region_sums import RegionSums
+from accelsurf.levelset import Change, LevelSet
+
+
+class ImageEnergy(Energy):
+    """Base of energies of an image: has its sums over the inside, follows the band, carries the area weight.
+
+    A subclass gives `value` and `force`, as `Energy` says them.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx)
+        On the grid of the volume that is segmented; not modified.
+    alpha : float
+        Weight of the area, in units of the energy per mm2.
+
+    Attributes
+    ----------
+    sums : RegionSums
+        ``sums.inside(surface, fraction)`` are the sums over the inside, in voxels: times ``surface.voxel_volume`` they
+        are integrals. ``sums.image`` is the image, raveled, ready for `sample_at_front`.
+    alpha : float
+        As given. A subclass whose force has more than alpha times the curvature raises it, see `Energy`.
+    """
+
+    def __init__(self, image: np.ndarray, alpha: float = 0.0) -> None:
+        self.sums = RegionSums(image)
+        self.alpha = float(alpha)
+
+    def start(self, surface: LevelSet) -> None:
+        """Sum the image over the first inside."""
+        self.sums.start(surface)
+
+    def follow(self, surface: LevelSet, change: Change) -> None:
+        """Take up the cells that entered or left the band."""
+        self.sums.follow(change)
+
+    def state(self) -> Any:
+        """What is carried from step to step; a subclass that carries more than the sums extends both methods."""
+        return self.sums.state()
+
+    def restore(self, surface: LevelSet, state: Any) -> None:
+        """Go on, on this surface, from what was ``state`` on it."""
+        self.sums.restore(state)

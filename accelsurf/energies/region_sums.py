@@ -1,0 +1,87 @@
+"""Sums of an image over the inside of the surface."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies.front_samples import check_shape
+from accelsurf.kernels import region
+from accelsurf.kernels.grid import BLOCK
+from accelsurf.levelset import Change, LevelSet, dot
+
+
+class RegionMoments(NamedTuple):
+    """Sums over voxels, each by the share of it that counts: of 1, of the image, of its square."""
+
+    voxels: float
+    total: float
+    squares: float
+
+
+class RegionSums:
+    """Sums of an image over the inside of the surface, kept up to date in O(band).
+
+    The inside voxels that are not in the band are summed once; after that only cells that enter or leave
+    the band change that part. The band itself is summed afresh, each voxel by its share inside.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx), float32
+        Not modified.
+
+    Attributes
+    ----------
+    image : ndarray (nz * ny * nx,), float32
+        The image, raveled.
+    """
+
+    def __init__(self, image: np.ndarray) -> None:
+        self._shape = np.shape(image)
+        self.image = np.ascontiguousarray(image, dtype=np.float32).ravel()
+        self._beyond_band = np.zeros(3)
+
+    def start(self, surface: LevelSet) -> None:
+        """Sum the inside voxels that are not in the band.
+
+        Raises
+        ------
+        InputError
+            When the image is not on the surface's grid.
+        """
+        check_shape(self._shape, surface)
+        self._beyond_band = surface.workers.sums(
+            region.inside_sums, self.image.size, 3, surface.dense, self.image
+        )
+
+    def follow(self, change: Change) -> None:
+        """Move the cells that entered or left the band to the right side of the account."""
+        self._beyond_band = (
+            self._beyond_band + self._plain_sums(change.left_inside) - self._plain_sums(change.entered_inside)
+        )
+
+    def state(self) -> np.ndarray:
+        """The sums beyond the band, which depend on the way here in their last digits."""
+        return self._beyond_band
+
+    def restore(self, state: np.ndarray) -> None:
+        """Take them back."""
+        self._beyond_band = state
+
+    def inside(self, surface: LevelSet, fraction: np.ndarray) -> RegionMoments:
+        """Sums over the inside of the surface, voxels cut by it counted in part."""
+        band = surface.workers.sums(
+            region.weighted_sums, surface.size, 3, surface.band.cells, fraction, self.image
+        )
+        return RegionMoments(*(float(v) for v in self._beyond_band + band))
+
+    def whole_image(self) -> RegionMoments:
+        """Sums over the whole volume."""
+        sums = [self._plain_sums(slice(i, i + 1024 * BLOCK)) for i in range(0, self.image.size, 1024 * BLOCK)]
+        return RegionMoments(*(float(v) for v in np.sum(sums, axis=0)))
+
+    def _plain_sums(self, cells: NDArray[np.int64] | slice) -> np.ndarray:
+        values = self.image[cells].astype(np.float64)
+        return np.array([values.size, values.sum(), dot(values, values)])
