@@ -136,7 +136,7 @@ class Flow(ABC):
         """Fields (n,) on the band that redistancing must extend."""
         return []
 
-    def set_fields(self, fields: list[np.ndarray]) -> None:
+    def set_fields(self, fields: list[np.ndarray]) -> None:  # noqa: B027
         """Replace the fields by those that were extended to the new band."""
 
     @property
@@ -148,7 +148,7 @@ class Flow(ABC):
         """Speed (n,) along the inward normal that the surface would have without forces, mm per unit time."""
         return np.zeros(surface.size, np.float32)
 
-    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
+    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:  # noqa: B027
         """Add ``speed`` (n,) to the normal velocity; without momentum there is none to change."""
 
     def energy(self, area: np.ndarray) -> float:
