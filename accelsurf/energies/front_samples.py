@@ -64,7 +64,7 @@ def sample_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> 
     """
     out = np.empty(surface.size, np.float32)
     flat = raveled(image, surface)
-    surface.workers.run(motion.sample_image, surface.size, flat, surface.grid, surface.band, front, out)
+    surface.workers.parallel(motion.sample_image, surface.size, flat, surface.grid, surface.band, front, out)
     return out
 
 
@@ -89,7 +89,7 @@ def slope_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> t
     """
     out = np.empty((surface.size, 2), np.float32)
     flat, normals = raveled(image, surface), normals_at_front(surface, front)
-    surface.workers.run(
+    surface.workers.parallel(
         front_sampling.value_and_slope, surface.size, flat, surface.grid, surface.band, normals, front, out
     )
     return out[:, 0].copy(), out[:, 1].copy()
@@ -98,7 +98,7 @@ def slope_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> t
 def normals_at_front(surface: LevelSet, front: np.ndarray) -> np.ndarray:
     """Outward unit normals n = grad psi/|grad psi| (n, 3), float32, axes (z, y, x) in mm. The inward N is -n."""
     out = np.empty((surface.size, 3), np.float32)
-    surface.workers.run(
+    surface.workers.parallel(
         front_sampling.outward_normals, surface.size, surface.dense.psi, surface.grid, surface.band, front, out
     )
     return out

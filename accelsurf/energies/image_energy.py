@@ -8,7 +8,7 @@ import numpy as np
 
 from accelsurf.energies.protocol import Energy
 from accelsurf.energies.region_sums import RegionSums
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 
 class ImageEnergy(Energy):
@@ -40,7 +40,7 @@ class ImageEnergy(Energy):
         """Sum the image over the first inside."""
         self.sums.start(surface)
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
         """Take up the cells that entered or left the band."""
         self.sums.follow(change)
 

@@ -26,7 +26,7 @@ class Interface(NamedTuple):
         if self.epsilon == 0:
             return cut
         fraction = np.empty(surface.size)
-        surface.workers.run(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction)
+        surface.workers.parallel(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction)
         return fraction
 
     def force(
@@ -43,7 +43,7 @@ class Interface(NamedTuple):
             a, b, c = (np.float32(v) for v in polynomial)
             return np.where(front, (a * value + b) * value + c, np.float32(0.0))
         out = np.empty(surface.size, np.float32)
-        surface.workers.run(
+        surface.workers.parallel(
             motion.mean_across,
             surface.size,
             surface.dense.psi,

@@ -15,7 +15,7 @@ from accelsurf.energies.protocol import Energy
 from accelsurf.energies.region_sums import RegionMoments, RegionSums
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
-from accelsurf.levelset import Change, LevelSet, dot
+from accelsurf.levelset import BandChange, LevelSet, dot
 
 #: Least standard deviation of a Gaussian, as part of the image's range: a region of one value has none of its own.
 MIN_DEVIATION = 0.01
@@ -217,7 +217,7 @@ class HistogramLikelihood(Energy):
     def start(self, surface: LevelSet) -> None:
         """Take up a surface: the histogram of the inside voxels that are not in the band."""
         self.sums.start(surface)
-        self._beyond_band = surface.workers.sums(
+        self._beyond_band = surface.workers.block_sums(
             histogram.inside_histogram,
             self.sums.image.size,
             BINS,
@@ -226,7 +226,7 @@ class HistogramLikelihood(Energy):
             self._parzen.scale,
         )
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
         """Take up the cells that entered or left the band."""
         left, entered = (self.sums.image[cells] for cells in (change.left_inside, change.entered_inside))
         self._beyond_band = self._beyond_band + self._parzen.histogram(left) - self._parzen.histogram(entered)
@@ -241,7 +241,7 @@ class HistogramLikelihood(Energy):
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the densities for the next `force`."""
-        band = surface.workers.sums(
+        band = surface.workers.block_sums(
             histogram.weighted_histogram,
             surface.size,
             BINS,
@@ -277,5 +277,5 @@ class HistogramLikelihood(Energy):
 
     def _looked_up(self, values: np.ndarray, surface: LevelSet) -> np.ndarray:
         out = np.empty(values.size, np.float32)
-        surface.workers.run(histogram.look_up, values.size, values, self._parzen.scale, self._table, out)
+        surface.workers.parallel(histogram.look_up, values.size, values, self._parzen.scale, self._table, out)
         return out

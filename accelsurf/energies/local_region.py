@@ -11,7 +11,7 @@ from accelsurf.energies.front_samples import check_shape
 from accelsurf.energies.interface import Interface
 from accelsurf.energies.protocol import Energy
 from accelsurf.kernels import windows
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 #: Half width of the tent along each axis that has the variance of a ball of radius 1.
 TENT = math.sqrt(6.0 / 5.0)
@@ -66,7 +66,7 @@ class LocalRegion(Energy):
         self._lay_out(surface)
         self._inside = np.zeros_like(self._total)
         where = surface.dense, self._image, surface.grid, self._nodes
-        surface.workers.alone(windows.splat_inside, *where, self._inside[0], self._inside[1])
+        surface.workers.serial(windows.scatter_inside, *where, self._inside[0], self._inside[1])
 
     def state(self) -> np.ndarray:
         """What it carries from step to step; not to be changed."""
@@ -98,7 +98,7 @@ class LocalRegion(Energy):
         self._one_mean = squares - float((total[n > 0] ** 2 / n[n > 0]).sum())
         self._laid_out = True
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
         """Take up the cells that entered or left the band."""
         for cells, sign in ((change.left_inside, 1.0), (change.entered_inside, -1.0)):
             self._splat(surface, cells, np.full(cells.size, sign), self._inside)
@@ -114,7 +114,7 @@ class LocalRegion(Energy):
         n1, total1 = (np.ascontiguousarray(self._smooth(surface, field)[within]) for field in nodes)
         n, total = (np.ascontiguousarray(field[cut]) for field in self._windows)
         means = np.empty((3, n.size))
-        surface.workers.run(
+        surface.workers.parallel(
             windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), MIN_PART, *means
         )
         self._means = [self._smooth(surface, field.reshape(n.shape)).ravel() for field in means[:2]]
@@ -126,7 +126,7 @@ class LocalRegion(Energy):
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
         means = np.empty((surface.size, 2))
-        surface.workers.run(
+        surface.workers.parallel(
             windows.read_nodes, surface.size, surface.grid, surface.band, front, self._part, *self._means, means
         )
         image = self._interface.force(self._image, surface, front, curvature, (0.0, 1.0, 0.0))
@@ -135,8 +135,8 @@ class LocalRegion(Energy):
         return force
 
     def _splat(self, surface: LevelSet, cells: np.ndarray, weight: np.ndarray, sums: np.ndarray) -> None:
-        surface.workers.alone(
-            windows.splat, cells, weight, self._image, surface.grid, self._nodes, sums[0], sums[1]
+        surface.workers.serial(
+            windows.scatter, cells, weight, self._image, surface.grid, self._nodes, sums[0], sums[1]
         )
 
     def _smooth(self, surface: LevelSet, field: np.ndarray) -> np.ndarray:
@@ -146,7 +146,7 @@ class LocalRegion(Energy):
             size = field.shape[axis]
             if self._reach[axis] > 1:
                 out = np.empty_like(field)
-                surface.workers.run(
+                surface.workers.parallel(
                     windows.tent_along, field.size, field.ravel(), size * step, step, self._reach[axis], out.ravel()
                 )
                 field = out

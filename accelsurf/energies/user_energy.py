@@ -9,7 +9,7 @@ import numpy as np
 
 from accelsurf.energies.protocol import Energy
 from accelsurf.errors import InputError, UsageError
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 METHODS = ("start", "follow", "value", "force")
 
@@ -66,7 +66,7 @@ class CheckedEnergy(Energy):
         """Take up a surface."""
         self._energy.start(surface)
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
         """Take up what changed."""
         self._energy.follow(surface, change)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies.protocol import Energy
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 
 class WeightedSum(Energy):
@@ -35,7 +35,7 @@ class WeightedSum(Energy):
         for _, energy in self._terms:
             energy.start(surface)
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
         """Take up what changed, every term."""
         for _, energy in self._terms:
             energy.follow(surface, change)

@@ -12,7 +12,7 @@ import numpy as np
 
 from accelsurf.energies import Energy
 from accelsurf.flows import EnergyRates, Flow, StepInput, StepLimits, StepPlan
-from accelsurf.flows.protocol import voxel_rates
+from accelsurf.flows.step_limits import voxel_rates
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, Snapshot, SurfaceState, checkpoint_surface, restore_surface
 from accelsurf.levelset.transfer import transfer_fields
@@ -468,7 +468,7 @@ class Evolution:
         if not move.dt > 0:
             self._end("converged", "no force acts on the surface", n)
             return self._still(state, began)
-        entries = self._budget.record_step(move.account, move.dt)
+        entries = self._budget.record_step(move.energy_rates, move.dt)
         rates = voxel_rates(surface, area > 0, move.speed)
         motion = move.dt * float((area * rates).sum()) / max(state["area_mm2"], 1e-300)
         # The arrays of the old band, which nothing writes to any more.
@@ -479,10 +479,10 @@ class Evolution:
             **state,
             **entries,
             dt=move.dt,
-            cfl_dt=move.travel if math.isfinite(move.travel) else move.dt,
-            speed=move.rate,
+            cfl_dt=move.cfl_dt if math.isfinite(move.cfl_dt) else move.dt,
+            speed=move.front_speed,
             motion_voxels=motion,
-            limited_fraction=move.limited,
+            limited_fraction=move.clipped,
             diffusion=move.diffusion,
             cells_visited=surface.workers.visited - visited,
             restarted=restarted,
@@ -508,7 +508,7 @@ class Evolution:
         if move.velocity is None:
             surface.advance(move.speed, move.dt)
         else:
-            surface.carry(move.velocity, move.dt)
+            surface.advect(move.velocity, move.dt)
         self.energy.project(surface)
         removed = surface.remove_small()
         change = surface.redistance(self.flow.fields, None if move.velocity is None else (move.velocity, move.dt))

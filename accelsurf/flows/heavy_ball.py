@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.descent import curvature_bound
-from accelsurf.flows.protocol import DescentWithMemory, StepInput, StepLimits, StepPlan, finish, voxel_rates
+from accelsurf.flows.descent import DescentWithMemory, descent_plan
+from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
+from accelsurf.flows.step_limits import curvature_bound, voxel_rates
 from accelsurf.levelset import LevelSet
 
 
@@ -45,12 +46,12 @@ class HeavyBall(DescentWithMemory):
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""
         force = np.asarray(now.force, np.float32)
-        dt = travel = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
+        dt = cfl_dt = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
         if now.alpha > 0:
             dt = min(dt, curvature_bound(now.surface) / now.alpha)
         if not math.isfinite(dt):
             return StepPlan.none(now.surface)
         speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last
-        move = finish(now, speed, dt, limits, travel)
+        move = descent_plan(now, speed, dt, limits, cfl_dt)
         self._last = move.speed * np.float32(dt)
         return move

@@ -6,15 +6,9 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.protocol import (
-    DescentWithMemory,
-    StepInput,
-    StepLimits,
-    StepPlan,
-    finish,
-    smallest_spacing,
-    voxel_rates,
-)
+from accelsurf.flows.descent import DescentWithMemory, descent_plan
+from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
+from accelsurf.flows.step_limits import voxel_rates
 from accelsurf.kernels import tube
 from accelsurf.levelset import LevelSet, dot
 
@@ -48,14 +42,14 @@ class Sobolev(DescentWithMemory):
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Step with beta = g, dt <= cfl/|g|."""
         surface = now.surface
-        length = LENGTH * smallest_spacing(surface) if self.length is None else self.length
+        length = LENGTH * surface.smallest_spacing if self.length is None else self.length
         speed = h1_gradient(surface, now.force, length, self._last)
         inner = surface.front(1.0)
         surface.extend_outwards(speed, inner)
         dt = self.cfl_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
         if not math.isfinite(dt):
             return StepPlan.none(surface)
-        move = finish(now, speed, dt, limits, dt)
+        move = descent_plan(now, speed, dt, limits, dt)
         self._last = move.speed
         return move
 
@@ -67,15 +61,15 @@ def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.n
     eta fades to its edge; in a tube thin against the radius of curvature g is constant along the normal. Diagonal
     preconditioner.
     """
-    run, n = surface.workers.run, surface.size
+    parallel, n = surface.workers.parallel, surface.size
     slot, cells = surface.dense.slot, surface.band.cells
     eta, diagonal = np.empty(n), np.empty(n)
-    run(tube.tube_weight, n, surface.grid, surface.band, TUBE, eta)
-    run(tube.tube_diagonal, n, slot, surface.grid, cells, eta, length, diagonal)
+    parallel(tube.tube_weight, n, surface.grid, surface.band, TUBE, eta)
+    parallel(tube.tube_diagonal, n, slot, surface.grid, cells, eta, length, diagonal)
 
     def product(field: np.ndarray) -> np.ndarray:
         out = np.empty(n)
-        run(tube.tube_product, n, slot, surface.grid, cells, eta, length, field, out)
+        parallel(tube.tube_product, n, slot, surface.grid, cells, eta, length, field, out)
         return out
 
     right = eta * force

@@ -16,7 +16,7 @@ MAX_ITERATIONS = 6
 FIRST_TOLERANCE = 0.015
 TOLERANCE = 0.05
 #: Least |grad psi|^2: below it psi has no zero level worth the name.
-LEAST_SLOPE2 = 0.04
+MIN_SLOPE2 = 0.04
 #: Longest correction in one iteration, voxels: the interpolant is trusted only near the front.
 MAX_MOVE = 1.5
 #: How a foot stands in `closest_points`.
@@ -88,7 +88,7 @@ def correct(count, iteration, grid, memory):
     zero, one, quarter = np.float32(0.0), np.float32(1.0), np.float32(0.25)
     active, found, lost = np.float32(ACTIVE), np.float32(FOUND), np.float32(LOST)
     shortest, longest, tiny = np.float32(0.1), np.float32(4.0), np.float32(1e-30)
-    least, most = np.float32(LEAST_SLOPE2), np.float32(MAX_MOVE)
+    least, most = np.float32(MIN_SLOPE2), np.float32(MAX_MOVE)
     first, later = iteration == 0, iteration >= 2
     enough = np.float32(FIRST_TOLERANCE if first else TOLERANCE)
     for i in range(np.uint64(count)):

@@ -6,6 +6,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BATCH, unravel
+from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.stencils import gather_cross, godunov_norms
 
 
@@ -138,7 +139,7 @@ def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
     return np.sqrt(total)
 
 
-@kernel
+@kernel(stage=Stage.ADVANCE)
 def upwind_norms(start, stop, psi, grid, band, beta, front, out):
     """Godunov's |grad psi| at every front cell of the range, upwind for the speed ``beta`` (n,); 1 elsewhere."""
     # Columns of cells at the border are computed as well, from what is there: numbers.

@@ -37,7 +37,7 @@ class Band(NamedTuple):
     foot: np.ndarray
 
 
-class Lattice(NamedTuple):
+class DenseArrays(NamedTuple):
     """Dense arrays over the whole volume, raveled: ``psi`` float32 (mm), ``slot`` int32 (band slot or -1)."""
 
     psi: np.ndarray

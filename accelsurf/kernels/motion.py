@@ -8,9 +8,10 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
 from accelsurf.kernels.interpolate import linear_at, linear_cell, value_at
+from accelsurf.kernels.stages import Stage
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def sample_image(start, stop, image, grid, band, front, out):
     """Cubic interpolation of a raveled dense image at the foot of every front cell (0 elsewhere)."""
     w = np.empty(24)
@@ -24,7 +25,7 @@ def sample_image(start, stop, image, grid, band, front, out):
             out[s] = value_at(image, grid, pz, py, px, w)
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def mean_across(start, stop, psi, image, band, front, settings, out):
     """Mean of a I^2 + b I + c across the surface at the foot of every front cell (0 elsewhere).
 
@@ -78,7 +79,7 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
         out[s] = total
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def kick(start, stop, beta, gain, curvature, front, rates):
     """Leap-frog kick, centred in time, of the front's speeds (in place); numerics of the surface system.
 
@@ -94,7 +95,7 @@ def kick(start, stop, beta, gain, curvature, front, rates):
             beta[s] = (b * (1.0 - 0.5 * damping) + gain[s]) / denominator
 
 
-@kernel
+@kernel(stage=Stage.DIFFUSION)
 def neighbour_slots(start, stop, slot, grid, cells, on, table):
     """Slots of the 6-neighbours (m, 6) of the cells of the slots ``on`` (m,): for `diffusion_stage`.
 
@@ -110,7 +111,7 @@ def neighbour_slots(start, stop, slot, grid, cells, on, table):
             table[row, side] = other if other >= 0 else s
 
 
-@kernel
+@kernel(stage=Stage.DIFFUSION)
 def diffusion_stage(start, stop, on, table, grid, old, older, weights, out):
     """A stage of Runge-Kutta-Legendre at the cells ``on``: mu old + mu' Lap old + nu older.
 
@@ -128,7 +129,7 @@ def diffusion_stage(start, stop, on, table, grid, old, older, weights, out):
         out[s] = mu * here + rate * lap + nu * older[s]
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def voxel_rates(start, stop, grid, band, front, beta, out):
     """Speed of every front cell in voxels along its normal per unit time, |beta| |n/h| (0 elsewhere)."""
     for s in range(start, stop):
@@ -139,8 +140,8 @@ def voxel_rates(start, stop, grid, band, front, beta, out):
             out[s] = abs(beta[s]) * v / d
 
 
-@kernel
-def drift(start, stop, psi, band, beta, norm, dt):
+@kernel(stage=Stage.ADVANCE)
+def advance_psi(start, stop, psi, band, beta, norm, dt):
     """Psi += dt beta |grad psi|, with |grad psi| in ``norm``."""
     for s in range(start, stop):
         psi[band.cells[s]] = band.psi[s] + dt * beta[s] * norm[s]

@@ -7,6 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import curvature_at_foot, curvatures, gradient
 from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
+from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.stencils import block_curvatures, gather_block
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane
@@ -21,7 +22,7 @@ def cube(x):
 
 
 @kernel
-def cut_voxel(psi, gz, gy, gx, grid):
+def fraction_below_plane(psi, gz, gy, gx, grid):
     """Part of a voxel inside the plane psi + n.x = 0, n = grad/|grad|.
 
     Volume of the unit cube below the plane m.u = s (m_a = |n_a| h_a) by inclusion and exclusion of the
@@ -68,7 +69,7 @@ def smeared_area(d, voxels, gz, gy, gx, gauss, grid):
     return delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def measure_band(start, stop, psi, grid, band, within, part, area, bend):
     """What the loop asks of every slot of the range.
 
@@ -114,12 +115,12 @@ def measures(grid, d, voxels, level, within, diagonal, most):
     gz, gy, gx, mean, gauss = level
     part = 1.0 if d < 0.0 else 0.0
     if abs(d) <= diagonal:
-        part = cut_voxel(d, gz, gy, gx, grid)
+        part = fraction_below_plane(d, gz, gy, gx, grid)
     bend = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
     return part, smeared_area(d, voxels, gz, gy, gx, gauss, grid), bend
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def smear_band(start, stop, grid, band, epsilon, part):
     """Share of each voxel inside by the smeared Heaviside function of the distance in voxels, s.
 
@@ -138,7 +139,7 @@ def smear_band(start, stop, grid, band, epsilon, part):
             part[s] = 0.5 * (1.0 - x - np.sin(np.pi * x) / np.pi)
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def weighted_sums(first_block, last_block, cells, weight, image, sums):
     """Per block of slots: sums[block] = sum over its slots of weight x (1, I, I^2)."""
     for block in range(first_block, last_block):
@@ -157,7 +158,7 @@ def weighted_sums(first_block, last_block, cells, weight, image, sums):
         sums[block, 2] = squares
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def inside_sums(first_block, last_block, dense, image, sums):
     """Per block of voxels of the whole volume: sums over the inside voxels not in the band of (1, I, I^2)."""
     for block in range(first_block, last_block):
@@ -175,7 +176,7 @@ def inside_sums(first_block, last_block, dense, image, sums):
         sums[block, 2] = squares
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def inside_count(first_block, last_block, psi, sums):
     """Per block of voxels of the whole volume: how many are inside."""
     for block in range(first_block, last_block):

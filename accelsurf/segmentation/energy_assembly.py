@@ -24,11 +24,12 @@ from accelsurf.energies import (
     gaussian_of,
 )
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
-from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude, largest_spacing
+from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Box
+from accelsurf.grid.spacing import largest_spacing
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_expression import Term

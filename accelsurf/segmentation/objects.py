@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from accelsurf.energies.constraints.contact import Corner, Neighbour, NonOverlap
 from accelsurf.energies.constraints.mask import MaskConstraint
-from accelsurf.energies.geodesic import largest_spacing
 from accelsurf.energies.local_region import TENT
 from accelsurf.errors import InputError
 from accelsurf.evolution.loop import Evolution, Restart, StepRecord, Stop
 from accelsurf.flows import StepLimits
 from accelsurf.grid.geometry import Box
+from accelsurf.grid.spacing import largest_spacing
 from accelsurf.initialization.object_starts import ObjectStart, corner_of, meeting, shared, widened
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.segmentation.energy_assembly import WINDOW_VOXELS
@@ -290,7 +290,7 @@ class Objects:
             return list(map(do, batch) if self._pool is None else self._pool.map(do, batch))
         with ExitStack() as stack:
             for one in batch:
-                stack.enter_context(one.workers.helped_by(self._together))
+                stack.enter_context(one.workers.borrowing_threads(self._together))
             return [do(one) for one in batch]
 
     def _meet(self) -> list[list[int]]:

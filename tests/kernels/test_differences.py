@@ -1,4 +1,4 @@
-"""Differences: gradient, curvatures and Godunov's norm against their twins, on every voxel up to the border."""
+"""Differences: gradient, curvatures and Godunov's norm against their references, on every voxel up to the border."""
 
 import itertools
 
@@ -16,7 +16,7 @@ SHAPES = [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5), (5, 1, 6), (6, 5, 2), (1,
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_gradient_and_curvatures_as_the_twins(shape):
+def test_gradient_and_curvatures_as_the_reference(shape):
     psi = (2 * reference.smooth_noise(shape, 1)).astype(np.float64)
     grid = reference.grid_of(shape, SPACING)
     want, _ = reference.derivatives(psi, SPACING)
@@ -117,7 +117,7 @@ def test_minmod():
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 9])
-def test_upwind_differences_as_the_twin(n):
+def test_upwind_differences_as_the_reference(n):
     line = np.random.default_rng(n).standard_normal(n)
     down, up = reference.one_sided(line, 0.7)
     got = np.array([differences.upwind_differences(line, i, i, n, 1, 0.7) for i in range(n)])

@@ -216,7 +216,7 @@ def test_drift_moves_psi_by_the_speed_and_only_in_the_band():
     cells = np.array([3, 7, 8, 20, 49])
     values, beta, norm = (rng.standard_normal(5).astype(np.float32) for _ in range(3))
     band = Band(cells, values, np.zeros((5, 3), np.float32))
-    motion.drift(1, 4, psi, band, beta, norm, np.float32(0.25))
+    motion.advance_psi(1, 4, psi, band, beta, norm, np.float32(0.25))
     want = np.full(50, 9.0)
     want[cells[1:4]] = (values + 0.25 * beta * norm)[1:4]
     np.testing.assert_allclose(psi, want, rtol=1e-6)

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.kernels.closest import FIRST_TOLERANCE
-from accelsurf.kernels.grid import Lattice
+from accelsurf.kernels.grid import DenseArrays
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checks import check_level_set
 from tests.support import reference
@@ -636,7 +636,7 @@ class Strict(np.ndarray):
 def strict_where_possible(surface):
     """Compiled code takes no subclasses: with the JIT off every index is looked at."""
     if os.environ.get("NUMBA_DISABLE_JIT") == "1":
-        surface.dense = Lattice(surface.dense.psi.view(Strict), surface.dense.slot.view(Strict))
+        surface.dense = DenseArrays(surface.dense.psi.view(Strict), surface.dense.slot.view(Strict))
     return surface
 
 
@@ -772,12 +772,12 @@ def spoilt(how):
             for array in (band.psi, band.foot, dense.psi):
                 array *= np.float32(0.5)
             surface.gamma *= np.float32(0.5)
-        case "feet":
+        case "residuals":
             band.foot[:] *= -1
     return surface
 
 
-@pytest.mark.parametrize("how", ["finite", "ordered", "distances", "slots", "outside", "closed", "slope", "feet"])
+@pytest.mark.parametrize("how", ["finite", "ordered", "distances", "slots", "outside", "closed", "slope", "residuals"])
 def test_a_spoilt_level_set_is_found_out(how):
     (finding,) = check_level_set(spoilt(how))
     assert finding.split()[1] == f"{how}:"

@@ -29,7 +29,7 @@ def state(run):
     rows = [row._replace(seconds=0.0, cells_visited=0) for row in run.evolution.history]
     fields = b"".join(np.ascontiguousarray(f).tobytes() for f in run.evolution.flow.fields)
     arrays = (surface.dense.psi, surface.dense.slot, *surface.band)
-    return b"".join(a.tobytes() for a in arrays) + fields, rows, now._time, surface._inside_beyond_band
+    return b"".join(a.tobytes() for a in arrays) + fields, rows, now._time, surface.inside_beyond_band
 
 
 def stepped(run, steps):
@@ -53,14 +53,14 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
     surface = LevelSet(psi, spacing)
     kept = checkpoint_surface(surface)
     before = [a.copy() for a in (surface.dense.psi, surface.dense.slot, *surface.band)]
-    beyond = surface._inside_beyond_band
+    beyond = surface.inside_beyond_band
     other = LevelSet(np.roll(5.0 - far, 3, axis=2), spacing, 4.0)
     for target in (surface, other):
         surface.dense.psi[:] = 7.0
         restore_surface(target, kept)
         for a, b in zip((target.dense.psi, target.dense.slot, *target.band), before, strict=True):
             assert a.dtype == b.dtype and np.array_equal(a, b)
-        assert target._inside_beyond_band == beyond and target.half_width == kept.requested_half_width * target._slant
+        assert target.inside_beyond_band == beyond and target.half_width == kept.requested_half_width * target._slant
         assert not check_level_set(target) or what in ("filled", "none", "hollow")
     assert kept.nbytes < 40 * surface.size + surface.psi.size / 4 + 64
 

@@ -1,4 +1,4 @@
-"""Slow, plain twins of the kernels, by another formula wherever there is one.
+"""Slow, plain references of the kernels, by another formula wherever there is one.
 
 Arrays are (z, y, x), spacings (hz, hy, hx) in mm, positions in voxels unless mm is said.
 """
@@ -10,7 +10,7 @@ import numpy as np
 from scipy import integrate, ndimage, spatial
 
 from accelsurf.kernels import closest, march
-from accelsurf.kernels.grid import Band, Grid, Lattice
+from accelsurf.kernels.grid import Band, DenseArrays, Grid
 
 # ------------------------------------------------------------------------------------------------- data for kernels
 
@@ -25,14 +25,14 @@ def coordinates(shape, spacing, centre):
     return np.meshgrid(*(np.arange(n) * h - c for n, h, c in zip(shape, spacing, centre, strict=True)), indexing="ij")
 
 
-def whole_band(psi, foot=None) -> tuple[Lattice, Band]:
+def whole_band(psi, foot=None) -> tuple[DenseArrays, Band]:
     """Every voxel in the band, the slot of a voxel being its raveled index."""
     flat = np.ascontiguousarray(psi, np.float32).ravel()
     cells = np.arange(flat.size)
     feet = np.zeros((flat.size, 3), np.float32)
     if foot is not None:
         feet[:] = np.reshape(foot, (-1, 3))
-    return Lattice(flat.copy(), cells.astype(np.int32)), Band(cells, flat.copy(), feet)
+    return DenseArrays(flat.copy(), cells.astype(np.int32)), Band(cells, flat.copy(), feet)
 
 
 def smooth_noise(shape, seed, sigma=1.5) -> np.ndarray:
@@ -178,8 +178,8 @@ def corrected(iteration, foot, level, past, spacing):
     last, square, relax, first = past
     value, g = level[0], np.asarray(level[1:], float)
     slope2 = g @ g
-    margins = [abs(slope2 / closest.LEAST_SLOPE2 - 1)]
-    if not slope2 > closest.LEAST_SLOPE2:
+    margins = [abs(slope2 / closest.MIN_SLOPE2 - 1)]
+    if not slope2 > closest.MIN_SLOPE2:
         return foot, closest.LOST, past, margins
     residue = (foot @ g) / slope2 * g - foot
     if iteration == 0:
@@ -283,7 +283,7 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
 
     def polished(cell, f):
         feet = np.array([f], np.float32)
-        march.polish_feet(0, 1, psi, grid, np.array([cell]), np.array([0]), feet)
+        march.refine_feet(0, 1, psi, grid, np.array([cell]), np.array([0]), feet)
         return feet[0]
 
     while True:
@@ -301,7 +301,7 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
             offers = [known[other] + step for other, step in cells_beside(cell, grid) if other in known]
             lengths = [np.sqrt((offer**2).sum()) for offer in offers]
             own = known.get(cell, np.full(3, np.inf)).astype(float)
-            least = np.sqrt((own**2).sum()) - march.CLOSER * h.min()
+            least = np.sqrt((own**2).sum()) - march.MIN_GAIN * h.min()
             if min(lengths, default=np.inf) < least:
                 taken[cell] = np.float32(offers[int(np.argmin(lengths))])
         later |= set(taken) & set(known)
