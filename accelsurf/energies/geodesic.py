@@ -47,7 +47,7 @@ class Geodesic(ImageEnergy):
         self.balloon = float(balloon)
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
-        """U of the present surface: phi at the foot of each voxel that the surface cuts, times the area in it."""
+        """U of the present surface: phi at the closest point of each voxel, times the area in it."""
         phi = sample_at_front(self.sums.image, surface, area > 0)
         energy = dot(phi, area) + self._area.value(area)
         if self.balloon:

@@ -12,7 +12,7 @@ from accelsurf.levelset import BandChange, LevelSet
 
 
 class ImageEnergy(Energy):
-    """Base of energies of an image: has its sums over the inside, follows the band, carries the area weight.
+    """Base of energies of an image: has its sums over the inside, follows the band, has an area weight.
 
     A subclass gives `value` and `force`, as `Energy` says them.
 
@@ -41,13 +41,13 @@ class ImageEnergy(Energy):
         self.sums.start(surface)
 
     def follow(self, surface: LevelSet, change: BandChange) -> None:
-        """Take up the cells that entered or left the band."""
+        """Update the sums by the cells that entered or left the band."""
         self.sums.follow(change)
 
     def state(self) -> Any:
-        """What is carried from step to step; a subclass that carries more than the sums extends both methods."""
+        """Return the sums; a subclass that carries more from step to step extends both methods."""
         return self.sums.state()
 
     def restore(self, surface: LevelSet, state: Any) -> None:
-        """Go on, on this surface, from what was ``state`` on it."""
+        """Go on, on this surface, from what `state` returned on it."""
         self.sums.restore(state)

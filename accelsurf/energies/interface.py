@@ -1,4 +1,4 @@
-"""How an energy sees the surface: sharp or smeared."""
+"""The interface of the two regions: sharp or smeared."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from accelsurf.levelset import LevelSet
 
 
 class Interface(NamedTuple):
-    """How the energy sees the surface: sharp (``epsilon`` 0), or smeared over +-``epsilon`` voxels.
+    """The interface between inside and outside: sharp (``epsilon`` 0), or smeared over +-``epsilon`` voxels.
 
     Sharp: voxels are cut by the surface and the image is read at it. Smeared: the regions overlap by the
     smeared Heaviside function, and the force is, as its derivative, the mean across the surface with the

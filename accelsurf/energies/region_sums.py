@@ -57,7 +57,7 @@ class RegionSums:
         )
 
     def follow(self, change: BandChange) -> None:
-        """Move the cells that entered or left the band to the right side of the account."""
+        """Update the sums by the cells that entered or left the band."""
         self._beyond_band = (
             self._beyond_band + self._plain_sums(change.left_inside) - self._plain_sums(change.entered_inside)
         )
@@ -67,7 +67,7 @@ class RegionSums:
         return self._beyond_band
 
     def restore(self, state: np.ndarray) -> None:
-        """Take them back."""
+        """Set them."""
         self._beyond_band = state
 
     def inside(self, surface: LevelSet, fraction: np.ndarray) -> RegionMoments:

@@ -28,16 +28,16 @@ class Clock:
         self._given = 0.0 if t0 is None and (k > 1 or friction is not None) else t0
         self.t0 = self._given
         self.time = self.t0 or 0.0
-        #: The last time step, 0 right after a rest.
+        #: The last time step, 0 right after a start from rest.
         self.last_dt = 0.0
 
     @property
     def at_rest(self) -> bool:
-        """Whether no step was made since the last rest."""
+        """Whether no step was made since the last start from rest."""
         return self.last_dt == 0.0
 
     def start(self) -> None:
-        """Begin another run."""
+        """Start another run."""
         self.t0 = self._given
         self.zero_momentum()
 
@@ -46,11 +46,11 @@ class Clock:
         self.time, self.last_dt = self.t0 or 0.0, 0.0
 
     def state(self) -> tuple[float | None, float, float]:
-        """What it remembers: t0 as it was found, time and last step."""
+        """Return t0 as it was found, the time and the last step."""
         return self.t0, self.time, self.last_dt
 
     def restore(self, state: tuple[float | None, float, float]) -> None:
-        """Be as it was."""
+        """Go back to a `state`."""
         self.t0, self.time, self.last_dt = state
 
     def continue_from(self, before: Clock) -> None:
@@ -88,7 +88,7 @@ class Clock:
         return 3.0 * self.k / self.time if self.time > 0 else 0.0
 
     def first_kick(self, dt: float) -> float:
-        """Speed per f/rho half a step after rest."""
+        """Speed per f/rho half a step after a start from rest."""
         half = 0.5 * dt
         if self.friction is not None:
             return half * self.lambda_ / (1.0 + 0.5 * half * self.friction)

@@ -36,7 +36,7 @@ class ConstantDensity(Accelerated):
         self._initialize(surface)
 
     def zero_momentum(self, area: np.ndarray) -> float:
-        """At rest where the surface is, with the clock of the friction as at the start."""
+        """Set the speed to zero, and the clock of the friction to the start."""
         lost = self.energy(area)
         self.beta[:] = 0.0
         self._reset_clock()

@@ -22,7 +22,7 @@ class Descent(Flow):
 
 
 class DescentWithMemory(Descent):
-    """A descent that carries one field from step to step on the surface."""
+    """A descent that needs its last step, a field on the surface."""
 
     state_names = (*Descent.state_names, "_last")
 
@@ -31,15 +31,15 @@ class DescentWithMemory(Descent):
 
     @property
     def fields(self) -> list[np.ndarray]:
-        """What the last step left."""
+        """The last step."""
         return [self._last]
 
     def set_fields(self, fields: list[np.ndarray]) -> None:
-        """The same on the new band."""
+        """The last step on the new band."""
         (self._last,) = fields
 
     def start(self, surface: LevelSet) -> None:
-        """Nothing to remember yet."""
+        """Start with a last step of 0."""
         super().start(surface)
         self._last = np.zeros(surface.size, np.float32)
 

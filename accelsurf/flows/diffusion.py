@@ -27,8 +27,8 @@ def largest_diffusion(surface: LevelSet) -> float:
 def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
     """The paper's free gain: the largest D (mm2 per unit time) that does not shorten the step, within a mixing length.
 
-    The first bound is what `diffuse` can make in ``dt``; the second, MIXING x h x ``speed``, keeps a step that
-    another bound has made short from being overdamped.
+    The first bound is what `diffuse` can make in ``dt``; the second, MIXING x h x ``speed``, avoids that a step
+    which another bound has made short is overdamped.
     """
     return min(largest_diffusion(surface) / dt, MIXING * surface.smallest_spacing * speed)
 
@@ -36,8 +36,8 @@ def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
 def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float) -> None:
     """Diffuse an extended field (n,) along the surface in place, by ``amount`` = D dt (mm2).
 
-    Runge-Kutta-Legendre of first order (Meyer, Balsara, Aslam 2012): s explicit stages reach (s^2 + s)/2
-    times the amount of one, each a Laplacian and an extension; as few as ``amount`` asks for, at most `MAX_STAGES`.
+    Runge-Kutta-Legendre of first order (Meyer, Balsara, Aslam 2012): s explicit stages make (s^2 + s)/2
+    times the amount of one, each a Laplacian and an extension; as few as ``amount`` needs, at most `MAX_STAGES`.
     """
     bound = one_stage_diffusion(surface)
     s = 1

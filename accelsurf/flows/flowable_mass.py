@@ -37,10 +37,10 @@ class FlowableMass(Accelerated):
     """V_t + (V . grad) V = (w/rho) f N - gamma V + ..., rho_t + V . grad rho + rho div_S V = 0, psi_t = -V . grad psi.
 
     The paper's system for surfaces in extended fields, psi with the corrected sign. Kick by the leap-frog (each
-    piece of surface feels only its own forces: no curvature term); then psi, V and rho are carried semi-Lagrangian,
+    piece of surface feels only its own forces: no curvature term); then psi, V and rho are advected semi-Lagrangian,
     rho divided by the exact stretch of the area, and rho is rescaled to the mass of the start. What is rescaled is
     reported (`mass_correction`): the error of the transport, and the mass of surface that vanished where fronts met
-    or a component was removed, which is so spread over what is left.
+    or a component was removed, which is so distributed over the rest.
 
     With ``gravity`` g the mass potential U_mass = g A int 1/2 rho^2 dA acts as well,
     V_t -= w g [A grad_S rho + (1/2 A rho - P/rho) H N]. Its tension g (P - 1/2 A rho^2) is negative where
@@ -69,12 +69,12 @@ class FlowableMass(Accelerated):
         self._correction = 1.0
 
     def stencil_width(self, surface: LevelSet) -> float:
-        """All but the outermost cells: what is carried is interpolated from cells further off than the front."""
+        """All but the outermost cells: advected fields are interpolated from cells further off than the front."""
         return surface.half_width - 1.0
 
     @property
     def fields(self) -> list[np.ndarray]:
-        """Velocity z, y, x and the density that the carried surface will have."""
+        """Velocity z, y, x and the density that the advected surface will have."""
         return [*(np.ascontiguousarray(self.velocity[:, c]) for c in range(3)), self.density]
 
     def set_fields(self, fields: list[np.ndarray]) -> None:
@@ -91,7 +91,7 @@ class FlowableMass(Accelerated):
         self._initialize(surface)
 
     def zero_momentum(self, area: np.ndarray) -> float:
-        """At rest where the surface is; the mass stays where it has flowed to."""
+        """Set the velocity to zero; the mass stays where it has flowed to."""
         lost = self._kinetic(area, self.velocity, self.velocity) / self.weight
         self.velocity[:] = 0.0
         self._reset_clock()
@@ -162,7 +162,7 @@ class FlowableMass(Accelerated):
     # -- mass ----------------------------------------------------------------------------------------------
 
     def _rescale_density(self, area: np.ndarray) -> None:
-        """Bring the carried density back to the mass of the start, within its range."""
+        """Rescale the advected density to the mass of the start, within its range."""
         total = float(area.sum())
         if self.mass == 0.0:
             self.mass = float((area * self.density).sum())
@@ -220,8 +220,8 @@ class FlowableMass(Accelerated):
     ) -> tuple[np.ndarray, float]:
         """The velocity after diffusion over the time of the kick, and the coefficient used.
 
-        The speed along the normal and the tangential part diffuse each by itself. Component by component, a sphere
-        that grows or shrinks evenly would be braked, at the rate 2 D/r^2.
+        The speed along the normal and the tangential part diffuse separately. Component by component, a sphere
+        that grows or shrinks evenly would be slowed at the rate 2 D/r^2.
         """
         if self.clock.at_rest:
             return self.velocity, 0.0

@@ -15,13 +15,13 @@ from accelsurf.levelset import LevelSet
 class HeavyBall(DescentWithMemory):
     """Step s_n = (1 - omega) dt f + omega s_(n-1), redistanced after each (Andersson, Läthén, Lenz, Borga 2013).
 
-    The last step is a field on the surface, extended by the march as all fields are. There is no mass, no time
+    The last step is a field on the surface, extended along normals as all fields are. There is no mass, no time
     but the number of steps, and no term for the motion of the surface itself.
 
     Parameters
     ----------
     blend : float
-        omega, the part of the last step that is kept: 0 (plain descent) up to, not including, 1.
+        omega, the part of the last step that is repeated: 0 (plain descent) up to, not including, 1.
     """
 
     name = "momentum"
@@ -31,7 +31,7 @@ class HeavyBall(DescentWithMemory):
         self.blend = float(blend)
 
     def zero_momentum(self, area: np.ndarray) -> float:
-        """Forget the last step."""
+        """Set the last step to zero."""
         self._last[:] = 0.0
         return 0.0
 
@@ -40,11 +40,11 @@ class HeavyBall(DescentWithMemory):
         return self._last
 
     def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
-        """Change what is remembered."""
+        """Change the last step."""
         self._last = self._last + speed
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""
+        """Step with the bounds of plain descent; a step beyond the limit is clipped before it becomes the last one."""
         force = np.asarray(now.force, np.float32)
         dt = cfl_dt = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
         if now.alpha > 0:

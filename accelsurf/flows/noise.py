@@ -33,7 +33,7 @@ class Noise:
         Correlation length, mm; None is `LENGTH` voxels.
     seed : int
     until : float or None
-        Flow time at which the noise ends; None is at the first rest.
+        Flow time at which the noise ends; None is when momentum is first set to zero.
     """
 
     def __init__(self, strength: float, length: float | None = None, seed: int = 0, until: float | None = None) -> None:
@@ -41,27 +41,27 @@ class Noise:
         self.start()
 
     def start(self) -> None:
-        """Begin the same sequence again."""
+        """Start the same sequence again."""
         self._random = np.random.default_rng(self.seed)
         self._elapsed = 0.0
-        self._was_at_rest = False
+        self._momentum_was_reset = False
 
     def state(self) -> tuple[dict[str, Any], float, bool]:
         """Where the sequence is."""
-        return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._was_at_rest
+        return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._momentum_was_reset
 
     def restore(self, state: tuple[dict[str, Any], float, bool]) -> None:
         """Go on from there."""
-        self._random.bit_generator.state, self._elapsed, self._was_at_rest = copy.deepcopy(state)
+        self._random.bit_generator.state, self._elapsed, self._momentum_was_reset = copy.deepcopy(state)
 
     def zero_momentum(self) -> None:
-        """The surface was put at rest."""
-        self._was_at_rest = True
+        """Momentum was set to zero."""
+        self._momentum_was_reset = True
 
     @property
     def acts(self) -> bool:
         """Whether there is noise at present."""
-        over = self._was_at_rest if self.until is None else self._elapsed >= self.until
+        over = self._momentum_was_reset if self.until is None else self._elapsed >= self.until
         return self.strength > 0 and not over
 
     def longest_dt(self, surface: LevelSet, cfl: float) -> float:
@@ -69,7 +69,7 @@ class Noise:
         return (cfl * surface.smallest_spacing / self.strength) ** (2.0 / 3.0)
 
     def kicks(self, surface: LevelSet, front: np.ndarray, dt: float, components: int) -> np.ndarray:
-        """Velocity (n, components) that the noise adds in ``dt`` at the feet of the front cells; time goes on by dt."""
+        """Velocity (n, components) that the noise adds in ``dt`` at the closest points of the front; advances time."""
         length = self.length if self.length is not None else LENGTH * surface.largest_spacing
         extended = np.array(surface.shape) > 1
         out = np.zeros((surface.size, components), np.float32)

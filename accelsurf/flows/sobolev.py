@@ -1,4 +1,4 @@
-"""Sobolev descent: the force smoothed along the surface by a solve at each step. The dear baseline."""
+"""Sobolev descent: the force smoothed along the surface by a solve at each step. The expensive baseline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Sobolev(DescentWithMemory):
     """psi_t = g |grad psi| with (1 - ell^2 Lap_S) g = f: descent in the H1 metric of the surface.
 
     On a sphere of radius r a spherical harmonic of degree l comes out divided by 1 + ell^2 l (l + 1)/r^2. The step
-    is bound by the travel of g alone, also with an area weight.
+    is bounded by the CFL number of g alone, also with an area weight.
 
     Parameters
     ----------
@@ -74,21 +74,21 @@ def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.n
 
     right = eta * force
     g = guess.astype(np.float64)
-    residue = right - product(g)
-    enough = TOLERANCE**2 * dot(right, right / diagonal)
-    way = np.zeros(n)
+    residual = right - product(g)
+    tolerance = TOLERANCE**2 * dot(right, right / diagonal)
+    direction = np.zeros(n)
     last = 1.0
     for _ in range(MAX_ITERATIONS):
-        scaled = residue / diagonal
-        size = dot(residue, scaled)
-        if size <= enough:
+        scaled = residual / diagonal
+        size = dot(residual, scaled)
+        if size <= tolerance:
             break
-        way = scaled + (size / last) * way
+        direction = scaled + (size / last) * direction
         last = size
-        image = product(way)
-        step = size / dot(way, image)
-        g += step * way
-        residue -= step * image
+        image = product(direction)
+        step = size / dot(direction, image)
+        g += step * direction
+        residual -= step * image
     return g.astype(np.float32)
 
 

@@ -11,7 +11,7 @@ from accelsurf.kernels.march import OPEN, length
 from accelsurf.kernels.simd.cubic import cubic_rows
 from accelsurf.kernels.stages import Stage
 
-#: The smallest distance that a cell may be given, as a part of the smallest spacing: the sign must survive.
+#: The smallest distance that a cell may be given, as a part of the smallest spacing, so that psi has a sign.
 MIN_DISTANCE = 1e-6
 
 
@@ -24,9 +24,9 @@ def keep_mask(start, stop, grid, foot, state, half_width, keep):
 
 @kernel(stage=Stage.BAND)
 def merged_order(cells, n_old, keep, entered):
-    """Slots of the new band in raster order: the kept old ones (sorted already) merged with ``entered`` slots.
+    """Slots of the new band in raster order: the remaining old ones (sorted already) merged with ``entered`` slots.
 
-    ``entered`` are the kept new slots sorted by cell.
+    ``entered`` are the new slots that stay, sorted by cell.
     """
     count = entered.shape[0]
     for s in range(n_old):
@@ -54,14 +54,14 @@ def merged_order(cells, n_old, keep, entered):
 @kernel(stage=Stage.BAND)
 def gather_band(start, stop, dense_psi, grid, order, old, new):
     """Fill the range of the ``new`` band from ``old`` (cells, foot) slots in ``order``; psi = sign x |foot|."""
-    least = MIN_DISTANCE * min(grid.hz, min(grid.hy, grid.hx))
+    shortest = MIN_DISTANCE * min(grid.hz, min(grid.hy, grid.hx))
     for s in range(start, stop):
         source = order[s]
         cell = old.cells[source]
         new.cells[s] = cell
         for axis in range(3):
             new.foot[s, axis] = old.foot[source, axis]
-        d = max(length(old.foot, source), least)
+        d = max(length(old.foot, source), shortest)
         new.psi[s] = -d if dense_psi[cell] < 0.0 else d
 
 
@@ -70,7 +70,7 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
     """Fields on the ``front`` of the new ``band``: their values at each foot, interpolated from the old slots.
 
     ``values`` (m, n_old) float32 belong to the old band and ``slot`` still maps to it; ``out`` is (m, n). A cell with
-    nothing known around its foot keeps its own old values, or 0 when it was not in the band.
+    nothing known around its foot has its own old values, or 0 when it was not in the band.
     """
     m, n_old = values.shape
     flat = values.reshape(m * n_old)
@@ -144,7 +144,7 @@ def outward_table(start, stop, slot, grid, band, front, off, slots, shares):
 
 @kernel(stage=Stage.EXTENSION)
 def extend_outwards(start, stop, off, slots, shares, values):
-    """Overwrite ``values`` at the cells ``off`` the front by what `outward_table` says of the front's."""
+    """Overwrite ``values`` at the cells ``off`` the front by the front's, as `outward_table` weighs them."""
     for row in range(start, stop):
         value = np.float32(0.0)
         for corner in range(8):
@@ -214,7 +214,7 @@ def small_components(dense, grid, band, peaks, most):
     """Flip the sign of psi on every component, inside or outside, of at most ``most`` cells.
 
     Each has a cell that no 6-neighbour on its side exceeds in |psi|, among the slots ``peaks``; the flood starts there
-    and gives up beyond ``most`` cells. A component that touches the border of the volume counts like any other.
+    and stops beyond ``most`` cells. A component that touches the border of the volume counts like any other.
     Returns (components removed inside, outside, cells flipped).
     """
     psi = dense.psi

@@ -1,4 +1,4 @@
-"""Histograms of an image over regions, each voxel shared by the two bins next to it; tables read by value."""
+"""Histograms of an image over regions, each voxel shared by the two bins next to it; tables interpolated by value."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
 """Marching of closest points: distance, band membership and extension from the front outwards.
 
-Every cell carries the vector to its closest point on the surface (its foot). Most get it from the cubic interpolant
-at once; the others, and the cells that enter, take over the foot of a neighbour that knows a closer one and polish
-it, round by round until nothing changes: every round reads the last one only, so it runs in several threads and gives
-the same bytes for any number of them. A field is extended by its value at the foot, so grad F . grad psi = 0.
+Every cell has the vector to its closest point on the surface (its foot). Most get it from the cubic interpolant
+at once; the others, and the cells that enter, adopt the foot of a neighbour that has a closer one and refine it, as in
+vector distance transforms, round by round until nothing changes: every round reads the last one only, so it runs in
+several threads and gives the same bytes for any number of them. A field is extended by its value at the foot, so
+grad F . grad psi = 0.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from accelsurf.kernels.closest import FOUND, closest_points, crossing_point, fee
 from accelsurf.kernels.grid import BATCH, neighbours, unravel, voxels_along
 from accelsurf.kernels.stages import Stage
 
-#: What is known of a slot's foot.
+#: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
 OPEN, FROZEN, EDGE = 0, 1, 2
-#: A foot may lie this many voxels beyond the border; a surface that has left the volume further is gone.
+#: A foot may lie this many voxels beyond the border; a surface further out has left the volume.
 MARGIN = 1.0
-#: A cell takes over the foot of a neighbour that is closer by this many voxels.
+#: A cell adopts the foot of a neighbour when that is closer by this many voxels.
 MIN_GAIN = 0.02
-#: A cell is met when its neighbour's tangent plane says that it is at most this much beyond the band, voxels.
+#: A cell enters when it is at most this much beyond the band, voxels, by its neighbour's tangent plane.
 SLACK = 0.1
 
 
@@ -76,8 +77,8 @@ def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, bes
     """First guesses of ``count`` feet from slot ``first`` on, as rows z, y, x of ``guesses``; 0 where there is none.
 
     ``beside`` marks the cells with a neighbour on the other side of the surface. Where |psi| was above ``inner`` mm
-    before the surface moved, centred differences would reach beyond the band: the guess is the old foot, drawn out or
-    in by what psi has changed.
+    before the surface moved, centred differences would need cells beyond the band: the guess is the old foot,
+    scaled by the change of psi.
     """
     psi = dense.psi
     for i in range(count):
@@ -140,9 +141,9 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
 
 @kernel
 def accept_foot(value, grid, plane, bound, guess, found, least):
-    """Whether a foot, ``found`` at ``guess``, holds for a cell with psi = ``value``: FROZEN or OPEN.
+    """Whether a foot, ``found`` at ``guess``, is accepted for a cell with psi = ``value``: FROZEN or OPEN.
 
-    A foot at less than ``least`` of the distance that psi said is no surface. Where an edge crossing, ``bound`` mm off
+    A foot at less than ``least`` of the distance by psi is not on the surface. Where an edge crossing, ``bound`` mm off
     (-1: there is none), lies closer, the foot of its ``plane`` is put there.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
@@ -229,7 +230,7 @@ def grown_rows(array, size):
 def tangent_foot(foot, via, grid, cz, cy, cx, out):
     """Foot (into ``out``) of a cell whose neighbour ``via`` has the foot (cz, cy, cx) from the cell.
 
-    The point where the neighbour's tangent plane is closest: right on a plane, and as good a guess as psi's slope
+    The point where the neighbour's tangent plane is closest: exact on a plane, and as good a guess as psi's slope
     gives. The neighbour's own foot where that neighbour is too close to the surface to tell its normal.
     Returns its length in voxels.
     """
@@ -245,12 +246,11 @@ def tangent_foot(foot, via, grid, cz, cy, cx, out):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def activate_neighbours(dense, grid, cells, foot, state, n, sources, half_width, active):
-    """What the cells of the slots ``sources``, whose feet are new or at the band's edge, set going; serial.
+    """Activate the neighbours of the slots ``sources``, whose feet are new or at the band's edge; serial.
 
     Neighbours that are not in the band enter it, as OPEN slots from ``n`` on, when the tangent plane at the source's
-    foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked in ``active`` (room,), as a
-    closer foot may be theirs.
-    ``dense.slot`` is extended. Returns (cells, foot, state, active, n), with room to spare.
+    foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked in ``active`` (room,), as
+    they may get a closer foot. ``dense.slot`` is extended. Returns (cells, foot, state, active, n), with room to spare.
     """
     slot = dense.slot
     near = np.empty(6, np.int64)
@@ -287,7 +287,7 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     Returns whether there is one.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
-    # Squares of distances: -1 where nothing can be closer. An open slot's foot is nothing yet.
+    # Squares of distances: -1 where nothing can be closer. An open slot has no foot yet.
     least = 1e30
     if state[s] != OPEN:
         own = length(foot, s) - MIN_GAIN * h
@@ -324,7 +324,7 @@ def propagate_feet(start, stop, dense, grid, cells, foot, state, on, better, cha
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def update_feet(start, stop, on, better, changed, foot, state):
-    """Take the feet of a round over."""
+    """Set the feet that a round has found."""
     for row in range(start, stop):
         if changed[row]:
             s = on[row]
@@ -334,7 +334,7 @@ def update_feet(start, stop, on, better, changed, foot, state):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def refine_feet(start, stop, psi, grid, cells, on, foot):
-    """Move the feet of the slots ``on`` (m,), taken over from neighbours, to their own closest points.
+    """Move the feet of the slots ``on`` (m,), adopted from neighbours, to their own closest points.
 
     A foot that does not get shorter, further off than the radius of curvature, stays.
     """

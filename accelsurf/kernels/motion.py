@@ -1,4 +1,4 @@
-"""One step of the surface: force sampling, kick, diffusion, drift."""
+"""One step of the surface: sampling of forces, kick, diffusion, advance of psi."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
     Weighted by the smeared delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the region sums, and by the
     area 1 + s H of the level at distance s, at five points along the normal, the raveled dense image I
     interpolated linearly; ``settings`` = (grid, epsilon in voxels along the normal, (a, b, c), curvature H).
-    Where the smeared layer is not resolved, |s H| is held to 1/2.
+    Where the smeared layer is not resolved, |s H| is clipped to 1/2.
     """
     grid, epsilon, polynomial, curvature = settings
     a, b, c = polynomial
     hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
     row, plane = grid.nx, grid.ny * grid.nx
-    # A little more, for what rounding may add.
-    reach = 2.0 / 3.0 * epsilon + 1e-6
+    # A little more, for rounding.
+    extent = 2.0 / 3.0 * epsilon + 1e-6
     for s in range(start, stop):
         out[s] = 0.0
         if not front[s]:
@@ -59,14 +59,14 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
         unit = 1.0 / norm
         nz, ny, nx = nz * unit, ny * unit, nx * unit
         mm = np.sqrt((nz * grid.hz) ** 2 + (ny * grid.hy) ** 2 + (nx * grid.hx) ** 2)
-        bend = outward * mm * curvature[s]
-        inside = reach <= pz < grid.nz - 1 - reach and reach <= py < grid.ny - 1 - reach
-        inside = inside and reach <= px < grid.nx - 1 - reach
+        area_growth = outward * mm * curvature[s]
+        inside = extent <= pz < grid.nz - 1 - extent and extent <= py < grid.ny - 1 - extent
+        inside = inside and extent <= px < grid.nx - 1 - extent
         total = 0.0
         for m in range(-2, 3):
             u = m * epsilon / 3.0
             share = 1.0 / 3.0 if m == 0 else (0.25 if abs(m) == 1 else 1.0 / 12.0)
-            share *= 1.0 + min(max(u * bend, -0.5), 0.5)
+            share *= 1.0 + min(max(u * area_growth, -0.5), 0.5)
             qz, qy, qx = pz + u * nz, py + u * ny, px + u * nx
             if inside:
                 jz, jy, jx = int(qz), int(qy), int(qx)
@@ -85,7 +85,7 @@ def kick(start, stop, beta, gain, curvature, front, rates):
 
     beta+ = [beta (1 - gamma dm/2) + gain] / [1 + gamma dm/2 - dm beta H/2], the transport term 1/2 beta^2 H taken
     as 1/2 beta beta+ H, which makes the scheme second order. ``gain`` is dm w f/rho; ``rates`` = (gamma dm, dm).
-    The denominator is kept above 0.2.
+    The denominator is at least 0.2.
     """
     damping, dm = rates
     for s in range(start, stop):

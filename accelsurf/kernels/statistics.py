@@ -1,4 +1,4 @@
-"""Figures of many values in one pass, without copies: percentiles by their bits, sums of products by blocks."""
+"""Statistics of many values without copies: order statistics by their bits, sums of products by blocks."""
 
 from __future__ import annotations
 

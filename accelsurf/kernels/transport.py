@@ -1,4 +1,4 @@
-"""Carrying a surface and what lives on it along a velocity: departure points, and the stretch of its area."""
+"""Semi-Lagrangian advection of a surface and its fields: departure points, and the stretch of its area."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from accelsurf.kernels.stages import Stage
 #: Fixed-point iterations for a departure point; each gains a factor dt |grad V|, at most about 1/10. The first needs
 #: no more than linear interpolation.
 ITERATIONS = 3
-#: Longest way back to a departure point per axis, voxels: beyond it lies another part of the surface.
+#: Largest distance of a departure point per axis, voxels: beyond it is another part of the surface.
 MAX_DEPARTURE = 2.0
 
 
@@ -112,8 +112,8 @@ def has_stencil(slot, grid, position, w):
 def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
     """Psi of every cell after ``dt`` of psi_t = -V . grad psi: psi at the departure point of the cell.
 
-    Beyond the border psi goes on straight: held there, it would hold back a surface that moves inwards. Near the
-    band's edge, where the interpolation would reach beyond it, psi - dt V . n with the normal n of the distance
+    Beyond the border psi is continued linearly: a constant there would stop a surface that moves inwards. Near the
+    band's edge, where the interpolation would need cells beyond it, psi - dt V . n with the normal n of the distance
     that psi was.
     """
     w = np.empty(24)
@@ -229,10 +229,10 @@ def surface_gradient(start, stop, slot, grid, cells, values, normal, front, out)
 
 @kernel(stage=Stage.EXTENSION)
 def advect_fields(start, stop, slot, grid, band, velocity, dt, values, out):
-    """Fields (n, m) of the new ``band`` carried from the old one, which ``slot`` still maps to.
+    """Fields (n, m) of the new ``band`` advected from the old one, which ``slot`` still maps to.
 
     Each cell gets the values at the point of the old surface that moved to its foot. A cell with nothing known
-    around that point keeps its own old values, or 0 when it was not in the band.
+    around that point has its own old values, or 0 when it was not in the band.
     """
     w = np.empty(24)
     v = np.empty(3)

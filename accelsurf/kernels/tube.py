@@ -22,7 +22,7 @@ def tube_product(start, stop, slot, grid, cells, eta, length, field, out):
     """Product of the weighted operator with ``field`` (n,): eta g - ell^2 div(eta grad g).
 
     The weak form of sum eta (g^2 + ell^2 |grad g|^2)/2, a face between two cells having the mean of their weights:
-    symmetric. Cells just off the tube take part (without them the faces at its edge would be lost).
+    symmetric. Cells just off the tube count too (without them the faces at its edge would be lost).
     """
     near = np.empty(6, np.int64)
     for s in range(start, stop):

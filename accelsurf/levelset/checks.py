@@ -1,4 +1,4 @@
-"""Whether a level set is valid: numbered checks from cheap to expensive, nothing said when all is well."""
+"""Whether a level set is valid: numbered checks from cheap to expensive, no output when it is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LevelSet: psi near its zero level, with the closest point of every cell, kept a distance as it moves."""
+"""LevelSet: psi near its zero level, with the closest point of every cell, made a distance again as it moves."""
 
 from __future__ import annotations
 
