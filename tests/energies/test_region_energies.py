@@ -216,7 +216,7 @@ def test_likelihood_tells_regions_of_one_mean_by_their_variance():
 
 
 def test_likelihood_learns_from_foreground_and_background():
-    """The start is in the wrong object; what is learned decides. Values are told in the image's own unit."""
+    """The start is in the wrong object; what is learned decides. Values are reported in the image's own unit."""
     z, y, x = np.indices((30, 30, 60)).astype(float)
     balls = [(x - c) ** 2 + (y - 15) ** 2 + (z - 15) ** 2 < 9**2 for c in (15, 44)]
     scan = 100.0 + 50.0 * balls[0] + 120.0 * balls[1] + np.random.default_rng(1).normal(0, 5, balls[0].shape)

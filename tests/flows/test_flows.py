@@ -42,7 +42,7 @@ def test_diffusion_decays_as_on_the_sphere(degree):
     """Y_l under beta_t = D Lap_S beta decays as exp(-D l(l+1) t/r^2).
 
     Measured rates are 1.01 to 1.17 times that (l = 1 to 4, r = 12 voxels): the extension that precedes each Laplacian
-    interpolates linearly, which is some diffusion by itself.
+    interpolates linearly, which is some diffusion too.
     """
     surface = sphere()
     front = surface.front()

@@ -83,7 +83,7 @@ def test_signs_and_sizes_on_balls_and_cylinders():
 
 
 def test_curvature_at_foot_undoes_the_distance():
-    """Of a level d off a surface of principal curvatures k: k/(1 + d k) each. Twin: from d to d = 0 and back."""
+    """Of a level d off a surface of principal curvatures k: k/(1 + d k) each. Reference: from d to d = 0 and back."""
     rng = np.random.default_rng(2)
     for _ in range(200):
         k, d = rng.normal(0, 0.5, 2), rng.uniform(-2, 2)
@@ -101,7 +101,7 @@ def test_curvature_at_foot_undoes_the_distance():
     (0.5, 0.0625, 2.0, 1.0),  # a ball of radius 2, two off
     (0.4, 0.04, -2.0, 2 / 7),  # and from inside
     (0.9, 0.0, 1.0, 0.9),  # 1 - d k = 0.1 is too little to divide by
-    (0.7, 0.0, 1.0, 1.5),  # held
+    (0.7, 0.0, 1.0, 1.5),  # clipped
     (-0.7, 0.0, -1.0, -1.5),
     (9.0, 0.0, 0.0, 1.5),
 ])  # fmt: skip

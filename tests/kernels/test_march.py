@@ -69,7 +69,7 @@ def marched(psi, spacing, half_width):
 
 
 def moved(psi, grid, cells, feet):
-    """(feet, how they stand) by `closest_points`; what its memory held before is no matter."""
+    """(feet, their status) by `closest_points`; what its memory held before is no matter."""
     count = len(cells)
     memory = np.full(closest.ROWS * closest.BATCH, np.float32(np.nan))
     rows = memory.reshape(closest.ROWS, closest.BATCH)

@@ -1,4 +1,4 @@
-"""Transport: interpolation of vectors, departure points, what is carried, stretch of the area, surface gradient."""
+"""Transport: interpolation of vectors, departure points, what is advected, stretch of the area, surface gradient."""
 
 import numpy as np
 import pytest
@@ -177,7 +177,7 @@ def test_departure_stays_where_nothing_is_known():
     np.testing.assert_array_equal(at, target)
 
 
-# ---------------------------------------------------------------------------------------------------- psi is carried
+# ---------------------------------------------------------------------------------------------------- psi is advected
 
 
 def plane_band(shape, normal, offset, share=1.0, seed=0):
@@ -224,7 +224,7 @@ def test_psi_is_that_of_the_departure_point_or_moved_along_the_normal(shape, sha
     for s, target in enumerate(np.argwhere(present)):
         at = reference.departure(flow, present, SPACING, target, dt)
         if reference.has_stencil(present, at):
-            want, kind = reference.interpolate(psi, at)[0][0], "carried"
+            want, kind = reference.interpolate(psi, at)[0][0], "advected"
         elif abs(d[s]) > 0.5 * min(SPACING):
             want, kind = d[s] - dt * velocity[s] @ way[s], "foot"
         else:
@@ -232,7 +232,7 @@ def test_psi_is_that_of_the_departure_point_or_moved_along_the_normal(shape, sha
         assert out[s] == pytest.approx(want, rel=1e-5, abs=1e-4), kind
         seen.add(kind)
     if shape == SHAPES[0]:
-        assert ("carried" in seen) == (share == 1)
+        assert ("advected" in seen) == (share == 1)
         assert ("foot" in seen) == (share < 1 or hole is not None)
         assert ("gradient" in seen) == (share < 1)
 
@@ -381,7 +381,7 @@ def test_stretch_of_a_growing_sphere():
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("share", [1.0, 0.6])
-def test_stretch_as_the_twin_with_holes(shape, share):
+def test_stretch_as_the_reference_with_holes(shape, share):
     present, dense, velocity, slot = vectors_of(shape, 20, share=share)
     n, dt = len(velocity), 0.4
     normal, front = random_normals(n, 21), np.random.default_rng(22).random(n) < 0.7
@@ -424,7 +424,7 @@ def test_surface_gradient_of_a_linear_field():
         np.testing.assert_allclose(out, np.tile(np.array(want, float), (60, 1)), atol=1e-5)
 
 
-# ------------------------------------------------------------------------------------------------ fields are carried
+# ------------------------------------------------------------------------------------------------ fields are advected
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -441,7 +441,7 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
     out = np.full((n, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
     transport.advect_fields(0, n, np.arange(n, dtype=np.int32), grid, band, velocity, dt, values, out)
-    # Held at the border.
+    # Clamped to the border.
     at = np.clip(indices(shape) + (foot - dt * uniform) / h, 0, last) * h
     np.testing.assert_allclose(out, at @ slopes.T + 1, atol=5e-5)
 

@@ -38,7 +38,7 @@ def test_windows_add_up_to_1_on_every_voxel():
         np.testing.assert_allclose(axis.sum(axis=0), 1.0)
 
 
-def test_splat_and_tents_are_the_window_sums():
+def test_scatter_and_tents_are_the_window_sums():
     rng = np.random.default_rng(1)
     image, share = rng.normal(size=SHAPE).astype(np.float32), rng.random(SHAPE)
     share[rng.random(SHAPE) < 0.2] = 0.0
@@ -50,7 +50,7 @@ def test_splat_and_tents_are_the_window_sums():
         np.testing.assert_allclose(smoothed(got.reshape(NODES[:3])), want, atol=1e-12)
 
 
-def test_splat_inside_is_that_of_the_inside_voxels_out_of_the_band():
+def test_scatter_inside_is_that_of_the_inside_voxels_out_of_the_band():
     rng = np.random.default_rng(2)
     psi, image = rng.normal(size=SHAPE).astype(np.float32), rng.normal(size=SHAPE).astype(np.float32)
     lattice, _ = reference.whole_band(psi)

@@ -108,7 +108,7 @@ def test_seconds_by_kernel_add_up(threads):
 
 
 def test_a_noisy_surface_is_the_same_bytes_with_one_two_and_three_threads():
-    """Closest points in many rounds: cells that enter, and feet taken over everywhere."""
+    """Closest points in many rounds: cells that enter, and closest points adopted everywhere."""
     psi, results = reference.smooth_noise((36, 40, 42), 4, 0.9), []
     for threads in (1, 2, 3):
         with Workers(threads) as workers:

@@ -50,13 +50,13 @@ def axis_weights(p, n):
     From the monomials: the inverse of the Vandermonde matrix of the nodes.
     """
     count = min(n, 4)
-    held = np.clip(p, 0, n - 1)
-    base = np.clip(np.floor(held).astype(int) - 1, 0, n - count)
+    clamped = np.clip(p, 0, n - 1)
+    base = np.clip(np.floor(clamped).astype(int) - 1, 0, n - count)
     k = np.arange(count)
     coefficients = np.linalg.inv(np.vander(k, increasing=True).astype(float))
-    u = (held - base)[:, None]
+    u = (clamped - base)[:, None]
     slopes = k * u ** np.maximum(k - 1, 0)
-    return base, u**k @ coefficients, slopes @ coefficients, p - held
+    return base, u**k @ coefficients, slopes @ coefficients, p - clamped
 
 
 def interpolate(array, positions):
@@ -78,7 +78,7 @@ def interpolate(array, positions):
 
 
 def linear(array, positions):
-    """Linear interpolation held at the border."""
+    """Linear interpolation clamped to the border."""
     return ndimage.map_coordinates(np.asarray(array, float), np.atleast_2d(positions).T, order=1, mode="nearest")
 
 
@@ -104,10 +104,10 @@ def has_stencil(present, position):
 
 def band_vector(values, present, position):
     """(vector, found): (z, y, x, m) ``values`` at ``position``, cubic where the stencil is ``present``, else linear."""
-    held = np.clip(position, 0, np.array(present.shape) - 1.0)
+    clamped = np.clip(position, 0, np.array(present.shape) - 1.0)
     parts = np.moveaxis(np.asarray(values, float), -1, 0)
     if has_stencil(present, position):
-        return np.array([interpolate(part, held)[0][0] for part in parts]), True
+        return np.array([interpolate(part, clamped)[0][0] for part in parts]), True
     found = [known_linear(part, present, position) for part in parts]
     return np.array([value for value, _ in found]), found[0][1]
 
@@ -172,7 +172,7 @@ def corrected(iteration, foot, level, past, spacing):
     """One of Chopp's two corrections at once, the part along the level relaxed by the secant of two residues.
 
     ``level`` is (psi, gradient per mm) at the ``foot`` (mm from the cell); ``past`` (last residue, its square, the last
-    relaxation, the square of the first residue). Returns (foot, how it stands, past, by how much of a limit each of
+    relaxation, the square of the first residue). Returns (foot, its status, past, by how much of a limit each of
     the decisions was made).
     """
     last, square, relax, first = past
@@ -202,7 +202,7 @@ def corrected(iteration, foot, level, past, spacing):
 
 
 def iterated(psi, spacing, cell, foot):
-    """Closest point of one cell by `corrected`, one correction after the other: (foot, how it stands, least margin)."""
+    """Closest point of one cell by `corrected`, one correction after the other: (foot, its status, least margin)."""
     h = np.asarray(spacing, float)
     foot, past, least = np.asarray(foot, float), (np.zeros(3), 0.0, 1.0, 0.0), np.inf
     for iteration in range(closest.MAX_ITERATIONS):
@@ -241,7 +241,7 @@ def march_in_order(grid, cells, foot, state, half_width):
     third cell, past one that has a closer one): a cell that is passed then takes it over and hands it on once more.
     """
     known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
-    held, waiting = set(known), {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
+    fixed, waiting = set(known), {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
     h, best, queue = np.array(grid[3:]), {}, []
 
     def hand_on(cell):
@@ -249,7 +249,7 @@ def march_in_order(grid, cells, foot, state, half_width):
         if np.linalg.norm(f / h) > half_width:
             return
         for target, step in cells_beside(cell, grid):
-            if target in held:
+            if target in fixed:
                 continue
             if enters(f, step, grid, half_width):
                 waiting.add(target)
@@ -279,7 +279,7 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
     known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
     asked = {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
     changed = [int(c) for c, s in zip(cells, state, strict=True) if s == march.EDGE]
-    held, band, later, h = set(known), set(known) | asked, set(), np.array(grid[3:])
+    fixed, band, later, h = set(known), set(known) | asked, set(), np.array(grid[3:])
 
     def polished(cell, f):
         feet = np.array([f], np.float32)
@@ -292,7 +292,7 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
             for target, step in cells_beside(cell, grid):
                 if np.linalg.norm(f / h) <= half_width and (target in band or enters(f, step, grid, half_width)):
                     asked.add(target)
-        asked -= held
+        asked -= fixed
         band |= asked
         if not asked:
             break
