@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.geodesic import largest_spacing, smoothed
+from accelsurf.grid.spacing import gaussian_smoothed, largest_spacing
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord, Stop
@@ -200,7 +200,7 @@ def _without_edge(
     every = max(1, inside.size // ENOUGH)
     for first in range(0, inside.shape[0], step):
         low, high = max(first - halo, 0), min(first + step + halo, inside.shape[0])
-        smooth = smoothed(image[low:high], spacing, scale)
+        smooth = gaussian_smoothed(image[low:high], spacing, scale)
         before, after = first - low, min(first + step, inside.shape[0]) - low
         part = inside[low:high]
         within_rim = ndimage.binary_erosion(part, border_value=1)

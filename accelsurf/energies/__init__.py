@@ -1,7 +1,7 @@
-"""What pulls the surface: each energy gives its value U and its force f = -dU along the inward normal per area.
+"""What acts on the surface: each energy gives its value U and its force f = -dU along the inward normal per area.
 
-An energy follows one run. The loop calls, in this order: `start` once with the first surface; at each step
-`value` and `force`; after each redistancing `follow` with what changed. See `Energy` for the protocol; `ImageEnergy`
+The loop calls, in this order: `start` once with the first surface; at each step `value` and `force`; after each motion
+`project`, and after redistancing `follow` with what changed. See `Energy` for the protocol; `ImageEnergy`
 and the ``..._at_front`` functions are there for energies of your own.
 """
 

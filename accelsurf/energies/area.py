@@ -6,7 +6,7 @@ import numpy as np
 
 
 class AreaTerm:
-    """The area term that energies carry: U = alpha A, f = alpha H (H > 0 on a sphere, which therefore shrinks).
+    """The area term that energies contain: U = alpha A, f = alpha H (H > 0 on a sphere, which therefore shrinks).
 
     Parameters
     ----------

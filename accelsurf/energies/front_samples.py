@@ -1,6 +1,6 @@
 """What an energy reads at the surface: an image, its slope, normals, places.
 
-The surface is known by the *feet* of the front cells, the surface's closest point to each. Everything here has a row
+The surface is known by the closest point of each front cell. Everything here has a row
 per band cell, zero where ``front`` is False, in the order of `LevelSet.band`; lengths are mm, axes (z, y, x).
 """
 
@@ -43,7 +43,7 @@ def check_shape(shape: tuple[int, ...], surface: LevelSet) -> None:
 
 
 def sample_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> np.ndarray:
-    """Values of an image at the foot of every front cell, by cubic interpolation held at the border.
+    """Values of an image at the closest point of every front cell, by cubic interpolation; constant beyond the border.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ def sample_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> 
     """
     out = np.empty(surface.size, np.float32)
     flat = raveled(image, surface)
-    surface.workers.run(motion.sample_image, surface.size, flat, surface.grid, surface.band, front, out)
+    surface.workers.parallel(motion.sample_image, surface.size, flat, surface.grid, surface.band, front, out)
     return out
 
 
 def slope_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values of an image at the feet, and its slopes grad I . n along the outward normal.
+    """Values of an image at the closest points, and its slopes grad I . n along the outward normal.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def slope_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> t
     """
     out = np.empty((surface.size, 2), np.float32)
     flat, normals = raveled(image, surface), normals_at_front(surface, front)
-    surface.workers.run(
+    surface.workers.parallel(
         front_sampling.value_and_slope, surface.size, flat, surface.grid, surface.band, normals, front, out
     )
     return out[:, 0].copy(), out[:, 1].copy()
@@ -98,14 +98,14 @@ def slope_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> t
 def normals_at_front(surface: LevelSet, front: np.ndarray) -> np.ndarray:
     """Outward unit normals n = grad psi/|grad psi| (n, 3), float32, axes (z, y, x) in mm. The inward N is -n."""
     out = np.empty((surface.size, 3), np.float32)
-    surface.workers.run(
+    surface.workers.parallel(
         front_sampling.outward_normals, surface.size, surface.dense.psi, surface.grid, surface.band, front, out
     )
     return out
 
 
 def points_at_front(surface: LevelSet, front: np.ndarray) -> np.ndarray:
-    """Feet (n, 3) of the front cells, float64: (z, y, x) in mm along the grid's axes, the first voxel at 0."""
+    """Closest points (n, 3) of the front cells, float64: (z, y, x), mm along the grid's axes from the first voxel."""
     out = np.zeros((surface.size, 3))
     index = np.stack(np.unravel_index(surface.band.cells[front], surface.shape), axis=1)
     grid = surface.grid

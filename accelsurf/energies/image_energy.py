@@ -8,11 +8,11 @@ import numpy as np
 
 from accelsurf.energies.protocol import Energy
 from accelsurf.energies.region_sums import RegionSums
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 
 class ImageEnergy(Energy):
-    """Base of energies of an image: has its sums over the inside, follows the band, carries the area weight.
+    """Base of energies of an image: has its sums over the inside, follows the band, has an area weight.
 
     A subclass gives `value` and `force`, as `Energy` says them.
 
@@ -40,14 +40,14 @@ class ImageEnergy(Energy):
         """Sum the image over the first inside."""
         self.sums.start(surface)
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Take up the cells that entered or left the band."""
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
+        """Update the sums by the cells that entered or left the band."""
         self.sums.follow(change)
 
     def state(self) -> Any:
-        """What is carried from step to step; a subclass that carries more than the sums extends both methods."""
+        """Return the sums; a subclass that carries more from step to step extends both methods."""
         return self.sums.state()
 
     def restore(self, surface: LevelSet, state: Any) -> None:
-        """Go on, on this surface, from what was ``state`` on it."""
+        """Go on, on this surface, from what `state` returned on it."""
         self.sums.restore(state)

@@ -1,4 +1,4 @@
-"""How an energy sees the surface: sharp or smeared."""
+"""The interface of the two regions: sharp or smeared."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from accelsurf.levelset import LevelSet
 
 
 class Interface(NamedTuple):
-    """How the energy sees the surface: sharp (``epsilon`` 0), or smeared over +-``epsilon`` voxels.
+    """The interface between inside and outside: sharp (``epsilon`` 0), or smeared over +-``epsilon`` voxels.
 
     Sharp: voxels are cut by the surface and the image is read at it. Smeared: the regions overlap by the
     smeared Heaviside function, and the force is, as its derivative, the mean across the surface with the
@@ -26,7 +26,7 @@ class Interface(NamedTuple):
         if self.epsilon == 0:
             return cut
         fraction = np.empty(surface.size)
-        surface.workers.run(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction)
+        surface.workers.parallel(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction)
         return fraction
 
     def force(
@@ -43,7 +43,7 @@ class Interface(NamedTuple):
             a, b, c = (np.float32(v) for v in polynomial)
             return np.where(front, (a * value + b) * value + c, np.float32(0.0))
         out = np.empty(surface.size, np.float32)
-        surface.workers.run(
+        surface.workers.parallel(
             motion.mean_across,
             surface.size,
             surface.dense.psi,

@@ -15,14 +15,14 @@ from accelsurf.energies.protocol import Energy
 from accelsurf.energies.region_sums import RegionMoments, RegionSums
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
-from accelsurf.levelset import Change, LevelSet, dot
+from accelsurf.levelset import BandChange, LevelSet, dot
 
-#: Least standard deviation of a Gaussian, as part of the image's range: a region of one value has none of its own.
+#: Smallest standard deviation of a Gaussian, as part of the image's range: a region of one value has none of its own.
 MIN_DEVIATION = 0.01
 #: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side.
 BINS, END_PERCENTILES, MARGIN = 64, (0.5, 99.5), 0.05
 #: Width (sigma) of Parzen's window, bins; and the part of every value that any region may have: no value decides alone.
-PARZEN, ANY_VALUE = 2.0, 0.01
+PARZEN_SIGMA, UNIFORM_SHARE = 2.0, 0.01
 
 
 class Gaussian(NamedTuple):
@@ -61,7 +61,7 @@ class GaussianLikelihood(ImageEnergy):
         self._interface = Interface(float(epsilon))
         self._area = AreaTerm(alpha)
         self._all = self.sums.whole_image()
-        self._least = least_variance(image)
+        self._min_variance = least_variance(image)
         self._fixed = models
         self.models = models or (Gaussian(0.0, 1.0), Gaussian(0.0, 1.0))
 
@@ -71,7 +71,7 @@ class GaussianLikelihood(ImageEnergy):
         outside = RegionMoments(*(a - b for a, b in zip(self._all, inside, strict=True)))
         models, energy = [], 0.0
         for i, sums in enumerate((inside, outside)):
-            model = self._fixed[i] if self._fixed else _gaussian(sums, self._least)
+            model = self._fixed[i] if self._fixed else _gaussian(sums, self._min_variance)
             m, v = model
             models.append(model)
             energy += 0.5 * math.log(2.0 * math.pi * v) * sums.voxels
@@ -94,8 +94,8 @@ def least_variance(image: np.ndarray) -> float:
     return float((MIN_DEVIATION * (float(np.max(image)) - float(np.min(image)))) ** 2) or 1.0
 
 
-def gaussian_of(values: np.ndarray, least: float) -> Gaussian:
-    """Gaussian of sample values; its variance is at least ``least``.
+def gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
+    """Gaussian of sample values; its variance is at least ``min_variance``.
 
     Raises
     ------
@@ -105,14 +105,14 @@ def gaussian_of(values: np.ndarray, least: float) -> Gaussian:
     if values.size == 0:
         raise InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
     sample = np.asarray(values, np.float64)
-    return Gaussian(float(sample.mean()), max(float(sample.var()), least))
+    return Gaussian(float(sample.mean()), max(float(sample.var()), min_variance))
 
 
-def _gaussian(sums: RegionMoments, least: float) -> Gaussian:
+def _gaussian(sums: RegionMoments, min_variance: float) -> Gaussian:
     if not sums.voxels > 0:
-        return Gaussian(0.0, least)
+        return Gaussian(0.0, min_variance)
     mean = sums.total / sums.voxels
-    return Gaussian(mean, max(sums.squares / sums.voxels - mean * mean, least))
+    return Gaussian(mean, max(sums.squares / sums.voxels - mean * mean, min_variance))
 
 
 class Parzen:
@@ -132,7 +132,7 @@ class Parzen:
         #: (value of the first bin, bins per value)
         self.scale = (low - margin, (BINS - 1) / (high - low + 2.0 * margin))
         away = np.arange(BINS)[:, None] - np.arange(BINS)[None, :]
-        window = np.exp(-0.5 * (away / PARZEN) ** 2)
+        window = np.exp(-0.5 * (away / PARZEN_SIGMA) ** 2)
         # What the window would put beyond the ends stays in the end bins' neighbourhood.
         self._window = window / window.sum(axis=0)
 
@@ -148,7 +148,7 @@ class Parzen:
         """Density p (BINS,), sum 1, of the values of a histogram."""
         total = counts.sum()
         smooth = (self._window * counts).sum(axis=1) / total if total > 0 else np.full(BINS, 1.0 / BINS)
-        return np.asarray((1.0 - ANY_VALUE) * smooth + ANY_VALUE / BINS)
+        return np.asarray((1.0 - UNIFORM_SHARE) * smooth + UNIFORM_SHARE / BINS)
 
     def value_and_slope(self, counts: np.ndarray) -> tuple[float, np.ndarray]:
         """E = -sum_b h_b log p_b for the histogram h = ``counts``, and dE/dh (BINS,): p depends on h, too."""
@@ -156,7 +156,7 @@ class Parzen:
         if not total > 0:
             return 0.0, np.zeros(BINS)
         p = self.density(counts)
-        ratio = counts / p * (1.0 - ANY_VALUE) / total
+        ratio = counts / p * (1.0 - UNIFORM_SHARE) / total
         smooth = (self._window * counts).sum(axis=1) / total
         slope = -np.log(p) - (self._window.T * ratio).sum(axis=1) + dot(ratio, smooth)
         return -dot(counts, np.log(p)), slope
@@ -215,9 +215,9 @@ class HistogramLikelihood(Energy):
         self._table = np.zeros(BINS)
 
     def start(self, surface: LevelSet) -> None:
-        """Take up a surface: the histogram of the inside voxels that are not in the band."""
+        """Make the histogram of the inside voxels that are not in the band."""
         self.sums.start(surface)
-        self._beyond_band = surface.workers.sums(
+        self._beyond_band = surface.workers.block_sums(
             histogram.inside_histogram,
             self.sums.image.size,
             BINS,
@@ -226,22 +226,22 @@ class HistogramLikelihood(Energy):
             self._parzen.scale,
         )
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Take up the cells that entered or left the band."""
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
+        """Update the histogram by the cells that entered or left the band."""
         left, entered = (self.sums.image[cells] for cells in (change.left_inside, change.entered_inside))
         self._beyond_band = self._beyond_band + self._parzen.histogram(left) - self._parzen.histogram(entered)
 
     def state(self) -> np.ndarray:
-        """What it carries from step to step; not to be changed."""
+        """Return the histogram of the inside beyond the band; not to be changed."""
         return self._beyond_band
 
     def restore(self, surface: LevelSet, state: np.ndarray) -> None:
-        """Go on, on this surface, from what was ``state`` on it."""
+        """Go on, on this surface, from what `state` returned on it."""
         self._beyond_band = state
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the densities for the next `force`."""
-        band = surface.workers.sums(
+        band = surface.workers.block_sums(
             histogram.weighted_histogram,
             surface.size,
             BINS,
@@ -277,5 +277,5 @@ class HistogramLikelihood(Energy):
 
     def _looked_up(self, values: np.ndarray, surface: LevelSet) -> np.ndarray:
         out = np.empty(values.size, np.float32)
-        surface.workers.run(histogram.look_up, values.size, values, self._parzen.scale, self._table, out)
+        surface.workers.parallel(histogram.look_up, values.size, values, self._parzen.scale, self._table, out)
         return out

@@ -11,13 +11,13 @@ from accelsurf.energies.front_samples import check_shape
 from accelsurf.energies.interface import Interface
 from accelsurf.energies.protocol import Energy
 from accelsurf.kernels import windows
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 #: Half width of the tent along each axis that has the variance of a ball of radius 1.
 TENT = math.sqrt(6.0 / 5.0)
 #: Nodes per half width of the tent, where they are not closer than two voxels.
-MAX_REACH, FEWEST_REACH = 4, 2
-#: A window with no more than this part on one side of the surface has nothing to say.
+MAX_REACH, MIN_REACH = 4, 2
+#: A window with no more than this part on one side of the surface does not count.
 MIN_PART = 1e-6
 #: Voxels of the whole volume that are summed at once, for the sake of memory.
 SLAB = 1 << 20
@@ -53,33 +53,33 @@ class LocalRegion(Energy):
         self.radius, self.alpha = float(radius), float(alpha)
         self._area = AreaTerm(alpha)
         self._interface = Interface(float(epsilon))
-        self._laid_out = False
+        self._has_nodes = False
 
     def start(self, surface: LevelSet) -> None:
-        """Lay out the nodes; sum the whole volume, and the inside voxels that are not in the band.
+        """Place the nodes; sum the whole volume, and the inside voxels that are not in the band.
 
         Raises
         ------
         InputError
             When the image is not on the surface's grid.
         """
-        self._lay_out(surface)
+        self._place_nodes(surface)
         self._inside = np.zeros_like(self._total)
         where = surface.dense, self._image, surface.grid, self._nodes
-        surface.workers.alone(windows.splat_inside, *where, self._inside[0], self._inside[1])
+        surface.workers.serial(windows.scatter_inside, *where, self._inside[0], self._inside[1])
 
     def state(self) -> np.ndarray:
-        """What it carries from step to step; not to be changed."""
+        """Return the sums of the inside beyond the band, on the nodes."""
         return self._inside.copy()
 
     def restore(self, surface: LevelSet, state: np.ndarray) -> None:
-        """Go on, on this surface, from what was ``state`` on it."""
-        self._lay_out(surface)
+        """Go on, on this surface, from what `state` returned on it."""
+        self._place_nodes(surface)
         self._inside = state.copy()
 
-    def _lay_out(self, surface: LevelSet) -> None:
-        """Lay out the nodes and sum the whole volume, once."""
-        if self._laid_out:
+    def _place_nodes(self, surface: LevelSet) -> None:
+        """Place the nodes and sum the whole volume, once."""
+        if self._has_nodes:
             return
         check_shape(self._shape, surface)
         grid = surface.grid
@@ -90,23 +90,23 @@ class LocalRegion(Energy):
         self._total = np.zeros((2, count))
         for begin in range(0, self._image.size, SLAB):
             cells = np.arange(begin, min(begin + SLAB, self._image.size))
-            self._splat(surface, cells, np.ones(cells.size), self._total)
+            self._scatter(surface, cells, np.ones(cells.size), self._total)
         self._windows = np.stack([self._smooth(surface, field.reshape(sizes)) for field in self._total])
         n, total = self._windows
         squares = float((self._image.astype(np.float64) ** 2).sum())
         # About one mean in each window.
         self._one_mean = squares - float((total[n > 0] ** 2 / n[n > 0]).sum())
-        self._laid_out = True
+        self._has_nodes = True
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Take up the cells that entered or left the band."""
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
+        """Update the sums by the cells that entered or left the band."""
         for cells, sign in ((change.left_inside, 1.0), (change.entered_inside, -1.0)):
-            self._splat(surface, cells, np.full(cells.size, sign), self._inside)
+            self._scatter(surface, cells, np.full(cells.size, sign), self._inside)
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the means for the next `force`."""
         inside = self._inside.copy()
-        self._splat(surface, surface.band.cells, self._interface.fraction(surface, fraction), inside)
+        self._scatter(surface, surface.band.cells, self._interface.fraction(surface, fraction), inside)
         # Windows that the surface can cut, and the nodes that they are made of.
         cut, made_of = self._box(surface, 1), self._box(surface, 2)
         within = tuple(slice(c.start - m.start, c.stop - m.start) for c, m in zip(cut, made_of, strict=True))
@@ -114,7 +114,7 @@ class LocalRegion(Energy):
         n1, total1 = (np.ascontiguousarray(self._smooth(surface, field)[within]) for field in nodes)
         n, total = (np.ascontiguousarray(field[cut]) for field in self._windows)
         means = np.empty((3, n.size))
-        surface.workers.run(
+        surface.workers.parallel(
             windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), MIN_PART, *means
         )
         self._means = [self._smooth(surface, field.reshape(n.shape)).ravel() for field in means[:2]]
@@ -126,7 +126,7 @@ class LocalRegion(Energy):
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
         means = np.empty((surface.size, 2))
-        surface.workers.run(
+        surface.workers.parallel(
             windows.read_nodes, surface.size, surface.grid, surface.band, front, self._part, *self._means, means
         )
         image = self._interface.force(self._image, surface, front, curvature, (0.0, 1.0, 0.0))
@@ -134,9 +134,9 @@ class LocalRegion(Energy):
         self._area.add_force(force, curvature)
         return force
 
-    def _splat(self, surface: LevelSet, cells: np.ndarray, weight: np.ndarray, sums: np.ndarray) -> None:
-        surface.workers.alone(
-            windows.splat, cells, weight, self._image, surface.grid, self._nodes, sums[0], sums[1]
+    def _scatter(self, surface: LevelSet, cells: np.ndarray, weight: np.ndarray, sums: np.ndarray) -> None:
+        surface.workers.serial(
+            windows.scatter, cells, weight, self._image, surface.grid, self._nodes, sums[0], sums[1]
         )
 
     def _smooth(self, surface: LevelSet, field: np.ndarray) -> np.ndarray:
@@ -146,7 +146,7 @@ class LocalRegion(Energy):
             size = field.shape[axis]
             if self._reach[axis] > 1:
                 out = np.empty_like(field)
-                surface.workers.run(
+                surface.workers.parallel(
                     windows.tent_along, field.size, field.ravel(), size * step, step, self._reach[axis], out.ravel()
                 )
                 field = out
@@ -179,7 +179,7 @@ def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
     if n == 1:
         return 1, 1.0, 0.0, 1
     half = TENT * radius
-    reach = 1 if half < 2.0 else min(MAX_REACH, max(FEWEST_REACH, int(half / 2.0)))
+    reach = 1 if half < 2.0 else min(MAX_REACH, max(MIN_REACH, int(half / 2.0)))
     distance = max(half / reach, 1.0)
     number = math.ceil((n - 1) / distance) + 1 + 2 * (reach - 1)
     return number, distance, 0.5 * (number - 1 - (n - 1) / distance), reach

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 
 class Energy(ABC):
@@ -26,13 +26,13 @@ class Energy(ABC):
 
     alpha: float = 0.0
 
-    def start(self, surface: LevelSet) -> None:
+    def start(self, surface: LevelSet) -> None:  # noqa: B027
         """Read a first surface in full, at the cost of its volume. By default nothing is read."""
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
+    def follow(self, surface: LevelSet, change: BandChange) -> None:  # noqa: B027
         """Update by what the last redistancing changed, in O(band). By default nothing is updated."""
 
-    def project(self, surface: LevelSet) -> None:
+    def project(self, surface: LevelSet) -> None:  # noqa: B027
         """Bring psi back to where the energy is finite; called before redistancing. By default psi stays."""
 
     def state(self) -> Any:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from accelsurf.energies.front_samples import check_shape
 from accelsurf.kernels import region
 from accelsurf.kernels.grid import BLOCK
-from accelsurf.levelset import Change, LevelSet, dot
+from accelsurf.levelset import BandChange, LevelSet, dot
 
 
 class RegionMoments(NamedTuple):
@@ -52,12 +52,12 @@ class RegionSums:
             When the image is not on the surface's grid.
         """
         check_shape(self._shape, surface)
-        self._beyond_band = surface.workers.sums(
+        self._beyond_band = surface.workers.block_sums(
             region.inside_sums, self.image.size, 3, surface.dense, self.image
         )
 
-    def follow(self, change: Change) -> None:
-        """Move the cells that entered or left the band to the right side of the account."""
+    def follow(self, change: BandChange) -> None:
+        """Update the sums by the cells that entered or left the band."""
         self._beyond_band = (
             self._beyond_band + self._plain_sums(change.left_inside) - self._plain_sums(change.entered_inside)
         )
@@ -67,12 +67,12 @@ class RegionSums:
         return self._beyond_band
 
     def restore(self, state: np.ndarray) -> None:
-        """Take them back."""
+        """Set them."""
         self._beyond_band = state
 
     def inside(self, surface: LevelSet, fraction: np.ndarray) -> RegionMoments:
         """Sums over the inside of the surface, voxels cut by it counted in part."""
-        band = surface.workers.sums(
+        band = surface.workers.block_sums(
             region.weighted_sums, surface.size, 3, surface.band.cells, fraction, self.image
         )
         return RegionMoments(*(float(v) for v in self._beyond_band + band))

@@ -1,4 +1,4 @@
-"""An energy that somebody else wrote, checked: its mistakes are told in one line and not found deep in a kernel."""
+"""An energy that somebody else wrote, checked: its mistakes are reported in one line, before a kernel fails."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 from accelsurf.energies.protocol import Energy
 from accelsurf.errors import InputError, UsageError
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 METHODS = ("start", "follow", "value", "force")
 
 
 class CheckedEnergy(Energy):
-    """An energy that behaves as the one given, but whose value and force are looked at before they are used.
+    """An energy that behaves as the one given, but whose value and force are checked before they are used.
 
     Parameters
     ----------
@@ -63,11 +63,11 @@ class CheckedEnergy(Energy):
         return float(alpha)
 
     def start(self, surface: LevelSet) -> None:
-        """Take up a surface."""
+        """Start the energy on a first surface."""
         self._energy.start(surface)
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Take up what changed."""
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
+        """Update the energy."""
         self._energy.follow(surface, change)
 
     def project(self, surface: LevelSet) -> None:
@@ -99,7 +99,9 @@ class CheckedEnergy(Energy):
         """
         value = self._energy.value(surface, fraction, area)
         if not _is_number(value):
-            raise InputError(f"{self._kind}.value returned {_what(value)}, expected one number", "return float(...)")
+            raise InputError(
+                f"{self._kind}.value returned {_described(value)}, expected one number", "return float(...)"
+            )
         return float(value)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
@@ -113,7 +115,7 @@ class CheckedEnergy(Energy):
         force = self._energy.force(surface, front, curvature)
         if not isinstance(force, np.ndarray) or force.shape != front.shape or force.dtype.kind not in "fiu":
             raise InputError(
-                f"{self._kind}.force returned {_what(force)}, expected an array of numbers of shape {front.shape}",
+                f"{self._kind}.force returned {_described(force)}, expected an array of numbers of shape {front.shape}",
                 "one number for each band cell, in the order of the arrays front and curvature",
             )
         with np.errstate(over="ignore"):
@@ -134,7 +136,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
-def _what(value: Any) -> str:
+def _described(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype} of shape {value.shape}"
     return f"a {type(value).__name__}"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies.protocol import Energy
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 
 class WeightedSum(Energy):
@@ -31,12 +31,12 @@ class WeightedSum(Energy):
         assert all(weight > 0 or energy.alpha == 0 for weight, energy in self._terms)
 
     def start(self, surface: LevelSet) -> None:
-        """Take up a surface, every term."""
+        """Start every term on a first surface."""
         for _, energy in self._terms:
             energy.start(surface)
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
-        """Take up what changed, every term."""
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
+        """Update every term."""
         for _, energy in self._terms:
             energy.follow(surface, change)
 
@@ -46,7 +46,7 @@ class WeightedSum(Energy):
             energy.project(surface)
 
     def state(self) -> list[Any]:
-        """What the terms carry from step to step, in their order; None for those that carry nothing."""
+        """Return the states of the terms, in their order; None for those that have none."""
         return [energy.state() for _, energy in self._terms]
 
     def restore(self, surface: LevelSet, state: list[Any]) -> None:

@@ -15,7 +15,7 @@ from accelsurf.evolution.convergence import Reason, Restart, StopRule, stalled, 
 from accelsurf.evolution.records import Step, StepFields, StepRecord, Stop
 from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
-from accelsurf.flows.protocol import voxel_rates
+from accelsurf.flows.step_limits import voxel_rates
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
 from accelsurf.levelset.transfer import transfer_fields
@@ -245,7 +245,7 @@ class Evolution:
         plan = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self.limits)
         if not plan.dt > 0:
             return self._end(("converged", "no force acts on the surface"), columns, began)
-        entries = state.budget.record_step(plan.account, plan.dt)
+        entries = state.budget.record_step(plan.energy_rates, plan.dt)
         rates = voxel_rates(surface, area > 0, plan.speed)
         motion = plan.dt * float((area * rates).sum()) / max(columns["area_mm2"], 1e-300)
         # The arrays of the old band, which nothing writes to any more.
@@ -256,10 +256,10 @@ class Evolution:
             **columns,
             **entries,
             dt=plan.dt,
-            cfl_dt=plan.travel if math.isfinite(plan.travel) else plan.dt,
-            speed=plan.rate,
+            cfl_dt=plan.cfl_dt if math.isfinite(plan.cfl_dt) else plan.dt,
+            speed=plan.front_speed,
             motion_voxels=motion,
-            limited_fraction=plan.limited,
+            limited_fraction=plan.clipped,
             diffusion=plan.diffusion,
             cells_visited=surface.workers.visited - visited,
             restarted=restarted,
@@ -286,7 +286,7 @@ class Evolution:
         if plan.velocity is None:
             surface.advance(plan.speed, plan.dt)
         else:
-            surface.carry(plan.velocity, plan.dt)
+            surface.advect(plan.velocity, plan.dt)
         # An energy may be infinite in places.
         self.energy.project(surface)
         removed = surface.remove_small()

@@ -1,7 +1,7 @@
 """How the surface moves under a force: each flow turns forces into speeds and owns its stable time step.
 
 A flow knows no image. beta is the speed along the inward normal N (beta > 0 shrinks), psi_t = beta |grad psi|; where
-the whole velocity V carries the surface, psi_t = -V . grad psi.
+the whole velocity V advects the surface, psi_t = -V . grad psi.
 """
 
 from accelsurf.flows.constant_density import ConstantDensity

@@ -6,18 +6,10 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.accelerated import Accelerated, cfl_dt, wave_dt
-from accelsurf.flows.protocol import (
-    StepInput,
-    StepLimits,
-    StepPlan,
-    clip_speed,
-    diffuse,
-    front_percentiles,
-    percentile,
-    smallest_spacing,
-    voxel_rates,
-)
+from accelsurf.flows.accelerated import Accelerated
+from accelsurf.flows.diffusion import diffuse
+from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
+from accelsurf.flows.step_limits import cfl_bound, clip_speed, front_percentiles, percentile, voxel_rates, wave_bound
 from accelsurf.kernels import motion, statistics
 from accelsurf.levelset import LevelSet
 
@@ -41,13 +33,13 @@ class ConstantDensity(Accelerated):
     def start(self, surface: LevelSet) -> None:
         """At rest on ``surface``."""
         self.beta = np.zeros(surface.size, np.float32)
-        self._begin(surface)
+        self._initialize(surface)
 
     def zero_momentum(self, area: np.ndarray) -> float:
-        """At rest where the surface is, with the clock of the friction as at the start."""
+        """Set the speed to zero, and the clock of the friction to the start."""
         lost = self.energy(area)
         self.beta[:] = 0.0
-        self._put_to_rest()
+        self._reset_clock()
         return lost
 
     def energy(self, area: np.ndarray) -> float:
@@ -71,56 +63,57 @@ class ConstantDensity(Accelerated):
         surface, front, clock = now.surface, now.front, self.clock
         force = front_percentiles(now, now.force, limits.percentile)
         speed = (0.0, 0.0) if clock.at_rest else front_percentiles(now, self.beta, limits.percentile)
-        dt, travel = self.stable_dt(now, limits, force, speed)
+        dt, cfl_dt = self.stable_dt(now, limits, force, speed)
         if not math.isfinite(dt):
             return StepPlan.none(surface)
         before = self.beta
         self.beta = before.copy()
-        diffusion, smoothed, damping, pull = 0.0, before, 0.0, clock.first_kick(dt)
+        diffusion, smoothed, damping, impulse = 0.0, before, 0.0, clock.first_kick(dt)
         dm = 0.5 * (dt + clock.last_dt)
         if not clock.at_rest:
-            damping, pull = clock.gamma * dm, clock.weight() * dm
-            diffusion = self._diffusion_now(surface, dm, speed[0] + dt * pull / (self.rho * dm) * force[0])
+            damping, impulse = clock.gamma * dm, clock.weight() * dm
+            diffusion = self._diffusion_now(surface, dm, speed[0] + dt * impulse / (self.rho * dm) * force[0])
             if diffusion > 0:
                 diffuse(surface, front, self.beta, diffusion * dm)
                 smoothed = self.beta.copy()
-        kick = np.float32(pull / self.rho) * np.asarray(now.force, np.float32)
+        kick = np.float32(impulse / self.rho) * np.asarray(now.force, np.float32)
         bend = 0.0 if clock.at_rest else dm
-        surface.workers.run(motion.kick, surface.size, self.beta, kick, now.curvature, front, (damping, bend))
+        surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, front, (damping, bend))
         kicked = self.beta
         noise = self._noise_now(now, dm, 1)
         if noise is not None:
             kicked = self.beta.copy()
             self.beta += noise[:, 0]
         noisy = self.beta.copy()
-        held = clip_speed(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
-        account = self._account(now.area, (before, smoothed, kicked, noisy, self.beta))
-        account = account._replace(mass=self.rho * float(now.area.sum()))
-        rate = percentile(self.beta, limits.percentile, front)
+        clipped = clip_speed(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
+        energy_rates = self._energy_rates(now.area, (before, smoothed, kicked, noisy, self.beta))
+        energy_rates = energy_rates._replace(mass=self.rho * float(now.area.sum()))
+        front_speed = percentile(self.beta, limits.percentile, front)
         surface.extend_outwards(self.beta, front)
         clock.tick(dt)
-        return StepPlan(dt, self.beta, None, rate, held / max(1, int(front.sum())), diffusion, account, travel)
+        share = clipped / max(1, int(front.sum()))
+        return StepPlan(dt, self.beta, None, front_speed, share, diffusion, energy_rates, cfl_dt)
 
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 rho int beta beta' dA."""
-        return 0.5 * self.rho * float(self._workers.sums(statistics.products, area.size, 1, area, one, other)[0])
+        return 0.5 * self.rho * float(self._workers.block_sums(statistics.products, area.size, 1, area, one, other)[0])
 
     def stable_dt(
         self, now: StepInput, limits: StepLimits, force: tuple[float, float], speed: tuple[float, float]
     ) -> tuple[float, float]:
-        """Largest stable time step, and that of travel alone.
+        """Largest stable time step, and that of the CFL number alone.
 
-        ``force`` and ``speed`` are percentiles, each per mm and in voxels. Travel, b dt + A dt^2/2 <= cfl with b and A
+        ``force`` and ``speed`` are percentiles, each per mm and in voxels. CFL, b dt + A dt^2/2 <= cfl with b and A
         the percentiles of speed and acceleration in voxels; transverse waves, dt <= h/(sqrt(3) c_T) with
         c_T = sqrt(beta^2/2 + w alpha/rho); diffusion and noise.
         """
         surface = now.surface
-        pull = self._force_stiffness(force[1], surface) / self.rho
+        peak = self._force_stiffness(force[1], surface) / self.rho
         stiffness = now.alpha / self.rho
         if self.clock.at_rest:
-            dt = travel = self.clock.first_dt(pull, stiffness, smallest_spacing(surface), limits.cfl)
+            dt = cfl_dt = self.clock.first_dt(peak, stiffness, surface.smallest_spacing, limits.cfl)
         else:
             w = self.clock.next_weight()
-            travel = cfl_dt(speed[1], w * pull, limits.cfl)
-            dt = min(travel, wave_dt(surface, math.sqrt(0.5 * speed[0] ** 2 + w * stiffness)))
-        return self._bounded(dt, surface, limits), travel
+            cfl_dt = cfl_bound(speed[1], w * peak, limits.cfl)
+            dt = min(cfl_dt, wave_bound(surface, math.sqrt(0.5 * speed[0] ** 2 + w * stiffness)))
+        return self._bounded(dt, surface, limits), cfl_dt

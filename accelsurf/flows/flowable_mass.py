@@ -7,17 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.flows.accelerated import Accelerated, cfl_dt, wave_dt
-from accelsurf.flows.protocol import (
-    Flow,
-    StepInput,
-    StepLimits,
-    StepPlan,
-    clip_speed,
-    diffuse,
-    percentile,
-    smallest_spacing,
-)
+from accelsurf.flows.accelerated import Accelerated
+from accelsurf.flows.diffusion import diffuse
+from accelsurf.flows.protocol import Flow, StepInput, StepLimits, StepPlan
+from accelsurf.flows.step_limits import cfl_bound, clip_speed, percentile, wave_bound
 from accelsurf.kernels import transport
 from accelsurf.levelset import LevelSet
 
@@ -44,10 +37,10 @@ class FlowableMass(Accelerated):
     """V_t + (V . grad) V = (w/rho) f N - gamma V + ..., rho_t + V . grad rho + rho div_S V = 0, psi_t = -V . grad psi.
 
     The paper's system for surfaces in extended fields, psi with the corrected sign. Kick by the leap-frog (each
-    piece of surface feels only its own forces: no curvature term); then psi, V and rho are carried semi-Lagrangian,
+    piece of surface feels only its own forces: no curvature term); then psi, V and rho are advected semi-Lagrangian,
     rho divided by the exact stretch of the area, and rho is rescaled to the mass of the start. What is rescaled is
     reported (`mass_correction`): the error of the transport, and the mass of surface that vanished where fronts met
-    or a component was removed, which is so spread over what is left.
+    or a component was removed, which is so distributed over the rest.
 
     With ``gravity`` g the mass potential U_mass = g A int 1/2 rho^2 dA acts as well,
     V_t -= w g [A grad_S rho + (1/2 A rho - P/rho) H N]. Its tension g (P - 1/2 A rho^2) is negative where
@@ -76,12 +69,12 @@ class FlowableMass(Accelerated):
         self._correction = 1.0
 
     def stencil_width(self, surface: LevelSet) -> float:
-        """All but the outermost cells: what is carried is interpolated from cells further off than the front."""
+        """All but the outermost cells: advected fields are interpolated from cells further off than the front."""
         return surface.half_width - 1.0
 
     @property
     def fields(self) -> list[np.ndarray]:
-        """Velocity z, y, x and the density that the carried surface will have."""
+        """Velocity z, y, x and the density that the advected surface will have."""
         return [*(np.ascontiguousarray(self.velocity[:, c]) for c in range(3)), self.density]
 
     def set_fields(self, fields: list[np.ndarray]) -> None:
@@ -95,13 +88,13 @@ class FlowableMass(Accelerated):
         self.density = np.full(surface.size, self.rho, np.float32)
         self.mass = 0.0
         self._correction = 1.0
-        self._begin(surface)
+        self._initialize(surface)
 
     def zero_momentum(self, area: np.ndarray) -> float:
-        """At rest where the surface is; the mass stays where it has flowed to."""
+        """Set the velocity to zero; the mass stays where it has flowed to."""
         lost = self._kinetic(area, self.velocity, self.velocity) / self.weight
         self.velocity[:] = 0.0
-        self._put_to_rest()
+        self._reset_clock()
         return lost
 
     def energy(self, area: np.ndarray) -> float:
@@ -133,25 +126,25 @@ class FlowableMass(Accelerated):
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Kick the velocity by the forces over the step around the present time."""
         surface, front, clock = now.surface, now.front, self.clock
-        self._settle_density(now.area)
+        self._rescale_density(now.area)
         normal = surface.normals()
         gravity = self._gravity_now(now)
         acceleration = self._acceleration(now, normal, gravity)
-        dt, travel = self.stable_dt(now, acceleration, gravity, limits)
+        dt, cfl_dt = self.stable_dt(now, acceleration, gravity, limits)
         if not math.isfinite(dt):
             return StepPlan.none(surface)
         before, dm = self.velocity, 0.5 * (dt + clock.last_dt)
         smoothed, diffusion = self._diffused(now, normal, acceleration, dt, limits)
-        damping, pull = (0.0, clock.first_kick(dt)) if clock.at_rest else (clock.gamma * dm, clock.weight() * dm)
-        gain = np.float32(pull) * acceleration
+        damping, impulse = (0.0, clock.first_kick(dt)) if clock.at_rest else (clock.gamma * dm, clock.weight() * dm)
+        gain = np.float32(impulse) * acceleration
         kicked = (smoothed * np.float32(1.0 - 0.5 * damping) + gain) / np.float32(1.0 + 0.5 * damping)
         noise = self._noise_now(now, dm, 3)
         noisy = kicked if noise is None else kicked + noise
         velocity = noisy.copy()
         rates = self._rates(surface, velocity)
         rates[~front] = 0.0
-        held = clip_speed(velocity, rates, dt, limits.cfl)
-        account = self._account(now.area, (before, smoothed, kicked, noisy, velocity))._replace(
+        clipped = clip_speed(velocity, rates, dt, limits.cfl)
+        energy_rates = self._energy_rates(now.area, (before, smoothed, kicked, noisy, velocity))._replace(
             mass_potential=0.0 if gravity is None else gravity.potential,
             mass=float((now.area * self.density).sum()),
             mass_correction=self._correction - 1.0,
@@ -159,16 +152,17 @@ class FlowableMass(Accelerated):
         )
         self.velocity = self._extended(surface, velocity, front)
         speed = (velocity * normal).sum(axis=1)
-        rate = percentile(np.linalg.norm(velocity, axis=1), limits.percentile, front)
+        front_speed = percentile(np.linalg.norm(velocity, axis=1), limits.percentile, front)
         surface.extend_outwards(speed, front)
         self._stretch(now, normal, dt)
         clock.tick(dt)
-        return StepPlan(dt, speed, self.velocity, rate, held / max(1, int(front.sum())), diffusion, account, travel)
+        share = clipped / max(1, int(front.sum()))
+        return StepPlan(dt, speed, self.velocity, front_speed, share, diffusion, energy_rates, cfl_dt)
 
     # -- mass ----------------------------------------------------------------------------------------------
 
-    def _settle_density(self, area: np.ndarray) -> None:
-        """Bring the carried density back to the mass of the start, within its range."""
+    def _rescale_density(self, area: np.ndarray) -> None:
+        """Rescale the advected density to the mass of the start, within its range."""
         total = float(area.sum())
         if self.mass == 0.0:
             self.mass = float((area * self.density).sum())
@@ -184,7 +178,7 @@ class FlowableMass(Accelerated):
         """Divide the density by the stretch of the area that the coming motion makes."""
         surface, front = now.surface, now.front
         stretch = np.empty(surface.size, np.float32)
-        surface.workers.run(
+        surface.workers.parallel(
             transport.area_stretch, surface.size, surface.dense.slot, surface.grid, surface.band.cells,
             self.velocity, normal, front, dt, stretch,
         )
@@ -215,7 +209,7 @@ class FlowableMass(Accelerated):
             return np.asarray(along[:, None] * normal)
         along = along + gravity.tension * now.curvature / density
         slope = np.empty((surface.size, 3), np.float32)
-        surface.workers.run(
+        surface.workers.parallel(
             transport.surface_gradient, surface.size, surface.dense.slot, surface.grid, surface.band.cells,
             self.density[:, None], normal, now.front, slope,
         )
@@ -226,8 +220,8 @@ class FlowableMass(Accelerated):
     ) -> tuple[np.ndarray, float]:
         """The velocity after diffusion over the time of the kick, and the coefficient used.
 
-        The speed along the normal and the tangential part diffuse each by itself. Component by component, a sphere
-        that grows or shrinks evenly would be braked, at the rate 2 D/r^2.
+        The speed along the normal and the tangential part diffuse separately. Component by component, a sphere
+        that grows or shrinks evenly would be slowed at the rate 2 D/r^2.
         """
         if self.clock.at_rest:
             return self.velocity, 0.0
@@ -253,33 +247,33 @@ class FlowableMass(Accelerated):
     def stable_dt(
         self, now: StepInput, acceleration: np.ndarray, gravity: Gravity | None, limits: StepLimits
     ) -> tuple[float, float]:
-        """Largest stable time step under ``acceleration`` (n, 3), that of weight 1, and that of travel alone.
+        """Largest stable time step under ``acceleration`` (n, 3), and that of the CFL number alone.
 
-        Travel, b dt + A dt^2/2 <= cfl, b and A the percentiles of speed and acceleration in voxels; transverse waves,
+        CFL, b dt + A dt^2/2 <= cfl, b and A the percentiles of speed and acceleration in voxels; transverse waves,
         c_T^2 = w (alpha + tension)/rho; with gravity sound, dt <= h/(sqrt(3) (|V| + c_s)), c_s^2 = w g A rho.
         """
         surface, front = now.surface, now.front
-        smallest = smallest_spacing(surface)
-        fastest_pull = percentile(self._rates(surface, acceleration), limits.percentile, front)
-        pull = self._force_stiffness(fastest_pull, surface)
+        smallest = surface.smallest_spacing
+        peak_force = percentile(self._rates(surface, acceleration), limits.percentile, front)
+        peak = self._force_stiffness(peak_force, surface)
         stiffness, sound = now.alpha, 0.0
         if gravity is not None:
             stiffness += max(float(gravity.tension[front].max(initial=0.0)), 0.0)
             sound = self.gravity * gravity.area * float(self.density[front].max(initial=0.0))
         stiffness /= float(self.density[front].min(initial=self.rho))
         if self.clock.at_rest:
-            dt = travel = self.clock.first_dt(pull, max(stiffness, sound), smallest, limits.cfl)
+            dt = cfl_dt = self.clock.first_dt(peak, max(stiffness, sound), smallest, limits.cfl)
         else:
             w = self.clock.next_weight()
             rate = percentile(self._rates(surface, self.velocity), limits.percentile, front)
             fastest = percentile(np.linalg.norm(self.velocity, axis=1), limits.percentile, front)
-            travel = cfl_dt(rate, w * pull, limits.cfl)
+            cfl_dt = cfl_bound(rate, w * peak, limits.cfl)
             dt = min(
-                travel,
-                wave_dt(surface, math.sqrt(w * stiffness)),
-                wave_dt(surface, fastest + math.sqrt(w * sound)) if sound > 0 else math.inf,
+                cfl_dt,
+                wave_bound(surface, math.sqrt(w * stiffness)),
+                wave_bound(surface, fastest + math.sqrt(w * sound)) if sound > 0 else math.inf,
             )
-        return self._bounded(dt, surface, limits), travel
+        return self._bounded(dt, surface, limits), cfl_dt
 
     @staticmethod
     def _rates(surface: LevelSet, velocity: np.ndarray) -> np.ndarray:

@@ -6,21 +6,22 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.descent import curvature_bound
-from accelsurf.flows.protocol import DescentWithMemory, StepInput, StepLimits, StepPlan, finish, voxel_rates
+from accelsurf.flows.descent import DescentWithMemory, descent_plan
+from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
+from accelsurf.flows.step_limits import curvature_bound, voxel_rates
 from accelsurf.levelset import LevelSet
 
 
 class HeavyBall(DescentWithMemory):
     """Step s_n = (1 - omega) dt f + omega s_(n-1), redistanced after each (Andersson, Läthén, Lenz, Borga 2013).
 
-    The last step is a field on the surface, extended by the march as all fields are. There is no mass, no time
+    The last step is a field on the surface, extended along normals as all fields are. There is no mass, no time
     but the number of steps, and no term for the motion of the surface itself.
 
     Parameters
     ----------
     blend : float
-        omega, the part of the last step that is kept: 0 (plain descent) up to, not including, 1.
+        omega, the part of the last step that is repeated: 0 (plain descent) up to, not including, 1.
     """
 
     name = "momentum"
@@ -30,7 +31,7 @@ class HeavyBall(DescentWithMemory):
         self.blend = float(blend)
 
     def zero_momentum(self, area: np.ndarray) -> float:
-        """Forget the last step."""
+        """Set the last step to zero."""
         self._last[:] = 0.0
         return 0.0
 
@@ -39,18 +40,18 @@ class HeavyBall(DescentWithMemory):
         return self._last
 
     def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
-        """Change what is remembered."""
+        """Change the last step."""
         self._last = self._last + speed
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        """Step with the bounds of plain descent; a step beyond the limit is held back before it is remembered."""
+        """Step with the bounds of plain descent; a step beyond the limit is clipped before it becomes the last one."""
         force = np.asarray(now.force, np.float32)
-        dt = travel = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
+        dt = cfl_dt = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
         if now.alpha > 0:
             dt = min(dt, curvature_bound(now.surface) / now.alpha)
         if not math.isfinite(dt):
             return StepPlan.none(now.surface)
         speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last
-        move = finish(now, speed, dt, limits, travel)
+        move = descent_plan(now, speed, dt, limits, cfl_dt)
         self._last = move.speed * np.float32(dt)
         return move

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.flows.protocol import axes_of, smallest_spacing
 from accelsurf.kernels import waves
 from accelsurf.levelset import LevelSet
 
@@ -34,7 +33,7 @@ class Noise:
         Correlation length, mm; None is `LENGTH` voxels.
     seed : int
     until : float or None
-        Flow time at which the noise ends; None is at the first rest.
+        Flow time at which the noise ends; None is when momentum is first set to zero.
     """
 
     def __init__(self, strength: float, length: float | None = None, seed: int = 0, until: float | None = None) -> None:
@@ -42,45 +41,45 @@ class Noise:
         self.start()
 
     def start(self) -> None:
-        """Begin the same sequence again."""
+        """Start the same sequence again."""
         self._random = np.random.default_rng(self.seed)
         self._elapsed = 0.0
-        self._rested = False
+        self._momentum_was_reset = False
 
     def state(self) -> tuple[dict[str, Any], float, bool]:
         """Where the sequence is."""
-        return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._rested
+        return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._momentum_was_reset
 
-    def restore(self, kept: tuple[dict[str, Any], float, bool]) -> None:
+    def restore(self, state: tuple[dict[str, Any], float, bool]) -> None:
         """Go on from there."""
-        self._random.bit_generator.state, self._elapsed, self._rested = copy.deepcopy(kept)
+        self._random.bit_generator.state, self._elapsed, self._momentum_was_reset = copy.deepcopy(state)
 
     def zero_momentum(self) -> None:
-        """The surface was put at rest."""
-        self._rested = True
+        """Momentum was set to zero."""
+        self._momentum_was_reset = True
 
     @property
     def acts(self) -> bool:
         """Whether there is noise at present."""
-        over = self._rested if self.until is None else self._elapsed >= self.until
+        over = self._momentum_was_reset if self.until is None else self._elapsed >= self.until
         return self.strength > 0 and not over
 
     def longest_dt(self, surface: LevelSet, cfl: float) -> float:
         """Step in which the noise alone moves the surface by cfl voxels: tau dt^1.5 = cfl h."""
-        return (cfl * smallest_spacing(surface) / self.strength) ** (2.0 / 3.0)
+        return (cfl * surface.smallest_spacing / self.strength) ** (2.0 / 3.0)
 
     def kicks(self, surface: LevelSet, front: np.ndarray, dt: float, components: int) -> np.ndarray:
-        """Velocity (n, components) that the noise adds in ``dt`` at the feet of the front cells; time goes on by dt."""
-        length = self.length if self.length is not None else LENGTH * max(h for n, h in axes_of(surface) if n > 1)
-        flat = np.array([n > 1 for n, _ in axes_of(surface)])
+        """Velocity (n, components) that the noise adds in ``dt`` at the closest points of the front; advances time."""
+        length = self.length if self.length is not None else LENGTH * surface.largest_spacing
+        extended = np.array(surface.shape) > 1
         out = np.zeros((surface.size, components), np.float32)
         for c in range(components):
-            vectors = self._random.normal(size=(WAVES, 3)) * flat / length
+            vectors = self._random.normal(size=(WAVES, 3)) * extended / length
             phases = self._random.uniform(0.0, 2.0 * math.pi, WAVES)
-            if components == 3 and not flat[c]:
+            if components == 3 and not extended[c]:
                 continue
             xi = np.empty(surface.size, np.float32)
-            surface.workers.run(
+            surface.workers.parallel(
                 waves.sum_of_waves, surface.size, surface.grid, surface.band, front, vectors, phases, xi
             )
             out[:, c] = np.float32(self.strength * math.sqrt(dt)) * xi

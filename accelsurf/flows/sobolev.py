@@ -1,4 +1,4 @@
-"""Sobolev descent: the force smoothed along the surface by a solve at each step. The dear baseline."""
+"""Sobolev descent: the force smoothed along the surface by a solve at each step. The expensive baseline."""
 
 from __future__ import annotations
 
@@ -6,15 +6,9 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.protocol import (
-    DescentWithMemory,
-    StepInput,
-    StepLimits,
-    StepPlan,
-    finish,
-    smallest_spacing,
-    voxel_rates,
-)
+from accelsurf.flows.descent import DescentWithMemory, descent_plan
+from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
+from accelsurf.flows.step_limits import voxel_rates
 from accelsurf.kernels import tube
 from accelsurf.levelset import LevelSet, dot
 
@@ -31,7 +25,7 @@ class Sobolev(DescentWithMemory):
     """psi_t = g |grad psi| with (1 - ell^2 Lap_S) g = f: descent in the H1 metric of the surface.
 
     On a sphere of radius r a spherical harmonic of degree l comes out divided by 1 + ell^2 l (l + 1)/r^2. The step
-    is bound by the travel of g alone, also with an area weight.
+    is bounded by the CFL number of g alone, also with an area weight.
 
     Parameters
     ----------
@@ -48,14 +42,14 @@ class Sobolev(DescentWithMemory):
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Step with beta = g, dt <= cfl/|g|."""
         surface = now.surface
-        length = LENGTH * smallest_spacing(surface) if self.length is None else self.length
+        length = LENGTH * surface.smallest_spacing if self.length is None else self.length
         speed = h1_gradient(surface, now.force, length, self._last)
         inner = surface.front(1.0)
         surface.extend_outwards(speed, inner)
         dt = self.cfl_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
         if not math.isfinite(dt):
             return StepPlan.none(surface)
-        move = finish(now, speed, dt, limits, dt)
+        move = descent_plan(now, speed, dt, limits, dt)
         self._last = move.speed
         return move
 
@@ -67,34 +61,34 @@ def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.n
     eta fades to its edge; in a tube thin against the radius of curvature g is constant along the normal. Diagonal
     preconditioner.
     """
-    run, n = surface.workers.run, surface.size
+    parallel, n = surface.workers.parallel, surface.size
     slot, cells = surface.dense.slot, surface.band.cells
     eta, diagonal = np.empty(n), np.empty(n)
-    run(tube.tube_weight, n, surface.grid, surface.band, TUBE, eta)
-    run(tube.tube_diagonal, n, slot, surface.grid, cells, eta, length, diagonal)
+    parallel(tube.tube_weight, n, surface.grid, surface.band, TUBE, eta)
+    parallel(tube.tube_diagonal, n, slot, surface.grid, cells, eta, length, diagonal)
 
     def product(field: np.ndarray) -> np.ndarray:
         out = np.empty(n)
-        run(tube.tube_product, n, slot, surface.grid, cells, eta, length, field, out)
+        parallel(tube.tube_product, n, slot, surface.grid, cells, eta, length, field, out)
         return out
 
     right = eta * force
     g = guess.astype(np.float64)
-    residue = right - product(g)
-    enough = TOLERANCE**2 * dot(right, right / diagonal)
-    way = np.zeros(n)
+    residual = right - product(g)
+    tolerance = TOLERANCE**2 * dot(right, right / diagonal)
+    direction = np.zeros(n)
     last = 1.0
     for _ in range(MAX_ITERATIONS):
-        scaled = residue / diagonal
-        size = dot(residue, scaled)
-        if size <= enough:
+        scaled = residual / diagonal
+        size = dot(residual, scaled)
+        if size <= tolerance:
             break
-        way = scaled + (size / last) * way
+        direction = scaled + (size / last) * direction
         last = size
-        image = product(way)
-        step = size / dot(way, image)
-        g += step * way
-        residue -= step * image
+        image = product(direction)
+        step = size / dot(direction, image)
+        g += step * direction
+        residual -= step * image
     return g.astype(np.float32)
 
 

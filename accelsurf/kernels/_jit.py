@@ -6,9 +6,11 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numba
+
+from accelsurf.kernels.stages import STAGE_OF_KERNEL, Stage
 
 # No nnan/ninf: the code tests for NaN. No reassoc: a sum must not depend on how a loop was vectorised.
 FASTMATH = {"contract", "arcp", "nsz"}
@@ -37,8 +39,42 @@ def _cache_folder() -> str | None:
 _CACHE_FOLDER = _cache_folder()
 
 
-def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile ``function`` without the Python lock, cached on disk; arithmetic errors follow IEEE."""
+@overload
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]: ...
+
+
+@overload
+def kernel(*, stage: Stage) -> Callable[[Callable[..., Any]], Callable[..., Any]]: ...
+
+
+def kernel(function: Callable[..., Any] | None = None, *, stage: Stage | None = None) -> Callable[..., Any]:
+    """Compile a function without the Python lock, cached on disk; arithmetic errors follow IEEE.
+
+    Parameters
+    ----------
+    function : callable
+        What is compiled, with ``@kernel``: a kernel that other kernels call.
+    stage : Stage
+        With ``@kernel(stage=...)``: a kernel that the package calls, and the stage that ``--profile`` counts it in.
+
+    Raises
+    ------
+    ValueError
+        When another kernel of this name has another stage.
+    """
+    if function is not None:
+        return _compiled(function)
+
+    def compiled_with_stage(function: Callable[..., Any]) -> Callable[..., Any]:
+        name = function.__name__
+        if stage is not None and STAGE_OF_KERNEL.setdefault(name, stage) is not stage:
+            raise ValueError(f"kernel {name} has stage {STAGE_OF_KERNEL[name]} elsewhere, {stage} was given")
+        return _compiled(function)
+
+    return compiled_with_stage
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     usual = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _CACHE_FOLDER or usual
     try:

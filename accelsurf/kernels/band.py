@@ -9,23 +9,24 @@ from accelsurf.kernels.grid import neighbours, unravel, voxels_along
 from accelsurf.kernels.interpolate import band_rows, band_value_at, linear_band_value
 from accelsurf.kernels.march import OPEN, length
 from accelsurf.kernels.simd.cubic import cubic_rows
+from accelsurf.kernels.stages import Stage
 
-#: The smallest distance that a cell may be given, as a part of the smallest spacing: the sign must survive.
-LEAST = 1e-6
+#: The smallest distance that a cell may be given, as a part of the smallest spacing, so that psi has a sign.
+MIN_DISTANCE = 1e-6
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def keep_mask(start, stop, grid, foot, state, half_width, keep):
     """Mark the slots whose foot is known and within ``half_width`` voxels."""
     for s in range(start, stop):
         keep[s] = state[s] != OPEN and voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid) <= half_width
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def merged_order(cells, n_old, keep, entered):
-    """Slots of the new band in raster order: the kept old ones (sorted already) merged with ``entered`` slots.
+    """Slots of the new band in raster order: the remaining old ones (sorted already) merged with ``entered`` slots.
 
-    ``entered`` are the kept new slots sorted by cell.
+    ``entered`` are the new slots that stay, sorted by cell.
     """
     count = entered.shape[0]
     for s in range(n_old):
@@ -50,26 +51,26 @@ def merged_order(cells, n_old, keep, entered):
     return order
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def gather_band(start, stop, dense_psi, grid, order, old, new):
     """Fill the range of the ``new`` band from ``old`` (cells, foot) slots in ``order``; psi = sign x |foot|."""
-    least = LEAST * min(grid.hz, min(grid.hy, grid.hx))
+    shortest = MIN_DISTANCE * min(grid.hz, min(grid.hy, grid.hx))
     for s in range(start, stop):
         source = order[s]
         cell = old.cells[source]
         new.cells[s] = cell
         for axis in range(3):
             new.foot[s, axis] = old.foot[source, axis]
-        d = max(length(old.foot, source), least)
+        d = max(length(old.foot, source), shortest)
         new.psi[s] = -d if dense_psi[cell] < 0.0 else d
 
 
-@kernel
+@kernel(stage=Stage.EXTENSION)
 def sample_at_feet(start, stop, slot, grid, band, front, values, out):
     """Fields on the ``front`` of the new ``band``: their values at each foot, interpolated from the old slots.
 
     ``values`` (m, n_old) float32 belong to the old band and ``slot`` still maps to it; ``out`` is (m, n). A cell with
-    nothing known around its foot keeps its own old values, or 0 when it was not in the band.
+    nothing known around its foot has its own old values, or 0 when it was not in the band.
     """
     m, n_old = values.shape
     flat = values.reshape(m * n_old)
@@ -106,7 +107,7 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
             out[field, s] = value
 
 
-@kernel
+@kernel(stage=Stage.EXTENSION)
 def outward_table(start, stop, slot, grid, band, front, off, slots, shares):
     """Where the cells ``off`` the front (slots, int32) read the front's values: what `extend_outwards` needs.
 
@@ -141,9 +142,9 @@ def outward_table(start, stop, slot, grid, band, front, off, slots, shares):
             shares[row, corner] *= scale
 
 
-@kernel
+@kernel(stage=Stage.EXTENSION)
 def extend_outwards(start, stop, off, slots, shares, values):
-    """Overwrite ``values`` at the cells ``off`` the front by what `outward_table` says of the front's."""
+    """Overwrite ``values`` at the cells ``off`` the front by the front's, as `outward_table` weighs them."""
     for row in range(start, stop):
         value = np.float32(0.0)
         for corner in range(8):
@@ -153,7 +154,7 @@ def extend_outwards(start, stop, off, slots, shares, values):
         values[off[row]] = value
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def drop_cells(start, stop, dense, cells, keep, gamma):
     """Take the dropped slots of the range off the dense arrays: psi = +-gamma, slot = -1."""
     for s in range(start, stop):
@@ -163,7 +164,7 @@ def drop_cells(start, stop, dense, cells, keep, gamma):
             dense.psi[cell] = -gamma if dense.psi[cell] < 0.0 else gamma
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def flatten_beyond(start, stop, dense, gamma):
     """Set psi to +-gamma at the voxels of the range that are not in the band."""
     for cell in range(start, stop):
@@ -171,7 +172,7 @@ def flatten_beyond(start, stop, dense, gamma):
             dense.psi[cell] = -gamma if dense.psi[cell] < 0.0 else gamma
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def store_band(start, stop, dense, band):
     """Write the range of the band's psi and slots to the dense arrays."""
     for s in range(start, stop):
@@ -180,14 +181,14 @@ def store_band(start, stop, dense, band):
         dense.psi[cell] = band.psi[s]
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def front_mask(start, stop, grid, band, width, front):
     """Mark the slots within ``width`` voxels of the surface."""
     for s in range(start, stop):
         front[s] = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid) <= width
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def find_peaks(start, stop, dense, grid, band, depth, peak):
     """Mark in ``peak`` (n,) the slots of the range with |psi| up to ``depth`` (mm) that no neighbour exceeds."""
     near = np.empty(6, np.int64)
@@ -208,12 +209,12 @@ def is_peak(psi, grid, cell, near):
     return True
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def small_components(dense, grid, band, peaks, most):
     """Flip the sign of psi on every component, inside or outside, of at most ``most`` cells.
 
     Each has a cell that no 6-neighbour on its side exceeds in |psi|, among the slots ``peaks``; the flood starts there
-    and gives up beyond ``most`` cells. A component that touches the border of the volume counts like any other.
+    and stops beyond ``most`` cells. A component that touches the border of the volume counts like any other.
     Returns (components removed inside, outside, cells flipped).
     """
     psi = dense.psi

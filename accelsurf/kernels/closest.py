@@ -15,14 +15,14 @@ MAX_ITERATIONS = 6
 #: off, where the foot is only read from, the first may be larger in proportion to the distance.
 FIRST_TOLERANCE = 0.015
 TOLERANCE = 0.05
-#: Least |grad psi|^2: below it psi has no zero level worth the name.
-LEAST_SLOPE2 = 0.04
+#: Smallest |grad psi|^2: below it the zero level of psi is not determined.
+MIN_SLOPE2 = 0.04
 #: Longest correction in one iteration, voxels: the interpolant is trusted only near the front.
 MAX_MOVE = 1.5
-#: How a foot stands in `closest_points`.
+#: Status of a foot in `closest_points`.
 ACTIVE, FOUND, LOST = 0.0, 1.0, 2.0
 #: Rows of the memory of `closest_points`, `BATCH` long each, one array for the compiler to see that they are apart:
-#: the foot; how it stands; the last correction along the level, its square and relaxation; the square of the first one;
+#: the foot; its status; the last correction along the level, its square and relaxation; the square of the first one;
 #: psi and its gradient at the foot.
 FOOT, STATUS, LAST, SQUARE, RELAX, START, LEVEL = (np.uint64(row * BATCH) for row in (0, 3, 4, 7, 8, 9, 10))
 NEXT = np.uint64(BATCH)
@@ -31,7 +31,7 @@ ROWS = 14
 
 @kernel
 def feet_memory():
-    """Memory for `closest_points`, and in it the feet (3, `BATCH`) and how they stand (`BATCH`,)."""
+    """Memory for `closest_points`, and in it the feet (3, `BATCH`) and their status (`BATCH`,)."""
     memory = np.zeros(ROWS * BATCH, np.float32)
     return memory, memory[: 3 * BATCH].reshape(3, BATCH), memory[3 * BATCH : 4 * BATCH]
 
@@ -43,7 +43,7 @@ def closest_points(count, psi, grid, cells, memory, w):
     Chopp's two corrections at once: down the gradient to the zero level, -psi g/|g|^2, and along the level until the
     cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the foot to the cell. The latter is too long by
     1 + distance x curvature, which two successive residues tell (secant): so it converges also further off than the
-    radius of curvature. ``memory`` (`ROWS` x `BATCH`,) float32 holds the feet, and then how they stand: FOUND where
+    radius of curvature. ``memory`` (`ROWS` x `BATCH`,) float32 holds the feet, and then their status: FOUND where
     one has converged. ``w`` (24,) is scratch.
     """
     for i in range(count):
@@ -69,7 +69,7 @@ def levels_at(count, psi, grid, cells, memory, w):
         pz, py = iz + memory[FOOT + i] * hz, iy + memory[FOOT + NEXT + i] * hy
         px = ix + memory[FOOT + NEXT + NEXT + i] * hx
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
-        # Well inside the volume, without what value_and_gradient does for the others.
+        # Well inside the volume, without the cases that value_and_gradient is for.
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
             level, gz, gy, gx = cubic(psi, (bz * grid.ny + by) * grid.nx + bx, sy, sz, uz, uy, ux)
@@ -88,7 +88,7 @@ def correct(count, iteration, grid, memory):
     zero, one, quarter = np.float32(0.0), np.float32(1.0), np.float32(0.25)
     active, found, lost = np.float32(ACTIVE), np.float32(FOUND), np.float32(LOST)
     shortest, longest, tiny = np.float32(0.1), np.float32(4.0), np.float32(1e-30)
-    least, most = np.float32(LEAST_SLOPE2), np.float32(MAX_MOVE)
+    least, most = np.float32(MIN_SLOPE2), np.float32(MAX_MOVE)
     first, later = iteration == 0, iteration >= 2
     enough = np.float32(FIRST_TOLERANCE if first else TOLERANCE)
     for i in range(np.uint64(count)):
@@ -110,10 +110,10 @@ def correct(count, iteration, grid, memory):
         dz, dy, dx = factor * tz - down * gz, factor * ty - down * gy, factor * tx - down * gx
         move = np.sqrt(dz * hz * dz * hz + dy * hy * dy * hy + dx * hx * dx * hx)
         scale = min(one, most / max(move, tiny))
-        reach = np.sqrt(z * hz * z * hz + y * hy * y * hy + x * hx * x * hx)
-        reach = max(one, reach) if first else one
+        distance = np.sqrt(z * hz * z * hz + y * hy * y * hy + x * hx * x * hx)
+        distance = max(one, distance) if first else one
         status = memory[STATUS + i]
-        now = found if move < enough * reach else active
+        now = found if move < enough * distance else active
         # Also where psi is no number.
         now = now if g2 > least else lost
         # Residues that do not fall.

@@ -6,6 +6,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BATCH, unravel
+from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.stencils import gather_cross, godunov_norms
 
 
@@ -84,7 +85,7 @@ def curvature_at_foot(mean, gauss, d, most):
     """Curvature H of the surface at the foot of a cell at distance ``d`` whose level has H = ``mean``, K = ``gauss``.
 
     The level through the cell is the surface moved by d along its normal, so its principal curvatures are
-    k/(1 + d k); undone here: H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Held to |H| <= ``most``.
+    k/(1 + d k); undone here: H = (H_d - 2 d K_d) / (1 - d H_d + d^2 K_d). Clipped to |H| <= ``most``.
     """
     denominator = 1.0 - d * mean + d * d * gauss
     h = (mean - 2.0 * d * gauss) / denominator if denominator > 0.2 else mean
@@ -138,20 +139,20 @@ def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
     return np.sqrt(total)
 
 
-@kernel
+@kernel(stage=Stage.ADVANCE)
 def upwind_norms(start, stop, psi, grid, band, beta, front, out):
     """Godunov's |grad psi| at every front cell of the range, upwind for the speed ``beta`` (n,); 1 elsewhere."""
-    # Columns of cells at the border are computed as well, from what is there: numbers.
+    # Columns of cells at the border are computed too, from any numbers, and not used.
     rows = np.zeros((15, BATCH), np.float32)
     norms = np.empty(BATCH, np.float32)
-    way = np.empty(BATCH, np.float32)
+    sign = np.empty(BATCH, np.float32)
     well_inside = np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
         gather_cross(first, count, psi, grid, band.cells, front, rows, well_inside)
         for i in range(count):
-            way[i] = 1.0 if beta[first + i] > 0.0 else -1.0
-        godunov_norms(count, grid, rows, way, norms)
+            sign[i] = 1.0 if beta[first + i] > 0.0 else -1.0
+        godunov_norms(count, grid, rows, sign, norms)
         for i in range(count):
             s = first + i
             if well_inside[i]:

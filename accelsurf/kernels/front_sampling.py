@@ -8,9 +8,10 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import unravel
 from accelsurf.kernels.interpolate import value_and_gradient
+from accelsurf.kernels.stages import Stage
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def outward_normals(start, stop, psi, grid, band, front, out):
     """Unit normal grad psi/|grad psi| (z, y, x) of every front cell by centred differences; 0 elsewhere.
 
@@ -27,7 +28,7 @@ def outward_normals(start, stop, psi, grid, band, front, out):
         out[s, 0], out[s, 1], out[s, 2] = nz * scale, ny * scale, nx * scale
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def value_and_slope(start, stop, image, grid, band, normals, front, out):
     """Value (out[:, 0]) and slope grad I . n per mm (out[:, 1]) of an image at the foot of every front cell.
 

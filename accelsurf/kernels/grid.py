@@ -10,7 +10,7 @@ from accelsurf.kernels._jit import kernel
 
 #: Band slots per block of a reduction. Partial sums are kept per block and added in order of the blocks.
 BLOCK = 4096
-#: Cells whose arithmetic is done together, in rows: independent of each other, they overlap in the processor.
+#: Cells whose arithmetic is done together, in rows: as they do not depend on each other, it runs in vectors.
 BATCH = 128
 
 
@@ -29,7 +29,8 @@ class Band(NamedTuple):
     """Narrow band: cells in raster order, with what is known about each.
 
     ``cells`` (n,) int64 raveled index; ``psi`` (n,) float32 signed distance, mm; ``foot`` (n, 3) float32
-    vector (z, y, x) in mm from the cell to its closest point on the surface.
+    vector (z, y, x) in mm from the cell to its closest point on the surface. In `accelsurf.kernels` the *foot* of a
+    cell is this closest point, as the foot of a perpendicular.
     """
 
     cells: np.ndarray
@@ -37,7 +38,7 @@ class Band(NamedTuple):
     foot: np.ndarray
 
 
-class Lattice(NamedTuple):
+class DenseArrays(NamedTuple):
     """Dense arrays over the whole volume, raveled: ``psi`` float32 (mm), ``slot`` int32 (band slot or -1)."""
 
     psi: np.ndarray

@@ -1,4 +1,4 @@
-"""Histograms of an image over regions, each voxel shared by the two bins next to it; tables read by value."""
+"""Histograms of an image over regions, each voxel shared by the two bins next to it; tables interpolated by value."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BLOCK
+from accelsurf.kernels.stages import Stage
 
 
 @kernel
-def place_of(value, low, per_value, bins):
+def bin_of(value, low, per_value, bins):
     """Bin below a value, and the share of the bin above it; values beyond the ends belong to the end bins."""
     place = (np.float64(value) - low) * per_value
     place = min(max(place, 0.0), bins - 1.0)
@@ -17,7 +18,7 @@ def place_of(value, low, per_value, bins):
     return below, place - below
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def weighted_histogram(first_block, last_block, cells, weight, image, scale, sums):
     """Per block of slots: sums[block] = histogram of the image at ``cells``, each times ``weight``.
 
@@ -28,12 +29,12 @@ def weighted_histogram(first_block, last_block, cells, weight, image, scale, sum
     for block in range(first_block, last_block):
         for s in range(block * BLOCK, min((block + 1) * BLOCK, cells.shape[0])):
             if weight[s] != 0.0:
-                below, share = place_of(image[cells[s]], low, per_value, bins)
+                below, share = bin_of(image[cells[s]], low, per_value, bins)
                 sums[block, below] += weight[s] * (1.0 - share)
                 sums[block, below + 1] += weight[s] * share
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def inside_histogram(first_block, last_block, dense, image, scale, sums):
     """Per block of voxels of the whole volume: histogram of the image over the inside voxels not in the band."""
     low, per_value = scale
@@ -41,15 +42,15 @@ def inside_histogram(first_block, last_block, dense, image, scale, sums):
     for block in range(first_block, last_block):
         for cell in range(block * BLOCK, min((block + 1) * BLOCK, image.shape[0])):
             if dense.slot[cell] < 0 and dense.psi[cell] < 0.0:
-                below, share = place_of(image[cell], low, per_value, bins)
+                below, share = bin_of(image[cell], low, per_value, bins)
                 sums[block, below] += 1.0 - share
                 sums[block, below + 1] += share
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def look_up(start, stop, values, scale, table, out):
     """Write the ``table`` at each of the values of the range, linear between bins, to ``out``."""
     low, per_value = scale
     for s in range(start, stop):
-        below, share = place_of(values[s], low, per_value, table.shape[0])
+        below, share = bin_of(values[s], low, per_value, table.shape[0])
         out[s] = table[below] + share * (table[below + 1] - table[below])

@@ -17,14 +17,14 @@ def axis_weights(p, n, w, o):
     """Weights of the nodes ``base .. base + count - 1`` for position ``p`` (voxels) on an axis of ``n`` nodes.
 
     ``w[o:o+4]`` get the weights of the value, ``w[o+4:o+8]`` those of the derivative per voxel. ``p`` beyond the
-    axis is held at its end; the returned ``beyond`` is what was cut off, for a linear continuation.
+    axis is clamped to its ends; the returned ``beyond`` is what was clamped, for a linear continuation.
     Returns (base, count, beyond).
     """
-    held = min(max(p, 0.0), n - 1.0)
-    beyond = p - held
+    clamped = min(max(p, 0.0), n - 1.0)
+    beyond = p - clamped
     if n >= 4:
-        base = min(max(int(np.floor(held)) - 1, 0), n - 4)
-        u = held - base
+        base = min(max(int(np.floor(clamped)) - 1, 0), n - 4)
+        u = clamped - base
         a, b, c = u - 1.0, u - 2.0, u - 3.0
         w[o] = -a * b * c / 6.0
         w[o + 1] = u * b * c / 2.0
@@ -36,7 +36,7 @@ def axis_weights(p, n, w, o):
         w[o + 7] = ((3.0 * u - 6.0) * u + 2.0) / 6.0
         return base, 4, beyond
     if n == 3:
-        u = held
+        u = clamped
         w[o] = (u - 1.0) * (u - 2.0) / 2.0
         w[o + 1] = -u * (u - 2.0)
         w[o + 2] = u * (u - 1.0) / 2.0
@@ -45,8 +45,8 @@ def axis_weights(p, n, w, o):
         w[o + 6] = u - 0.5
         return 0, 3, beyond
     if n == 2:
-        w[o] = 1.0 - held
-        w[o + 1] = held
+        w[o] = 1.0 - clamped
+        w[o + 1] = clamped
         w[o + 4] = -1.0
         w[o + 5] = 1.0
         return 0, 2, beyond
@@ -69,16 +69,16 @@ def nodes_of(p, n, stride):
     """
     if n == 1:
         return 0, np.float32(1.0), 0.0, 0
-    held = min(max(p, 0.0), n - 1.0)
-    base = min(max(int(held) - 1, 0), n - 4)
-    return base, np.float32(held - base), p - held, stride
+    clamped = min(max(p, 0.0), n - 1.0)
+    base = min(max(int(clamped) - 1, 0), n - 4)
+    return base, np.float32(clamped - base), p - clamped, stride
 
 
 @kernel
 def value_and_gradient(array, grid, pz, py, px, w):
     """Interpolate the raveled dense ``array`` at an index position; ``w`` is (24,) scratch.
 
-    Returns (value, d/dz, d/dy, d/dx) with the gradient per mm. Beyond the border it goes on straight.
+    Returns (value, d/dz, d/dy, d/dx) with the gradient per mm. Beyond the border it is continued linearly.
     """
     if has_cubes(grid):
         return cubes_value_and_gradient(array, grid, pz, py, px)
@@ -138,7 +138,7 @@ def thin_value_and_gradient(array, grid, pz, py, px, w):
 
 @kernel
 def value_at(array, grid, pz, py, px, w):
-    """Interpolate the raveled dense ``array`` at an index position, held at the border (no continuation)."""
+    """Interpolate the raveled dense ``array`` at an index position, clamped to the border (no continuation)."""
     pz = min(max(pz, 0.0), grid.nz - 1.0)
     py = min(max(py, 0.0), grid.ny - 1.0)
     px = min(max(px, 0.0), grid.nx - 1.0)
@@ -157,7 +157,7 @@ def linear_cell(array, at, dy, dz, tz, ty, tx):
 
 @kernel
 def linear_at(array, grid, pz, py, px):
-    """Linear interpolation of the raveled dense ``array`` at an index position, held at the border."""
+    """Linear interpolation of the raveled dense ``array`` at an index position, clamped to the border."""
     pz = min(max(pz, 0.0), grid.nz - 1.0)
     py = min(max(py, 0.0), grid.ny - 1.0)
     px = min(max(px, 0.0), grid.nx - 1.0)

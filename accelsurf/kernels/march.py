@@ -1,9 +1,10 @@
 """Marching of closest points: distance, band membership and extension from the front outwards.
 
-Every cell carries the vector to its closest point on the surface (its foot). Most get it from the cubic interpolant
-at once; the others, and the cells that enter, take over the foot of a neighbour that knows a closer one and polish
-it, round by round until nothing changes: every round reads the last one only, so it runs in several threads and gives
-the same bytes for any number of them. A field is extended by its value at the foot, so grad F . grad psi = 0.
+Every cell has the vector to its closest point on the surface (its foot). Most get it from the cubic interpolant
+at once; the others, and the cells that enter, adopt the foot of a neighbour that has a closer one and refine it, as in
+vector distance transforms, round by round until nothing changes: every round reads the last one only, so it runs in
+several threads and gives the same bytes for any number of them. A field is extended by its value at the foot, so
+grad F . grad psi = 0.
 """
 
 from __future__ import annotations
@@ -13,14 +14,15 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.closest import FOUND, closest_points, crossing_point, feet_memory
 from accelsurf.kernels.grid import BATCH, neighbours, unravel, voxels_along
+from accelsurf.kernels.stages import Stage
 
-#: What is known of a slot's foot.
+#: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
 OPEN, FROZEN, EDGE = 0, 1, 2
-#: A foot may lie this many voxels beyond the border; a surface that has left the volume further is gone.
+#: A foot may lie this many voxels beyond the border; a surface further out has left the volume.
 MARGIN = 1.0
-#: A cell takes over the foot of a neighbour that is closer by this many voxels.
-CLOSER = 0.02
-#: A cell is met when its neighbour's tangent plane says that it is at most this much beyond the band, voxels.
+#: A cell adopts the foot of a neighbour when that is closer by this many voxels.
+MIN_GAIN = 0.02
+#: A cell enters when it is at most this much beyond the band, voxels, by its neighbour's tangent plane.
 SLACK = 0.1
 
 
@@ -75,8 +77,8 @@ def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, bes
     """First guesses of ``count`` feet from slot ``first`` on, as rows z, y, x of ``guesses``; 0 where there is none.
 
     ``beside`` marks the cells with a neighbour on the other side of the surface. Where |psi| was above ``inner`` mm
-    before the surface moved, centred differences would reach beyond the band: the guess is the old foot, drawn out or
-    in by what psi has changed.
+    before the surface moved, centred differences would need cells beyond the band: the guess is the old foot,
+    scaled by the change of psi.
     """
     psi = dense.psi
     for i in range(count):
@@ -102,7 +104,7 @@ def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, bes
         guesses[0, i], guesses[1, i], guesses[2, i] = guess[0], guess[1], guess[2]
 
 
-@kernel
+@kernel(stage=Stage.CLOSEST_POINTS)
 def find_feet(start, stop, dense, grid, band, inner, foot, state):
     """Foot of every cell of the range from psi as it is; ``state`` becomes OPEN where it is not found.
 
@@ -133,15 +135,15 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
                 bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
             # Beyond the border psi is only continued, and so is its jump to +-gamma.
             least = 0.5 if is_near_volume(grid, iz, iy, ix, guess, 0.0) else 0.9
-            state[s] = settle(psi[cell], grid, plane, bound, guess, found, least)
+            state[s] = accept_foot(psi[cell], grid, plane, bound, guess, found, least)
             foot[s, 0], foot[s, 1], foot[s, 2] = guess[0], guess[1], guess[2]
 
 
 @kernel
-def settle(value, grid, plane, bound, guess, found, least):
-    """Whether a foot, ``found`` at ``guess``, holds for a cell with psi = ``value``: FROZEN or OPEN.
+def accept_foot(value, grid, plane, bound, guess, found, least):
+    """Whether a foot, ``found`` at ``guess``, is accepted for a cell with psi = ``value``: FROZEN or OPEN.
 
-    A foot at less than ``least`` of the distance that psi said is no surface. Where an edge crossing, ``bound`` mm off
+    A foot at less than ``least`` of the distance by psi is not on the surface. Where an edge crossing, ``bound`` mm off
     (-1: there is none), lies closer, the foot of its ``plane`` is put there.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
@@ -161,8 +163,8 @@ def length(v, s):
     return np.sqrt(v[s, 0] * v[s, 0] + v[s, 1] * v[s, 1] + v[s, 2] * v[s, 2])
 
 
-@kernel
-def review_feet(start, stop, dense, grid, cells, foot, state, reviewed):
+@kernel(stage=Stage.CLOSEST_POINTS)
+def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
     """Compare each cell's foot with those of its neighbours, reading ``state`` and writing ``reviewed``.
 
     OPEN when a neighbour's foot is closer; EDGE when a neighbour is not in the band (the march starts here).
@@ -176,7 +178,7 @@ def review_feet(start, stop, dense, grid, cells, foot, state, reviewed):
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
-        own = length(foot, s) - CLOSER * h
+        own = length(foot, s) - MIN_GAIN * h
         least = own * own if own > 0.0 else -1.0
         for side in range(6):
             if near[side] < 0:
@@ -225,10 +227,10 @@ def grown_rows(array, size):
 
 
 @kernel
-def flattened(foot, via, grid, cz, cy, cx, out):
+def tangent_foot(foot, via, grid, cz, cy, cx, out):
     """Foot (into ``out``) of a cell whose neighbour ``via`` has the foot (cz, cy, cx) from the cell.
 
-    The point where the neighbour's tangent plane is closest: right on a plane, and as good a guess as psi's slope
+    The point where the neighbour's tangent plane is closest: exact on a plane, and as good a guess as psi's slope
     gives. The neighbour's own foot where that neighbour is too close to the surface to tell its normal.
     Returns its length in voxels.
     """
@@ -242,14 +244,13 @@ def flattened(foot, via, grid, cz, cy, cx, out):
     return voxels_along(cz, cy, cx, grid)
 
 
-@kernel
-def spread(dense, grid, cells, foot, state, n, sources, half_width, stirred):
-    """What the cells of the slots ``sources``, whose feet are new or at the band's edge, set going; serial.
+@kernel(stage=Stage.CLOSEST_POINTS)
+def activate_neighbours(dense, grid, cells, foot, state, n, sources, half_width, active):
+    """Activate the neighbours of the slots ``sources``, whose feet are new or at the band's edge; serial.
 
     Neighbours that are not in the band enter it, as OPEN slots from ``n`` on, when the tangent plane at the source's
-    foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked in ``stirred`` (room,), as a
-    closer foot may be theirs.
-    ``dense.slot`` is extended. Returns (cells, foot, state, stirred, n), with room to spare.
+    foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked in ``active`` (room,), as
+    they may get a closer foot. ``dense.slot`` is extended. Returns (cells, foot, state, active, n), with room to spare.
     """
     slot = dense.slot
     near = np.empty(6, np.int64)
@@ -265,31 +266,31 @@ def spread(dense, grid, cells, foot, state, n, sources, half_width, stirred):
                 continue
             other = slot[near[side]]
             if other >= 0:
-                stirred[other] = True
+                active[other] = True
                 continue
             oz, oy, ox = step_of(side, grid)
             cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
-            if flattened(foot, source, grid, cz, cy, cx, guess) > half_width + SLACK:
+            if tangent_foot(foot, source, grid, cz, cy, cx, guess) > half_width + SLACK:
                 continue
             cells, foot = grown(cells, n), grown_rows(foot, n)
-            state, stirred = grown(state, n), grown(stirred, n)
-            cells[n], state[n], stirred[n] = near[side], OPEN, True
+            state, active = grown(state, n), grown(active, n)
+            cells[n], state[n], active[n] = near[side], OPEN, True
             slot[near[side]] = n
             n += 1
-    return cells, foot, state, stirred, n
+    return cells, foot, state, active, n
 
 
 @kernel
-def closer_foot(s, dense, grid, cells, foot, state, near, out):
-    """The neighbour's foot that is closest to slot ``s``, when closer than its own by `CLOSER`, into ``out``.
+def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
+    """The neighbour's foot that is closest to slot ``s``, when closer than its own by `MIN_GAIN`, into ``out``.
 
     Returns whether there is one.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
-    # Squares of distances: -1 where nothing can be closer. An open slot's foot is nothing yet.
+    # Squares of distances: -1 where nothing can be closer. An open slot has no foot yet.
     least = 1e30
     if state[s] != OPEN:
-        own = length(foot, s) - CLOSER * h
+        own = length(foot, s) - MIN_GAIN * h
         least = own * own if own > 0.0 else -1.0
     found = False
     cell = cells[s]
@@ -308,22 +309,22 @@ def closer_foot(s, dense, grid, cells, foot, state, near, out):
     return found
 
 
-@kernel
-def pull_feet(start, stop, dense, grid, cells, foot, state, on, better, changed):
+@kernel(stage=Stage.CLOSEST_POINTS)
+def propagate_feet(start, stop, dense, grid, cells, foot, state, on, better, changed):
     """One round: each of the slots ``on`` (m,) looks for a closer foot among its neighbours'.
 
-    Reads ``foot`` and ``state`` and writes ``better`` (m, 3) and ``changed`` (m,), for `take_feet`.
+    Reads ``foot`` and ``state`` and writes ``better`` (m, 3) and ``changed`` (m,), for `update_feet`.
     """
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     for row in range(start, stop):
-        changed[row] = closer_foot(on[row], dense, grid, cells, foot, state, near, guess)
+        changed[row] = nearer_neighbour_foot(on[row], dense, grid, cells, foot, state, near, guess)
         better[row, 0], better[row, 1], better[row, 2] = guess[0], guess[1], guess[2]
 
 
-@kernel
-def take_feet(start, stop, on, better, changed, foot, state):
-    """Take the feet of a round over."""
+@kernel(stage=Stage.CLOSEST_POINTS)
+def update_feet(start, stop, on, better, changed, foot, state):
+    """Set the feet that a round has found."""
     for row in range(start, stop):
         if changed[row]:
             s = on[row]
@@ -331,9 +332,9 @@ def take_feet(start, stop, on, better, changed, foot, state):
             state[s] = FROZEN
 
 
-@kernel
-def polish_feet(start, stop, psi, grid, cells, on, foot):
-    """Move the feet of the slots ``on`` (m,), taken over from neighbours, to their own closest points.
+@kernel(stage=Stage.CLOSEST_POINTS)
+def refine_feet(start, stop, psi, grid, cells, on, foot):
+    """Move the feet of the slots ``on`` (m,), adopted from neighbours, to their own closest points.
 
     A foot that does not get shorter, further off than the radius of curvature, stays.
     """
@@ -358,7 +359,7 @@ def polish_feet(start, stop, psi, grid, cells, on, foot):
                 foot[s, 0], foot[s, 1], foot[s, 2] = out[0], out[1], out[2]
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def front_cells(dense, grid, out):
     """Raveled cells of the whole volume with a 6-neighbour on the other side of the surface, in raster order.
 

@@ -1,4 +1,4 @@
-"""One step of the surface: force sampling, kick, diffusion, drift."""
+"""One step of the surface: sampling of forces, kick, diffusion, advance of psi."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
 from accelsurf.kernels.interpolate import linear_at, linear_cell, value_at
+from accelsurf.kernels.stages import Stage
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def sample_image(start, stop, image, grid, band, front, out):
     """Cubic interpolation of a raveled dense image at the foot of every front cell (0 elsewhere)."""
     w = np.empty(24)
@@ -24,21 +25,21 @@ def sample_image(start, stop, image, grid, band, front, out):
             out[s] = value_at(image, grid, pz, py, px, w)
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def mean_across(start, stop, psi, image, band, front, settings, out):
     """Mean of a I^2 + b I + c across the surface at the foot of every front cell (0 elsewhere).
 
     Weighted by the smeared delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the region sums, and by the
     area 1 + s H of the level at distance s, at five points along the normal, the raveled dense image I
     interpolated linearly; ``settings`` = (grid, epsilon in voxels along the normal, (a, b, c), curvature H).
-    Where the smeared layer is not resolved, |s H| is held to 1/2.
+    Where the smeared layer is not resolved, |s H| is clipped to 1/2.
     """
     grid, epsilon, polynomial, curvature = settings
     a, b, c = polynomial
     hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
     row, plane = grid.nx, grid.ny * grid.nx
-    # A little more, for what rounding may add.
-    reach = 2.0 / 3.0 * epsilon + 1e-6
+    # A little more, for rounding.
+    extent = 2.0 / 3.0 * epsilon + 1e-6
     for s in range(start, stop):
         out[s] = 0.0
         if not front[s]:
@@ -58,14 +59,14 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
         unit = 1.0 / norm
         nz, ny, nx = nz * unit, ny * unit, nx * unit
         mm = np.sqrt((nz * grid.hz) ** 2 + (ny * grid.hy) ** 2 + (nx * grid.hx) ** 2)
-        bend = outward * mm * curvature[s]
-        inside = reach <= pz < grid.nz - 1 - reach and reach <= py < grid.ny - 1 - reach
-        inside = inside and reach <= px < grid.nx - 1 - reach
+        area_growth = outward * mm * curvature[s]
+        inside = extent <= pz < grid.nz - 1 - extent and extent <= py < grid.ny - 1 - extent
+        inside = inside and extent <= px < grid.nx - 1 - extent
         total = 0.0
         for m in range(-2, 3):
             u = m * epsilon / 3.0
             share = 1.0 / 3.0 if m == 0 else (0.25 if abs(m) == 1 else 1.0 / 12.0)
-            share *= 1.0 + min(max(u * bend, -0.5), 0.5)
+            share *= 1.0 + min(max(u * area_growth, -0.5), 0.5)
             qz, qy, qx = pz + u * nz, py + u * ny, px + u * nx
             if inside:
                 jz, jy, jx = int(qz), int(qy), int(qx)
@@ -78,13 +79,13 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
         out[s] = total
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def kick(start, stop, beta, gain, curvature, front, rates):
     """Leap-frog kick, centred in time, of the front's speeds (in place); numerics of the surface system.
 
     beta+ = [beta (1 - gamma dm/2) + gain] / [1 + gamma dm/2 - dm beta H/2], the transport term 1/2 beta^2 H taken
     as 1/2 beta beta+ H, which makes the scheme second order. ``gain`` is dm w f/rho; ``rates`` = (gamma dm, dm).
-    The denominator is kept above 0.2.
+    The denominator is at least 0.2.
     """
     damping, dm = rates
     for s in range(start, stop):
@@ -94,7 +95,7 @@ def kick(start, stop, beta, gain, curvature, front, rates):
             beta[s] = (b * (1.0 - 0.5 * damping) + gain[s]) / denominator
 
 
-@kernel
+@kernel(stage=Stage.DIFFUSION)
 def neighbour_slots(start, stop, slot, grid, cells, on, table):
     """Slots of the 6-neighbours (m, 6) of the cells of the slots ``on`` (m,): for `diffusion_stage`.
 
@@ -110,7 +111,7 @@ def neighbour_slots(start, stop, slot, grid, cells, on, table):
             table[row, side] = other if other >= 0 else s
 
 
-@kernel
+@kernel(stage=Stage.DIFFUSION)
 def diffusion_stage(start, stop, on, table, grid, old, older, weights, out):
     """A stage of Runge-Kutta-Legendre at the cells ``on``: mu old + mu' Lap old + nu older.
 
@@ -128,7 +129,7 @@ def diffusion_stage(start, stop, on, table, grid, old, older, weights, out):
         out[s] = mu * here + rate * lap + nu * older[s]
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def voxel_rates(start, stop, grid, band, front, beta, out):
     """Speed of every front cell in voxels along its normal per unit time, |beta| |n/h| (0 elsewhere)."""
     for s in range(start, stop):
@@ -139,8 +140,8 @@ def voxel_rates(start, stop, grid, band, front, beta, out):
             out[s] = abs(beta[s]) * v / d
 
 
-@kernel
-def drift(start, stop, psi, band, beta, norm, dt):
+@kernel(stage=Stage.ADVANCE)
+def advance_psi(start, stop, psi, band, beta, norm, dt):
     """Psi += dt beta |grad psi|, with |grad psi| in ``norm``."""
     for s in range(start, stop):
         psi[band.cells[s]] = band.psi[s] + dt * beta[s] * norm[s]

@@ -1,4 +1,4 @@
-"""Region sums and surface integrals: each voxel cut by the plane that psi and its gradient make in it."""
+"""Region sums and surface integrals: volume fractions by the plane that psi and its gradient define in a voxel."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import curvature_at_foot, curvatures, gradient
 from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
+from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.stencils import block_curvatures, gather_block
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane
@@ -21,7 +22,7 @@ def cube(x):
 
 
 @kernel
-def cut_voxel(psi, gz, gy, gx, grid):
+def fraction_below_plane(psi, gz, gy, gx, grid):
     """Part of a voxel inside the plane psi + n.x = 0, n = grad/|grad|.
 
     Volume of the unit cube below the plane m.u = s (m_a = |n_a| h_a) by inclusion and exclusion of the
@@ -33,7 +34,7 @@ def cut_voxel(psi, gz, gy, gx, grid):
     a = abs(gz) / norm * grid.hz
     b = abs(gy) / norm * grid.hy
     c = abs(gx) / norm * grid.hx
-    # A direction along a face has m = 0, where the formula is 0/0: this much tilt changes nothing visible, and
+    # A direction along a face has m = 0, where the formula is 0/0: this much tilt has no visible effect, and
     # shares a face that lies exactly between two voxels among them.
     least = 1e-4 * (a + b + c)
     a, b, c = max(a, least), max(b, least), max(c, least)
@@ -68,12 +69,19 @@ def smeared_area(d, voxels, gz, gy, gx, gauss, grid):
     return delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
 
 
-@kernel
-def measure_band(start, stop, psi, grid, band, within, part, area, bend):
-    """What the loop asks of every slot of the range.
+@kernel(stage=Stage.ENERGY)
+def measure_band(start, stop, psi, grid, band, within, fraction, area, curvature):
+    """Volume fraction, surface area and curvature at every slot of the range.
 
-    ``part``: share of the voxel inside; ``area``: mm2 of surface that it has; ``bend``: curvature H of the surface at
-    its foot (1/mm), limited to what the grid resolves, 2/min(h), and 0 further than ``within`` voxels off.
+    Parameters
+    ----------
+    psi : ndarray (nz * ny * nx,), float32
+        mm.
+    within : float
+        Distance from the surface, voxels, up to which curvature is measured.
+    fraction, area, curvature : ndarray (n,)
+        Written: share of the voxel inside; surface in it, mm2; H of the surface at its foot, 1/mm, limited to what
+        the grid resolves, 2/min(h), and 0 further than ``within`` off.
     """
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
     most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
@@ -89,9 +97,9 @@ def measure_band(start, stop, psi, grid, band, within, part, area, bend):
             d = band.psi[s]
             voxels = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid)
             if abs(d) > diagonal and voxels > max(within, AREA_WIDTH):
-                part[s], area[s], bend[s] = 1.0 if d < 0.0 else 0.0, 0.0, 0.0
+                fraction[s], area[s], curvature[s] = 1.0 if d < 0.0 else 0.0, 0.0, 0.0
                 continue
-            # Kept in place of what it becomes.
+            # Stored here until the area takes its place.
             area[s] = voxels
             iz, iy, ix = unravel(band.cells[s], grid)
             if gather_block(band.cells[s], iz, iy, ix, psi, grid, rows, count):
@@ -100,27 +108,29 @@ def measure_band(start, stop, psi, grid, band, within, part, area, bend):
             else:
                 gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
                 mean, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
-                part[s], area[s], bend[s] = measures(grid, d, voxels, (gz, gy, gx, mean, gauss), within, diagonal, most)
+                fraction[s], area[s], curvature[s] = measures(
+                    grid, d, voxels, (gz, gy, gx, mean, gauss), within, diagonal, most
+                )
         block_curvatures(count, grid, rows, shape)
         for i in range(count):
             s = which[i]
             level = (shape[0, i], shape[1, i], shape[2, i], shape[3, i], shape[4, i])
-            part[s], area[s], bend[s] = measures(grid, band.psi[s], area[s], level, within, diagonal, most)
+            fraction[s], area[s], curvature[s] = measures(grid, band.psi[s], area[s], level, within, diagonal, most)
 
 
 @kernel
 def measures(grid, d, voxels, level, within, diagonal, most):
     """Share, area and curvature, see `measure_band`, of a cell whose ``level`` has that gradient (z, y, x), H and K."""
     gz, gy, gx, mean, gauss = level
-    part = 1.0 if d < 0.0 else 0.0
+    fraction = 1.0 if d < 0.0 else 0.0
     if abs(d) <= diagonal:
-        part = cut_voxel(d, gz, gy, gx, grid)
-    bend = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
-    return part, smeared_area(d, voxels, gz, gy, gx, gauss, grid), bend
+        fraction = fraction_below_plane(d, gz, gy, gx, grid)
+    curvature = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
+    return fraction, smeared_area(d, voxels, gz, gy, gx, gauss, grid), curvature
 
 
-@kernel
-def smear_band(start, stop, grid, band, epsilon, part):
+@kernel(stage=Stage.ENERGY)
+def smear_band(start, stop, grid, band, epsilon, fraction):
     """Share of each voxel inside by the smeared Heaviside function of the distance in voxels, s.
 
     (1 - s/epsilon - sin(pi s/epsilon)/pi)/2 within epsilon of the surface; its derivative is the delta
@@ -131,14 +141,14 @@ def smear_band(start, stop, grid, band, epsilon, part):
         if band.psi[s] < 0.0:
             x = -x
         if x <= -1.0:
-            part[s] = 1.0
+            fraction[s] = 1.0
         elif x >= 1.0:
-            part[s] = 0.0
+            fraction[s] = 0.0
         else:
-            part[s] = 0.5 * (1.0 - x - np.sin(np.pi * x) / np.pi)
+            fraction[s] = 0.5 * (1.0 - x - np.sin(np.pi * x) / np.pi)
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def weighted_sums(first_block, last_block, cells, weight, image, sums):
     """Per block of slots: sums[block] = sum over its slots of weight x (1, I, I^2)."""
     for block in range(first_block, last_block):
@@ -157,7 +167,7 @@ def weighted_sums(first_block, last_block, cells, weight, image, sums):
         sums[block, 2] = squares
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def inside_sums(first_block, last_block, dense, image, sums):
     """Per block of voxels of the whole volume: sums over the inside voxels not in the band of (1, I, I^2)."""
     for block in range(first_block, last_block):
@@ -175,7 +185,7 @@ def inside_sums(first_block, last_block, dense, image, sums):
         sums[block, 2] = squares
 
 
-@kernel
+@kernel(stage=Stage.BAND)
 def inside_count(first_block, last_block, psi, sums):
     """Per block of voxels of the whole volume: how many are inside."""
     for block in range(first_block, last_block):

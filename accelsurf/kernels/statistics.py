@@ -1,4 +1,4 @@
-"""Figures of many values in one pass, without copies: percentiles by their bits, sums of products by blocks."""
+"""Statistics of many values without copies: order statistics by their bits, sums of products by blocks."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BLOCK
+from accelsurf.kernels.stages import Stage
 
 
 @kernel
-def size_at_rank(values, where, rank):
+def magnitude_at_rank(values, where, rank):
     """The ``rank``-th smallest (from 0) of |values| (float32) where ``where`` is set; exact.
 
     The bits of positive floats are in the order of the floats: three histograms, each of the next bits of those that
@@ -39,7 +40,7 @@ def size_at_rank(values, where, rank):
     return out.view(np.float32)[0]
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def products(first_block, last_block, weight, one, other, sums):
     """Per block of slots: sums[block, 0] = sum of weight x one x other."""
     for block in range(first_block, last_block):

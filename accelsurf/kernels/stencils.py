@@ -1,6 +1,6 @@
 """Differences of many cells at once: neighbours are gathered into rows, and the arithmetic runs over the rows.
 
-Well inside the volume only; `differences` says the same cell by cell, and is used at the border. In a row all cells
+Well inside the volume only; `differences` computes the same cell by cell, and is used at the border. In a row all cells
 are treated alike, so the compiler makes vector instructions of it.
 """
 
@@ -17,7 +17,7 @@ def gather_cross(first, count, psi, grid, cells, wanted, rows, well_inside):
     """Psi at ``count`` cells from slot ``first`` on and at two neighbours to each side along z, y, x.
 
     Rows of ``rows`` (15, m): per axis -2, -1, 0, 1, 2. ``well_inside`` is False where one is beyond the border, and
-    where the cell is not ``wanted`` (n,): these columns are left alone.
+    where the cell is not ``wanted`` (n,): these columns are not changed.
     """
     plane = grid.ny * grid.nx
     for i in range(count):
@@ -43,28 +43,28 @@ def smaller(a, b):
 
 
 @kernel
-def upwind_square(far_below, below, here, above, far_above, per_mm, way):
-    """Square of Godunov's choice along an axis; ``way`` is 1 for a shrinking surface, -1 for a growing one."""
+def upwind_square(far_below, below, here, above, far_above, per_mm, sign):
+    """Square of Godunov's choice along an axis; ``sign`` is 1 for a shrinking surface, -1 for a growing one."""
     half, zero = np.float32(0.5), np.float32(0.0)
     down, up = here - below, above - here
     second = up - down
     down += half * smaller(second, down - (below - far_below))
     up -= half * smaller(second, (far_above - above) - up)
-    a, b = min(way * down, zero) * per_mm, max(way * up, zero) * per_mm
+    a, b = min(sign * down, zero) * per_mm, max(sign * up, zero) * per_mm
     return max(a * a, b * b)
 
 
 @kernel
-def godunov_norms(count, grid, rows, way, out):
+def godunov_norms(count, grid, rows, sign, out):
     """`differences.godunov_norm` of ``count`` columns of `gather_cross`."""
     pz, py, px = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
     z0, z1, z2, z3, z4 = rows[0], rows[1], rows[2], rows[3], rows[4]
     y0, y1, y2, y3, y4 = rows[5], rows[6], rows[7], rows[8], rows[9]
     x0, x1, x2, x3, x4 = rows[10], rows[11], rows[12], rows[13], rows[14]
     for i in range(np.uint64(count)):
-        total = upwind_square(z0[i], z1[i], z2[i], z3[i], z4[i], pz, way[i])
-        total += upwind_square(y0[i], y1[i], y2[i], y3[i], y4[i], py, way[i])
-        total += upwind_square(x0[i], x1[i], x2[i], x3[i], x4[i], px, way[i])
+        total = upwind_square(z0[i], z1[i], z2[i], z3[i], z4[i], pz, sign[i])
+        total += upwind_square(y0[i], y1[i], y2[i], y3[i], y4[i], py, sign[i])
+        total += upwind_square(x0[i], x1[i], x2[i], x3[i], x4[i], px, sign[i])
         out[i] = np.sqrt(total)
 
 

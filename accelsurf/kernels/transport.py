@@ -1,4 +1,4 @@
-"""Carrying a surface and what lives on it along a velocity: departure points, and the stretch of its area."""
+"""Semi-Lagrangian advection of a surface and its fields: departure points, and the stretch of its area."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel
 from accelsurf.kernels.interpolate import axis_weights, linear_band_value, value_and_gradient
+from accelsurf.kernels.stages import Stage
 
 #: Fixed-point iterations for a departure point; each gains a factor dt |grad V|, at most about 1/10. The first needs
 #: no more than linear interpolation.
 ITERATIONS = 3
-#: Longest way back to a departure point per axis, voxels: beyond it lies another part of the surface.
-FARTHEST = 2.0
+#: Largest distance of a departure point per axis, voxels: beyond it is another part of the surface.
+MAX_DEPARTURE = 2.0
 
 
 @kernel
@@ -72,7 +73,7 @@ def linear_band_vector(values, slot, grid, position, out):
 
 
 @kernel
-def depart(velocity, slot, grid, target, dt, scratch, at):
+def departure_point(velocity, slot, grid, target, dt, scratch, at):
     """Point ``at`` (index coordinates) that ``velocity`` (n, 3) takes to ``target`` in ``dt``: at + dt V(at) = target.
 
     ``scratch`` = (w (24,), v (3,)). Where no velocity is known the point stays at the target.
@@ -88,7 +89,7 @@ def depart(velocity, slot, grid, target, dt, scratch, at):
             return
         for axis in range(3):
             h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
-            back = min(max(dt * v[axis] / h, -FARTHEST), FARTHEST)
+            back = min(max(dt * v[axis] / h, -MAX_DEPARTURE), MAX_DEPARTURE)
             at[axis] = target[axis] - back
 
 
@@ -107,12 +108,12 @@ def has_stencil(slot, grid, position, w):
     return True
 
 
-@kernel
-def carry_psi(start, stop, dense, grid, band, velocity, dt, out):
+@kernel(stage=Stage.ADVANCE)
+def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
     """Psi of every cell after ``dt`` of psi_t = -V . grad psi: psi at the departure point of the cell.
 
-    Beyond the border psi goes on straight: held there, it would hold back a surface that moves inwards. Near the
-    band's edge, where the interpolation would reach beyond it, psi - dt V . n with the normal n of the distance
+    Beyond the border psi is continued linearly: a constant there would stop a surface that moves inwards. Near the
+    band's edge, where the interpolation would need cells beyond it, psi - dt V . n with the normal n of the distance
     that psi was.
     """
     w = np.empty(24)
@@ -123,7 +124,7 @@ def carry_psi(start, stop, dense, grid, band, velocity, dt, out):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
         target[0], target[1], target[2] = iz, iy, ix
-        depart(velocity, dense.slot, grid, target, dt, (w, v), at)
+        departure_point(velocity, dense.slot, grid, target, dt, (w, v), at)
         if has_stencil(dense.slot, grid, at, w):
             out[s], _, _, _ = value_and_gradient(dense.psi, grid, at[0], at[1], at[2], w)
             continue
@@ -143,7 +144,7 @@ def outward(psi, band, s, cell, iz, iy, ix, grid):
     return gz / norm, gy / norm, gx / norm
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def normals(start, stop, psi, grid, band, out):
     """Inward unit normal N (n, 3) at the foot of every cell."""
     for s in range(start, stop):
@@ -173,7 +174,7 @@ def near_slots(slot, grid, cell, iz, iy, ix, near, out):
         out[side] = slot[near[side]] if near[side] >= 0 else -1
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def area_stretch(start, stop, slot, grid, cells, velocity, normal, front, dt, out):
     """Factor by which ``dt`` of motion stretches the surface at every front cell (1 elsewhere): J = |cof(F) n|.
 
@@ -205,7 +206,7 @@ def area_stretch(start, stop, slot, grid, cells, velocity, normal, front, dt, ou
         out[s] = np.sqrt(total)
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def surface_gradient(start, stop, slot, grid, cells, values, normal, front, out):
     """Surface gradient (n, 3) of an extended field ``values`` (n, 1) at the front cells, tangential; 0 elsewhere."""
     near = np.empty(6, np.int64)
@@ -226,12 +227,12 @@ def surface_gradient(start, stop, slot, grid, cells, values, normal, front, out)
             out[s, axis] = g[axis] - along * normal[s, axis]
 
 
-@kernel
-def carry_fields(start, stop, slot, grid, band, velocity, dt, values, out):
-    """Fields (n, m) of the new ``band`` carried from the old one, which ``slot`` still maps to.
+@kernel(stage=Stage.EXTENSION)
+def advect_fields(start, stop, slot, grid, band, velocity, dt, values, out):
+    """Fields (n, m) of the new ``band`` advected from the old one, which ``slot`` still maps to.
 
     Each cell gets the values at the point of the old surface that moved to its foot. A cell with nothing known
-    around that point keeps its own old values, or 0 when it was not in the band.
+    around that point has its own old values, or 0 when it was not in the band.
     """
     w = np.empty(24)
     v = np.empty(3)
@@ -245,7 +246,7 @@ def carry_fields(start, stop, slot, grid, band, velocity, dt, values, out):
         target[0] = iz + band.foot[s, 0] / grid.hz
         target[1] = iy + band.foot[s, 1] / grid.hy
         target[2] = ix + band.foot[s, 2] / grid.hx
-        depart(velocity, slot, grid, target, dt, (w, v), at)
+        departure_point(velocity, slot, grid, target, dt, (w, v), at)
         own = slot[cell]
         known = band_vector_at(values, slot, grid, at, w, found)
         for c in range(m):
@@ -255,7 +256,7 @@ def carry_fields(start, stop, slot, grid, band, velocity, dt, values, out):
                 out[s, c] = values[own, c] if own >= 0 and own < values.shape[0] else 0.0
 
 
-@kernel
+@kernel(stage=Stage.EXTENSION)
 def fields_between(start, stop, coarse, band, grid, place, values, absent, out):
     """Fields (m, n) at the feet of a ``band`` on another grid: linear there over the band cells around.
 

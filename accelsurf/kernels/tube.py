@@ -6,9 +6,10 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
+from accelsurf.kernels.stages import Stage
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def tube_weight(start, stop, grid, band, width, eta):
     """Weight (1 + cos(pi s/width))/2 of every cell, s its distance in voxels along the normal; 0 from ``width`` on."""
     for s in range(start, stop):
@@ -16,12 +17,12 @@ def tube_weight(start, stop, grid, band, width, eta):
         eta[s] = 0.5 * (1.0 + np.cos(np.pi * x)) if x < 1.0 else 0.0
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def tube_product(start, stop, slot, grid, cells, eta, length, field, out):
     """Product of the weighted operator with ``field`` (n,): eta g - ell^2 div(eta grad g).
 
     The weak form of sum eta (g^2 + ell^2 |grad g|^2)/2, a face between two cells having the mean of their weights:
-    symmetric. Cells just off the tube take part (without them the faces at its edge would be lost).
+    symmetric. Cells just off the tube count too (without them the faces at its edge would be lost).
     """
     near = np.empty(6, np.int64)
     for s in range(start, stop):
@@ -37,7 +38,7 @@ def tube_product(start, stop, slot, grid, cells, eta, length, field, out):
         out[s] = eta[s] * field[s] + length * length * total
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def tube_diagonal(start, stop, slot, grid, cells, eta, length, out):
     """Diagonal of `tube_product`'s operator; 1 where that is 0, away from the tube."""
     near = np.empty(6, np.int64)

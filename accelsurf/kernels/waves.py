@@ -6,9 +6,10 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import unravel
+from accelsurf.kernels.stages import Stage
 
 
-@kernel
+@kernel(stage=Stage.FLOW)
 def sum_of_waves(start, stop, grid, band, front, vectors, phases, out):
     """sqrt(2/m) sum_j cos(k_j . x + p_j) at the foot x (mm) of every front cell, 0 elsewhere; ``vectors`` k (m, 3)."""
     m = phases.shape[0]

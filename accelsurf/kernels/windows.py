@@ -12,6 +12,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import unravel
+from accelsurf.kernels.stages import Stage
 
 
 class Nodes(NamedTuple):
@@ -38,8 +39,8 @@ def node_below(position, distance, before, n):
     return below, min(max(place - below, 0.0), 1.0)
 
 
-@kernel
-def splat(cells, weight, image, grid, nodes, counts, totals):
+@kernel(stage=Stage.ENERGY)
+def scatter(cells, weight, image, grid, nodes, counts, totals):
     """Add each cell times its weight to the eight nodes around it: 1 to ``counts``, the image to ``totals``.
 
     On one thread: the order of the sums is that of the cells.
@@ -66,17 +67,17 @@ def splat(cells, weight, image, grid, nodes, counts, totals):
                     totals[to] += w * value
 
 
-@kernel
-def splat_inside(dense, image, grid, nodes, counts, totals):
-    """`splat` of the inside voxels that are not in the band, of the whole volume."""
+@kernel(stage=Stage.ENERGY)
+def scatter_inside(dense, image, grid, nodes, counts, totals):
+    """`scatter` of the inside voxels that are not in the band, of the whole volume."""
     cell, weight = np.empty(1, np.int64), np.ones(1)
     for at in range(image.shape[0]):
         if dense.slot[at] < 0 and dense.psi[at] < 0.0:
             cell[0] = at
-            splat(cell, weight, image, grid, nodes, counts, totals)
+            scatter(cell, weight, image, grid, nodes, counts, totals)
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def tent_along(start, stop, values, length, step, reach, out):
     """Smooth raveled nodes along an axis by the tent (reach - |k|)/reach^2, |k| < reach; nothing lies beyond the ends.
 
@@ -95,7 +96,7 @@ def tent_along(start, stop, values, length, step, reach, out):
         at = end
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def two_means(start, stop, count, total, count_in, total_in, least, first, second, gain):
     """Of the means f1 inside and f2 outside in each window: f1 - f2, f1^2 - f2^2, and what two means fit better.
 
@@ -111,7 +112,7 @@ def two_means(start, stop, count, total, count_in, total_in, least, first, secon
             gain[i] = n1 * n2 / count[i] * (f1 - f2) ** 2
 
 
-@kernel
+@kernel(stage=Stage.ENERGY)
 def read_nodes(start, stop, grid, band, front, nodes, first, second, out):
     """Two fields of nodes at the foot of every front cell, out (n, 2); 0 elsewhere."""
     row, plane = nodes.nx, nodes.ny * nodes.nx

@@ -1,12 +1,14 @@
 """The surface on the grid: a narrow band of signed distance around the zero level of psi. Knows no image."""
 
 from accelsurf.levelset.checkpoint import SurfaceState, checkpoint_surface, restore_surface
-from accelsurf.levelset.level_set import FRONT_WIDTH, Change, LevelSet, Snapshot
+from accelsurf.levelset.displacement import FAR, Snapshot
+from accelsurf.levelset.level_set import FRONT_WIDTH, BandChange, LevelSet
 from accelsurf.levelset.threads import Workers, dot
 
 __all__ = [
+    "FAR",
     "FRONT_WIDTH",
-    "Change",
+    "BandChange",
     "LevelSet",
     "Snapshot",
     "SurfaceState",

@@ -1,4 +1,4 @@
-"""A surface put aside and taken back, bit for bit: its band, and one sign for each stretch of voxels beyond it."""
+"""State of a surface, saved and restored bit for bit: its band, and one sign for each stretch of voxels beyond it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels.grid import Band
 from accelsurf.levelset.level_set import LevelSet
 
@@ -14,14 +13,14 @@ from accelsurf.levelset.level_set import LevelSet
 class SurfaceState(NamedTuple):
     """What `restore_surface` needs.
 
-    ``cells`` (n,) of the band, uint32 where that is enough; ``psi`` (n,) and ``foot`` (n, 3) as in the band;
-    ``inside`` bits, whether each stretch of a row beyond the band is inside; ``inside_beyond`` number of such voxels;
-    ``requested_half_width`` of the band.
+    ``cells`` (n,) of the band, uint32 where that is enough; ``psi`` (n,) mm; ``closest_points`` (n, 3), the vectors to
+    them, mm; ``inside`` bits, whether each stretch of a row beyond the band is inside; ``inside_beyond`` number of such
+    voxels; ``requested_half_width`` of the band.
     """
 
     cells: np.ndarray
     psi: np.ndarray
-    foot: np.ndarray
+    closest_points: np.ndarray
     inside: np.ndarray
     inside_beyond: int
     requested_half_width: float
@@ -29,11 +28,11 @@ class SurfaceState(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Memory that it takes."""
-        return int(self.cells.nbytes + self.psi.nbytes + self.foot.nbytes + self.inside.nbytes)
+        return int(self.cells.nbytes + self.psi.nbytes + self.closest_points.nbytes + self.inside.nbytes)
 
 
 def checkpoint_surface(surface: LevelSet) -> SurfaceState:
-    """Put a surface aside; to be called between two steps.
+    """Return the state of a surface; to be called between two steps.
 
     The arrays of the band are shared: a step makes new ones and leaves the old as they are.
     """
@@ -41,23 +40,20 @@ def checkpoint_surface(surface: LevelSet) -> SurfaceState:
     inside = np.packbits(surface.dense.psi[_stretches(band.cells, surface)] < 0)
     small = surface.dense.psi.size < 2**32
     cells = band.cells.astype(np.uint32) if small else band.cells
-    return SurfaceState(cells, band.psi, band.foot, inside, surface._inside_beyond_band, surface.requested_half_width)
+    return SurfaceState(cells, band.psi, band.foot, inside, surface.inside_beyond_band, surface.requested_half_width)
 
 
-def restore_surface(surface: LevelSet, kept: SurfaceState) -> None:
-    """Make ``surface``, on the same grid, what it was when ``kept`` was put aside."""
-    dense, cells = surface.dense, kept.cells.astype(np.int64)
+def restore_surface(surface: LevelSet, state: SurfaceState) -> None:
+    """Make ``surface``, on the same grid, what it was at `checkpoint_surface`."""
+    cells = state.cells.astype(np.int64)
     first = _stretches(cells, surface)
-    signs = np.unpackbits(kept.inside, count=first.size).astype(np.bool_)
-    surface._set_width(kept.requested_half_width)
+    signs = np.unpackbits(state.inside, count=first.size).astype(np.bool_)
     # Band cells do not matter here: a stretch that they end may run on over them.
-    lead = int(first[0]) if first.size else dense.psi.size
-    dense.psi[:lead] = surface.gamma
-    dense.psi[lead:] = np.repeat(np.where(signs, -surface.gamma, surface.gamma), np.diff(first, append=dense.psi.size))
-    dense.slot.fill(-1)
-    surface._inside_beyond_band = kept.inside_beyond
-    surface.workers.run(band_kernels.store_band, cells.size, dense, Band(cells, kept.psi, kept.foot))
-    surface.take_band(Band(cells, kept.psi, kept.foot))
+    leading = int(first[0]) if first.size else surface.dense.psi.size
+    lengths = np.concatenate([[leading], np.diff(first, append=surface.dense.psi.size)])
+    inside = np.repeat(np.concatenate([[False], signs]), lengths)
+    band = Band(cells, state.psi, state.closest_points)
+    surface.restore(band, inside, state.inside_beyond, state.requested_half_width)
 
 
 def _stretches(cells: np.ndarray, surface: LevelSet) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from accelsurf.kernels.grid import BLOCK
 
-#: Fewest blocks that are worth handing to another thread.
+#: Smallest number of blocks that is worth a second thread.
 MIN_BLOCKS = 2
 
 
@@ -37,42 +37,42 @@ class Workers:
         self.threads = threads
         #: Band cells handed to kernels so far: the cost of a run that does not depend on the machine.
         self.visited = 0
-        #: Wall seconds by kernel, for `--profile`.
+        #: Wall seconds by name of kernel, for `--profile`; `kernels.stages` has the stage of each.
         self.seconds: dict[str, float] = {}
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
-    def run(self, kernel: Callable[..., Any], size: int, *args: Any) -> None:
+    def parallel(self, kernel: Callable[..., Any], size: int, *args: Any) -> None:
         """Call ``kernel(start, stop, *args)`` so that the ranges cover ``0 .. size``."""
         if size == 0:
             return
         self.visited += size
         began = time.perf_counter()
-        self._shared(kernel, size, BLOCK, args)
-        self._spent(kernel, began)
+        self._share_out(kernel, size, BLOCK, args)
+        self._count(kernel, began)
 
-    def sums(self, kernel: Callable[..., Any], size: int, columns: int, *args: Any) -> np.ndarray:
+    def block_sums(self, kernel: Callable[..., Any], size: int, columns: int, *args: Any) -> np.ndarray:
         """Sum the rows that ``kernel(first_block, last_block, *args, rows)`` leaves, one per block, in order."""
         blocks = -(-size // BLOCK)
         self.visited += size
         rows = np.zeros((blocks, columns))
         began = time.perf_counter()
-        self._shared(kernel, blocks, 1, (*args, rows))
-        self._spent(kernel, began)
+        self._share_out(kernel, blocks, 1, (*args, rows))
+        self._count(kernel, began)
         total: np.ndarray = rows.sum(axis=0)
         return total
 
-    def alone(self, kernel: Callable[..., Any], *args: Any) -> Any:
-        """Call a kernel that cannot be shared out, on this thread."""
+    def serial(self, kernel: Callable[..., Any], *args: Any) -> Any:
+        """Call a kernel that one thread must do, on this one."""
         began = time.perf_counter()
         result = kernel(*args)
-        self._spent(kernel, began)
+        self._count(kernel, began)
         return result
 
-    def _spent(self, kernel: Callable[..., Any], began: float) -> None:
+    def _count(self, kernel: Callable[..., Any], began: float) -> None:
         name = kernel.__name__
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
-    def _shared(self, kernel: Callable[..., Any], size: int, block: int, args: tuple[Any, ...]) -> None:
+    def _share_out(self, kernel: Callable[..., Any], size: int, block: int, args: tuple[Any, ...]) -> None:
         """Share ``0 .. size`` out in ranges of whole blocks to the threads, this one among them."""
         blocks = -(-size // block)
         if self._pool is None or blocks < 2 * MIN_BLOCKS:
@@ -96,8 +96,8 @@ class Workers:
                     other.result()
 
     @contextmanager
-    def helped_by(self, others: Workers) -> Iterator[None]:
-        """Run on the threads of others for a while, with counts of one's own."""
+    def borrowing_threads(self, others: Workers) -> Iterator[None]:
+        """Use the threads of ``others`` for a while, with counts of one's own."""
         before = self._pool, self.threads
         self._pool, self.threads = others._pool, others.threads
         try:

@@ -16,7 +16,7 @@ from accelsurf.levelset.level_set import LevelSet
 
 def transfer_fields(
     fields: Sequence[NDArray[np.float32]],
-    absent: Sequence[float],
+    fill_values: Sequence[float],
     slot: NDArray[np.int32],
     coarse: Level,
     new: LevelSet,
@@ -26,7 +26,7 @@ def transfer_fields(
 
     Each cell gets the value at its closest point on the surface: the mean of the coarse band cells around it, weighted
     as in linear interpolation; cells that are not in the band do not count. Where there are none, as on surface that
-    was not there before, it is what ``absent`` says for each field.
+    was not there before, it is the field's ``fill_values``.
     """
     if not fields:
         return []
@@ -34,8 +34,8 @@ def transfer_fields(
     values = np.stack([np.asarray(field, np.float32) for field in fields])
     ratio = np.array([f / c for c, f in zip(coarse.factors, fine.factors, strict=True)])
     place = np.stack([ratio, 0.5 * (ratio - 1.0)])
-    on, missing = (slot, Grid(*coarse.shape, *coarse.spacing)), np.array(absent, np.float32)
-    new.workers.run(transport.fields_between, new.size, on, new.band, new.grid, place, values, missing, out)
+    on, missing = (slot, Grid(*coarse.shape, *coarse.spacing)), np.array(fill_values, np.float32)
+    new.workers.parallel(transport.fields_between, new.size, on, new.band, new.grid, place, values, missing, out)
     return list(out)
 
 

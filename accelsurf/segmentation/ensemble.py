@@ -85,7 +85,7 @@ class Ensemble:
             return list(map(work, batch) if self._pool is None else self._pool.map(work, batch))
         with ExitStack() as stack:
             for one in batch:
-                stack.enter_context(one.workers.helped_by(self._workers))
+                stack.enter_context(one.workers.borrowing_threads(self._workers))
             return [work(one) for one in batch]
 
     def _meet(self) -> list[list[int]]:

@@ -24,10 +24,11 @@ from accelsurf.energies import (
     gaussian_of,
 )
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
-from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude, largest_spacing
+from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
+from accelsurf.grid.spacing import largest_spacing
 from accelsurf.segmentation.image_context import TermInputs
 
 #: R of local-region unless given, voxels of the largest spacing.

@@ -16,7 +16,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.energies import ChanVese
-from accelsurf.flows.protocol import diffuse, diffusion_reach
+from accelsurf.flows.diffusion import diffuse, largest_diffusion
 from accelsurf.levelset import LevelSet
 from benchmarks.peers.work import ball, bumpy, evolution
 
@@ -47,11 +47,11 @@ class Case:
         self.surface = self.fresh()
         self.front = self.surface.front()
         self.field = bumpy(self.surface)
-        self.part, self.area = self.surface.fraction_and_area()
+        self.fraction, self.area = self.surface.fraction_and_area()
         self.curvature = self.surface.curvature(self.front)
         self.energy = ChanVese(self.image, 0.0, epsilon=1.5)
         self.energy.start(self.surface)
-        self.energy.value(self.surface, self.part, self.area)
+        self.energy.value(self.surface, self.fraction, self.area)
 
     def fresh(self) -> LevelSet:
         """The surface again, for a kernel that changes it."""
@@ -87,8 +87,8 @@ def test_advance(benchmark: Any, case: Case) -> None:
     benchmark(case.surface.advance, case.field, 0.0)
 
 
-def test_cut(benchmark: Any, case: Case) -> None:
-    benchmark(case.surface.cut)
+def test_fraction_and_area(benchmark: Any, case: Case) -> None:
+    benchmark(case.surface.fraction_and_area)
 
 
 def test_curvature(benchmark: Any, case: Case) -> None:
@@ -100,11 +100,11 @@ def test_extend_outwards(benchmark: Any, case: Case) -> None:
 
 
 def test_diffuse(benchmark: Any, case: Case) -> None:
-    benchmark(diffuse, case.surface, case.front, case.field.copy(), diffusion_reach(case.surface))
+    benchmark(diffuse, case.surface, case.front, case.field.copy(), largest_diffusion(case.surface))
 
 
 def test_chan_vese_value(benchmark: Any, case: Case) -> None:
-    benchmark(case.energy.value, case.surface, case.part, case.area)
+    benchmark(case.energy.value, case.surface, case.fraction, case.area)
 
 
 def test_chan_vese_force(benchmark: Any, case: Case) -> None:

@@ -17,7 +17,7 @@ class Clock:
     def __init__(self, workers: Workers) -> None:
         self.kernels: dict[str, float] = {}
         self._workers = workers
-        for name in ("run", "sums"):
+        for name in ("parallel", "block_sums"):
             setattr(workers, name, self._wrapped(getattr(workers, name)))
 
     def _wrapped(self, call: Any) -> Any:

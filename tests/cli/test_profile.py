@@ -1,27 +1,37 @@
-"""Where the seconds of a run went: stages that add up to the total."""
+"""Where the seconds of a run went: stages that add up to the total, and that every kernel names itself."""
 
+import ast
 import importlib
 import pkgutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import accelsurf
 from accelsurf import kernels
 from accelsurf.cli import profile
+from accelsurf.kernels.stages import STAGE_OF_KERNEL, Stage
+
+MODULES = {
+    one.name.rsplit(".", 1)[1]: importlib.import_module(one.name)
+    for one in pkgutil.walk_packages(kernels.__path__, "accelsurf.kernels.")
+}
 
 
 @pytest.mark.parametrize("parts", [(), ("load",), ("load", "start", "evolve", "mesh", "write"), ("evolve", "write")])
-@pytest.mark.parametrize("names", [(), ("find_feet", "kick"), ("find_feet", "spread", "drift", "not_known_here")])
+@pytest.mark.parametrize("names", [(), ("find_feet", "kick"), ("find_feet", "classify_feet", "kick", "not_known_here")])
 def test_stages_add_up_to_the_total(parts, names):
     rng = np.random.default_rng(len(parts) + len(names))
     seconds = {part: float(rng.uniform(5, 9)) for part in parts} | {"total": 60.0}
     spent_in = {name: float(rng.uniform(0.1, 1)) for name in names}
-    stages = profile.spent(seconds, spent_in)
+    stages = profile.seconds_by_stage(seconds, spent_in)
     assert sum(value for _, value in stages) == pytest.approx(60)
     assert len({stage for stage, _ in stages}) == len(stages)
     found = dict(stages)
+    closest_points = sum(spent_in.get(name, 0) for name in ("find_feet", "classify_feet"))
     assert found.get("other kernels", 0) == spent_in.get("not_known_here", 0)
-    assert found.get("closest points", 0) == pytest.approx(sum(spent_in.get(k, 0) for k in ("find_feet", "spread")))
+    assert found.get("closest points", 0) == pytest.approx(closest_points)
     if "evolve" in parts:
         assert found["evolve: other"] == pytest.approx(seconds["evolve"] - sum(spent_in.values()))
     for part in parts:
@@ -29,9 +39,44 @@ def test_stages_add_up_to_the_total(parts, names):
     assert len(profile.lines(seconds, spent_in)) == len(stages)
 
 
-def test_every_kernel_of_a_stage_exists_and_is_in_one_stage_only():
-    found = pkgutil.walk_packages(kernels.__path__, "accelsurf.kernels.")
-    modules = [importlib.import_module(one.name) for one in found]
-    names = [name for stage in profile.STAGES.values() for name in stage]
-    assert len(set(names)) == len(names)
-    assert [name for name in names if not any(hasattr(module, name) for module in modules)] == []
+def kernels_handed_over(path):
+    """Names of kernels, ``module.kernel``, that a file gives to a call as an argument, as `Workers` is given them."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    aliases = {
+        (name.asname or name.name): name.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module == "accelsurf.kernels"
+        for name in node.names
+    }
+    given = [arg for node in ast.walk(tree) if isinstance(node, ast.Call) for arg in node.args]
+    return {
+        (aliases[arg.value.id], arg.attr)
+        for arg in given
+        if isinstance(arg, ast.Attribute) and isinstance(arg.value, ast.Name) and arg.value.id in aliases
+        if callable(getattr(MODULES[aliases[arg.value.id]], arg.attr))
+    }
+
+
+def test_every_kernel_that_workers_are_given_has_a_stage():
+    folder = Path(accelsurf.__file__).parent
+    used = set().union(*(kernels_handed_over(path) for path in folder.rglob("*.py")))
+    assert len(used) > 45
+    assert sorted(name for _, name in used if name not in STAGE_OF_KERNEL) == []
+    # No stage is left over from a kernel that is gone, and none is said in vain.
+    assert sorted(set(STAGE_OF_KERNEL) - {name for _, name in used}) == []
+    assert set(STAGE_OF_KERNEL.values()) == set(Stage)
+
+
+def test_what_a_run_counts_has_a_stage():
+    surface = accelsurf.levelset.LevelSet(np.linalg.norm(np.indices((9, 9, 9)) - 4.0, axis=0) - 3, (1, 1, 1))
+    surface.curvature(surface.front())
+    assert len(surface.workers.seconds) > 10
+    assert set(surface.workers.seconds) <= set(STAGE_OF_KERNEL)
+
+
+def test_one_name_has_one_stage():
+    def kick():
+        """As a kernel of the flows is called."""
+
+    with pytest.raises(ValueError, match="kernel kick has stage Stage.FLOW elsewhere, Stage.BAND was given"):
+        kernels._jit.kernel(stage=Stage.BAND)(kick)

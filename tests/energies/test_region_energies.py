@@ -1,4 +1,4 @@
-"""Local regions, likelihoods and thresholds: forces are derivatives of values; moving sums against slow twins."""
+"""Local regions, likelihoods and thresholds: forces are derivatives of values; moving sums against slow references."""
 
 import numpy as np
 import pytest
@@ -123,7 +123,7 @@ def test_the_wrong_sign_is_no_derivative(name):
 
 @pytest.mark.parametrize("radius", [1.0, 2.6, 4.0, 7.0])
 def test_local_energy_is_the_sum_over_all_windows(radius):
-    """Against the twin that sums every window by its formula, with voxels cut by the surface in part."""
+    """Against the reference that sums every window by its formula, with voxels cut by the surface in part."""
     shape, spacing = (13, 17, 15), (1.3, 1.0, 0.9)
     values = np.random.default_rng(1).normal(size=shape)
     z, y, x = np.meshgrid(*(np.arange(n) * h for n, h in zip(shape, spacing, strict=True)), indexing="ij")
@@ -216,7 +216,7 @@ def test_likelihood_tells_regions_of_one_mean_by_their_variance():
 
 
 def test_likelihood_learns_from_foreground_and_background():
-    """The start is in the wrong object; what is learned decides. Values are told in the image's own unit."""
+    """The start is in the wrong object; what is learned decides. Values are reported in the image's own unit."""
     z, y, x = np.indices((30, 30, 60)).astype(float)
     balls = [(x - c) ** 2 + (y - 15) ** 2 + (z - 15) ** 2 < 9**2 for c in (15, 44)]
     scan = 100.0 + 50.0 * balls[0] + 120.0 * balls[1] + np.random.default_rng(1).normal(0, 5, balls[0].shape)

@@ -66,12 +66,12 @@ def test_the_operator_is_symmetric_and_a_constant_is_left_alone() -> None:
     surface = sphere(6.0)
     n = surface.size
     eta = np.empty(n)
-    surface.workers.run(tube.tube_weight, n, surface.grid, surface.band, 2.0, eta)
+    surface.workers.parallel(tube.tube_weight, n, surface.grid, surface.band, 2.0, eta)
 
     def product(field: np.ndarray) -> np.ndarray:
         out = np.empty(n)
         slot, cells = surface.dense.slot, surface.band.cells
-        surface.workers.run(tube.tube_product, n, slot, surface.grid, cells, eta, 3.0, field, out)
+        surface.workers.parallel(tube.tube_product, n, slot, surface.grid, cells, eta, 3.0, field, out)
         return out
 
     rng = np.random.default_rng(1)

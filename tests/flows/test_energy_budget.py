@@ -1,4 +1,4 @@
-"""The trace's account of energy: what the potentials and the kinetic energy lose is what friction and the rest take.
+"""The energy budget of the history: what the potentials and the kinetic energy lose is what friction and the rest take.
 
 d(U + U_mass + T/w) = -(3k/t) T/w dt - (diffusion, limiter, restart) + noise; with a constant friction a, -2 a T/w.
 """

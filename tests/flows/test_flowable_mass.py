@@ -14,8 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import sph_harm_y
 
 from accelsurf.energies import Energy, RegionField
-from accelsurf.evolution.loop import Evolution
-from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.loop import Evolution, StepRecord
 from accelsurf.flows import FlowableMass, StepInput, StepLimits, StepPlan
 from accelsurf.levelset import LevelSet
 from tests.evolution.test_exact_solutions import spheroid
@@ -44,7 +43,7 @@ class QuadraticInVolume(Energy):
         return np.where(front, np.float32(0.3 * (self.volume / VOLUME - 1.0)), np.float32(0.0))
 
 
-def feet(surface: LevelSet, on: Lattice) -> np.ndarray:
+def closest_points(surface: LevelSet, on: Lattice) -> np.ndarray:
     """Closest points (n, 3), z y x, of all band cells."""
     return on.points.reshape(3, -1)[:, surface.band.cells].T + surface.band.foot
 
@@ -57,7 +56,7 @@ class Given(FlowableMass):
 
     def start(self, surface: LevelSet) -> None:
         super().start(surface)
-        self.density = self.density_at(feet(surface, self.on)).astype(np.float32)
+        self.density = self.density_at(closest_points(surface, self.on)).astype(np.float32)
 
 
 def ellipsoid_axes(t_end: float) -> Callable[[float], np.ndarray]:
@@ -161,7 +160,7 @@ def density_mode(n: int, degree: int, amplitude: float, flow: Given) -> float:
         t = step.record.t + step.record.dt
         if t > t_end:
             break
-        area, shape = surface.fraction_and_area()[1], mode(feet(surface, on))
+        area, shape = surface.fraction_and_area()[1], mode(closest_points(surface, on))
         excess = flow.density - (area * flow.density).sum() / area.sum()
         now = (area * excess * shape).sum() / (area * shape**2).sum() / amplitude
         worst = max(worst, abs(float(now) - exact.jinc(omega * t)))
@@ -194,7 +193,7 @@ def test_the_mass_potential_is_inert_at_uniform_density() -> None:
 
 
 def test_negative_tension_is_clamped_and_told() -> None:
-    """Without the clamp noise in the density grows on the surface where rho > rms(rho); with it the share is told."""
+    """Without the clamp noise in the density grows on the surface where rho > rms(rho); with it its share is known."""
     on = lattice(32)
     rng = np.random.default_rng(5)
     bumps = rng.normal(size=(12, 3)) * 6.0

@@ -3,16 +3,8 @@ import pytest
 from scipy.special import sph_harm_y
 
 from accelsurf.flows import ConstantDensity, Gradient, StepInput, StepLimits
-from accelsurf.flows.protocol import (
-    STAGES,
-    clip_speed,
-    diffuse,
-    diffusion_bound,
-    diffusion_reach,
-    percentile,
-    smallest_spacing,
-    voxel_rates,
-)
+from accelsurf.flows.diffusion import MAX_STAGES, diffuse, largest_diffusion, one_stage_diffusion
+from accelsurf.flows.step_limits import clip_speed, percentile, voxel_rates
 from accelsurf.levelset import LevelSet
 
 R = 12.0
@@ -50,7 +42,7 @@ def test_diffusion_decays_as_on_the_sphere(degree):
     """Y_l under beta_t = D Lap_S beta decays as exp(-D l(l+1) t/r^2).
 
     Measured rates are 1.01 to 1.17 times that (l = 1 to 4, r = 12 voxels): the extension that precedes each Laplacian
-    interpolates linearly, which is some diffusion by itself.
+    interpolates linearly, which is some diffusion too.
     """
     surface = sphere()
     front = surface.front()
@@ -69,8 +61,8 @@ def test_diffusion_is_stable_at_its_bound_in_noise():
     """The largest amount that the stages reach: noise shrinks, the mean stays, a constant is left alone."""
     surface = sphere()
     front = surface.front()
-    amount = diffusion_reach(surface)
-    assert amount == pytest.approx(0.5 * STAGES * (STAGES + 1) * diffusion_bound(surface))
+    amount = largest_diffusion(surface)
+    assert amount == pytest.approx(0.5 * MAX_STAGES * (MAX_STAGES + 1) * one_stage_diffusion(surface))
     field = np.random.default_rng(0).normal(size=surface.size).astype(np.float32)
     surface.extend_outwards(field, front)
     on = np.flatnonzero(surface.fraction_and_area()[1])
@@ -86,11 +78,11 @@ def test_diffusion_is_stable_at_its_bound_in_noise():
 
 
 def test_the_diffusion_bound_counts_only_axes_with_slices():
-    assert diffusion_bound(sphere(16, (1.0, 1.0, 2.0), 5.0)) == pytest.approx(0.5 / (1 + 1 + 0.25))
+    assert one_stage_diffusion(sphere(16, (1.0, 1.0, 2.0), 5.0)) == pytest.approx(0.5 / (1 + 1 + 0.25))
     y, x = np.indices((20, 20)) - 9.5
     flat = LevelSet((np.sqrt(y**2 + x**2) - 5)[None], (3.0, 0.5, 0.5))
-    assert diffusion_bound(flat) == pytest.approx(0.5 / 8)
-    assert smallest_spacing(flat) == 0.5
+    assert one_stage_diffusion(flat) == pytest.approx(0.5 / 8)
+    assert flat.smallest_spacing == 0.5
 
 
 def test_no_front_cell_moves_further_than_the_limit():
@@ -101,11 +93,11 @@ def test_no_front_cell_moves_further_than_the_limit():
         move, front = moved(flow, surface, force, limits=limits)
         rates = voxel_rates(surface, front, move.speed)[front] * move.dt
         assert rates.max() <= 0.4 * (1 + 1e-5)
-        # What was held is reported: 40 % of the cells are faster than the percentile.
-        assert 0.3 < move.limited < 0.45
-        assert np.isclose(rates, 0.4, rtol=1e-4).mean() == pytest.approx(move.limited, abs=0.02)
+        # What was clipped is reported: 40 % of the cells are faster than the percentile.
+        assert 0.3 < move.clipped < 0.45
+        assert np.isclose(rates, 0.4, rtol=1e-4).mean() == pytest.approx(move.clipped, abs=0.02)
         free, front = moved(flow.__class__(), surface, force, limits=limits._replace(percentile=100.0))
-        assert free.limited == 0 and free.dt < move.dt
+        assert free.clipped == 0 and free.dt < move.dt
 
 
 def test_percentile_is_a_value_at_its_rank():
@@ -166,7 +158,7 @@ def test_start_up_series(k, friction):
     if friction is not None:
         series = 0.5 * dt * 1.3 * 0.25 / 2.0 / (1 + 0.25 * friction * dt)
     np.testing.assert_allclose(move.speed[front], series, rtol=1e-5)
-    assert move.account.kinetic == 0 and flow.clock.time == dt
+    assert move.energy_rates.kinetic == 0 and flow.clock.time == dt
 
 
 def test_rest_forgets_the_momentum_and_the_clock():

@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels.grid import Band, Lattice
+from accelsurf.kernels.grid import Band, DenseArrays
 from accelsurf.kernels.march import EDGE, FROZEN, OPEN
 from tests.support import reference
 
@@ -24,7 +24,7 @@ def scattered(shape, seed, share=0.6):
         foot[:, 0] = 0
     sign = np.where(rng.random(cells.size) < 0.5, -1, 1)
     psi = (np.linalg.norm(foot, axis=1) * sign).astype(np.float32)
-    dense = Lattice(np.full(present.size, 9, np.float32), np.full(present.size, -1, np.int32))
+    dense = DenseArrays(np.full(present.size, 9, np.float32), np.full(present.size, -1, np.int32))
     dense.psi[cells], dense.slot[cells] = psi, np.arange(cells.size)
     return dense, Band(cells, psi, foot), present
 
@@ -76,7 +76,7 @@ def test_gather_keeps_signs_and_never_gives_zero():
     assert new.psi[4] != 0
 
 
-def sampled_by_the_twin(shape, present, values, cells, foot, old_slot):
+def sampled_by_the_reference(shape, present, values, cells, foot, old_slot):
     """What `sample_at_feet` should give: cubic where all nodes are ``present``, else linear, else the own value."""
     on_grid = np.zeros(shape, np.float32)
     on_grid[present] = values
@@ -120,7 +120,7 @@ def test_fields_are_sampled_at_the_feet(shape, share, fields):
     front = rng.random(cells.size) < 0.9
     band_kernels.sample_at_feet(0, cells.size, dense.slot, reference.grid_of(shape, SPACING), new, front, values, out)
     for field in range(fields):
-        want, ways = sampled_by_the_twin(shape, present, values[field], cells, foot, old_slot)
+        want, ways = sampled_by_the_reference(shape, present, values[field], cells, foot, old_slot)
         np.testing.assert_allclose(out[field, front], want[front], rtol=0, atol=2e-5)
         assert np.isnan(out[field, ~front]).all()
     if min(shape) > 4:

@@ -1,4 +1,4 @@
-"""Differences: gradient, curvatures and Godunov's norm against their twins, on every voxel up to the border."""
+"""Differences: gradient, curvatures and Godunov's norm against their references, on every voxel up to the border."""
 
 import itertools
 
@@ -16,7 +16,7 @@ SHAPES = [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5), (5, 1, 6), (6, 5, 2), (1,
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_gradient_and_curvatures_as_the_twins(shape):
+def test_gradient_and_curvatures_as_the_reference(shape):
     psi = (2 * reference.smooth_noise(shape, 1)).astype(np.float64)
     grid = reference.grid_of(shape, SPACING)
     want, _ = reference.derivatives(psi, SPACING)
@@ -83,7 +83,7 @@ def test_signs_and_sizes_on_balls_and_cylinders():
 
 
 def test_curvature_at_foot_undoes_the_distance():
-    """Of a level d off a surface of principal curvatures k: k/(1 + d k) each. Twin: from d to d = 0 and back."""
+    """Of a level d off a surface of principal curvatures k: k/(1 + d k) each. Reference: from d to d = 0 and back."""
     rng = np.random.default_rng(2)
     for _ in range(200):
         k, d = rng.normal(0, 0.5, 2), rng.uniform(-2, 2)
@@ -101,7 +101,7 @@ def test_curvature_at_foot_undoes_the_distance():
     (0.5, 0.0625, 2.0, 1.0),  # a ball of radius 2, two off
     (0.4, 0.04, -2.0, 2 / 7),  # and from inside
     (0.9, 0.0, 1.0, 0.9),  # 1 - d k = 0.1 is too little to divide by
-    (0.7, 0.0, 1.0, 1.5),  # held
+    (0.7, 0.0, 1.0, 1.5),  # clipped
     (-0.7, 0.0, -1.0, -1.5),
     (9.0, 0.0, 0.0, 1.5),
 ])  # fmt: skip
@@ -117,7 +117,7 @@ def test_minmod():
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 9])
-def test_upwind_differences_as_the_twin(n):
+def test_upwind_differences_as_the_reference(n):
     line = np.random.default_rng(n).standard_normal(n)
     down, up = reference.one_sided(line, 0.7)
     got = np.array([differences.upwind_differences(line, i, i, n, 1, 0.7) for i in range(n)])

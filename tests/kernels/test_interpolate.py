@@ -40,7 +40,7 @@ def test_weights_are_those_of_the_monomials_and_reach_only_nodes_of_the_axis(n):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_value_and_gradient_as_the_twin_also_beyond_the_border(shape):
+def test_value_and_gradient_as_the_reference_also_beyond_the_border(shape):
     array = reference.smooth_noise(shape, 1)
     grid = reference.grid_of(shape, SPACING)
     points = positions(shape, 2, beyond=1.5)
@@ -55,11 +55,11 @@ def test_value_at_and_linear_at_are_held_at_the_border(shape):
     array = reference.smooth_noise(shape, 3)
     grid = reference.grid_of(shape, SPACING)
     points = positions(shape, 4, beyond=1.5)
-    held = np.clip(points, 0, np.array(shape) - 1.0)
+    clamped = np.clip(points, 0, np.array(shape) - 1.0)
     cubic = [interpolate.value_at(array.ravel(), grid, *p, np.empty(24)) for p in points]
-    np.testing.assert_allclose(cubic, reference.interpolate(array, held)[0], atol=2e-5)
+    np.testing.assert_allclose(cubic, reference.interpolate(array, clamped)[0], atol=2e-5)
     straight = [interpolate.linear_at(array.ravel(), grid, *p) for p in points]
-    np.testing.assert_allclose(straight, reference.linear(array, held), atol=2e-6)
+    np.testing.assert_allclose(straight, reference.linear(array, clamped), atol=2e-6)
 
 
 def polynomial(z, y, x):
@@ -177,8 +177,8 @@ def test_band_value_is_cubic_in_a_complete_band(shape):
     for p in positions(shape, 9, beyond=0.8):
         got, found = interpolate.band_value_at(values, slot, values.size, grid, p, np.empty(24))
         assert found
-        held = np.clip(p, 0, np.array(shape) - 1.0)
-        assert got == pytest.approx(reference.interpolate(dense, held)[0][0], abs=1e-6)
+        clamped = np.clip(p, 0, np.array(shape) - 1.0)
+        assert got == pytest.approx(reference.interpolate(dense, clamped)[0][0], abs=1e-6)
         assert got == pytest.approx(interpolate.value_at(dense.ravel(), grid, *p, np.empty(24)), abs=float(limit))
 
 

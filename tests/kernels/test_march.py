@@ -8,7 +8,8 @@ from scipy import ndimage
 
 from accelsurf.kernels import closest, march
 from accelsurf.kernels.grid import Band, neighbours, unravel, voxels_along
-from accelsurf.levelset import LevelSet, Workers
+from accelsurf.levelset import Workers
+from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -48,7 +49,7 @@ def started(psi, spacing):
     dense, band, foot, state = front_of(psi)
     find_feet(dense, grid, band, foot, state)
     reviewed = np.empty_like(state)
-    march.review_feet(0, band.cells.size, dense, grid, band.cells, foot, state, reviewed)
+    march.classify_feet(0, band.cells.size, dense, grid, band.cells, foot, state, reviewed)
     return dense, grid, band, foot, reviewed
 
 
@@ -56,7 +57,7 @@ def passed_on(dense, grid, band, half_width):
     """(cells, foot, state) of the band and of what enters it, by the rounds of a level set."""
     surface = SimpleNamespace(workers=Workers(1), grid=grid, dense=dense, band=band, size=band.cells.size)
     surface.half_width, surface.gamma = half_width, np.float32(half_width * max(grid[3:]))
-    *arrays, n = LevelSet._feet(surface)  # what it uses of a level set, without what a level set does with the spacing
+    *arrays, n = find_closest_points(surface)  # without what a level set does with the spacing
     return [a[:n] for a in arrays]
 
 
@@ -68,7 +69,7 @@ def marched(psi, spacing, half_width):
 
 
 def moved(psi, grid, cells, feet):
-    """(feet, how they stand) by `closest_points`; what its memory held before is no matter."""
+    """(feet, their status) by `closest_points`; what its memory held before is no matter."""
     count = len(cells)
     memory = np.full(closest.ROWS * closest.BATCH, np.float32(np.nan))
     rows = memory.reshape(closest.ROWS, closest.BATCH)
@@ -219,7 +220,7 @@ def start_feet(psi, grid):
 
 @pytest.mark.parametrize(("shape", "sigma"), [((9, 10, 11), 2.0), ((9, 10, 11), 1.2), *((s, 1.5) for s in THIN)])
 def test_closest_points_are_those_of_one_correction_after_the_other(shape, sigma):
-    """As the slow twin, decisions apart that rounding may turn; up to three voxels off.
+    """As the slow reference, decisions apart that rounding may turn; up to three voxels off.
 
     Levels and slopes are right to 2e-5 (see `test_levels_...`): over a slope of a fifth and more and up to three voxels
     that is 3e-4 voxel at worst in a correction, and the last one is what is seen.
@@ -278,7 +279,7 @@ def memory_of(iteration, seed):
 
 
 @pytest.mark.parametrize("iteration", [0, 1, 2, 5])
-def test_a_correction_is_that_of_the_slow_twin(iteration):
+def test_a_correction_is_that_of_the_slow_reference(iteration):
     """To the rounding of float32 in sums of that size; decisions apart that it may turn."""
     grid, h = reference.grid_of((5, 5, 5), UNEQUAL), np.array(UNEQUAL)
     rows = memory_of(iteration, 2 + iteration)
@@ -471,7 +472,7 @@ def test_what_holds_for_a_foot(value, distance, found, bound, least, want):
     grid = reference.grid_of((5, 5, 5), UNEQUAL)
     guess, plane_foot = distance * np.array((0.6, 0.0, 0.8)), np.array((0.1, 0.2, 0.3))
     before = guess.copy()
-    state = march.settle(value, grid, plane_foot, bound, guess, found, least)
+    state = march.accept_foot(value, grid, plane_foot, bound, guess, found, least)
     assert state == (march.OPEN if want is None else march.FROZEN)
     np.testing.assert_array_equal(guess, plane_foot if want == "plane" else before)
 
@@ -574,7 +575,7 @@ def test_review_opens_cells_whose_neighbour_knows_a_closer_surface():
     absent = int(np.ravel_multi_index((4, 5, 3), shape))
     dense.slot[absent] = -1
     reviewed = np.full(psi.size, 99, np.int8)
-    march.review_feet(0, psi.size, dense, grid, band.cells, foot, state, reviewed)
+    march.classify_feet(0, psi.size, dense, grid, band.cells, foot, state, reviewed)
     want = np.full(shape, march.FROZEN)
     want[2, 3, 6] = want[0, 0, 0] = march.OPEN
     want[4, 5, 2] = want[4, 5, 4] = want[3, 5, 3] = want[4, 4, 3] = march.EDGE
@@ -600,12 +601,12 @@ def test_a_foot_through_a_neighbour_is_where_its_tangent_plane_is_closest(spacin
         foot, out = np.zeros((3, 3), np.float32), np.full(3, np.nan)
         foot[1] = d * n
         through = foot[1].astype(float) + step
-        got = march.flattened(foot, 1, grid, *through, out)
+        got = march.tangent_foot(foot, 1, grid, *through, out)
         want = through if d**2 < 0.1 * h**2 else (d + step @ n) * n
         np.testing.assert_allclose(out, want, rtol=0, atol=2e-6)
         assert got == pytest.approx(np.linalg.norm(want / spacing), abs=1e-5)
     tiny = np.zeros((1, 3), np.float32)
-    assert march.flattened(tiny, 0, grid, 0.0, 0.0, spacing[2], out) == pytest.approx(1)
+    assert march.tangent_foot(tiny, 0, grid, 0.0, 0.0, spacing[2], out) == pytest.approx(1)
     np.testing.assert_allclose(out, (0, 0, spacing[2]))
 
 
@@ -625,13 +626,13 @@ def test_polishing_finds_the_own_foot_but_never_a_longer_one():
     foot[1:] = foot[0] + np.float32((0, 0, -1))
     foot[2] *= 0.5 / np.linalg.norm(foot[2])  # shorter than there is
     before = foot.copy()
-    march.polish_feet(1, 3, psi.ravel(), grid, cells, np.array([0, 1, 2, 3]), foot)
+    march.refine_feet(1, 3, psi.ravel(), grid, cells, np.array([0, 1, 2, 3]), foot)
     np.testing.assert_array_equal(foot[[0, 2, 3]], before[[0, 2, 3]])
     np.testing.assert_allclose(foot[1], exact((6, 6, 11)), atol=0.02)
     assert np.linalg.norm(foot[1]) < np.linalg.norm(before[1])
     flat = np.full(psi.size, 2, np.float32)
     foot[:] = before
-    march.polish_feet(0, 4, flat, grid, cells, np.array([3, 2, 1, 0]), foot)
+    march.refine_feet(0, 4, flat, grid, cells, np.array([3, 2, 1, 0]), foot)
     np.testing.assert_array_equal(foot, before)
 
 
@@ -648,13 +649,13 @@ def test_polishing_does_not_leave_the_volume():
         at = 8 + want[2]
         assert (at < 9) == polished
         grid = reference.grid_of(shape, (1, 1, 1))
-        march.polish_feet(0, 1, psi.ravel(), grid, np.array([cell]), np.array([0]), foot)
+        march.refine_feet(0, 1, psi.ravel(), grid, np.array([cell]), np.array([0]), foot)
         np.testing.assert_allclose(foot[0], want if polished else own, atol=1e-5 if polished else 0)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), UNEQUAL])
 def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
-    """As a plain twin, and the same bytes with any room: what does not fit is moved to larger arrays.
+    """As a plain reference, and the same bytes with any room: what does not fit is moved to larger arrays.
 
     Those whose own foot is beyond the half width set nothing going.
     """
@@ -667,15 +668,15 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         foot[s] *= half_width * 1.01 / voxels_along(*foot[s], grid)
     for s in sources[1::5]:
         foot[s] *= half_width * 0.99 / voxels_along(*foot[s], grid)
-    entered, stirred = [], np.zeros(n, bool)
+    entered, active = [], np.zeros(n, bool)
     for s in np.delete(sources, np.s_[::5]):
         index = unravel(band.cells[s], grid)
         for side, other in enumerate(around(grid, index)[1]):
             out = np.empty(3)
             through = foot[s].astype(float) - march.step_of(side, grid)
             if other >= 0 and slot[other] >= 0:
-                stirred[slot[other]] = True
-            elif other >= 0 and other not in entered and march.flattened(foot, s, grid, *through, out) <= reach:
+                active[slot[other]] = True
+            elif other >= 0 and other not in entered and march.tangent_foot(foot, s, grid, *through, out) <= reach:
                 entered.append(other)
     assert 10 < len(entered) < psi.size - n
     results = []
@@ -683,14 +684,14 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         dense.slot[:] = slot
         arrays = [band.cells, foot, state, np.zeros(n, bool)]
         arrays = [np.concatenate([a, np.zeros((room, *a.shape[1:]), a.dtype)]) for a in arrays]
-        *arrays, total = march.spread(dense, grid, *arrays[:3], n, sources, half_width, arrays[3])
+        *arrays, total = march.activate_neighbours(dense, grid, *arrays[:3], n, sources, half_width, arrays[3])
         assert all(a.shape[0] >= total for a in arrays)
         assert total == n + len(entered)
         cells, feet, states, stir = (a[:total] for a in arrays)
         np.testing.assert_array_equal(cells, [*band.cells, *entered])
         np.testing.assert_array_equal(feet[:n], foot)
         np.testing.assert_array_equal(states, [*state, *[march.OPEN] * len(entered)])
-        np.testing.assert_array_equal(stir, [*stirred, *[True] * len(entered)])
+        np.testing.assert_array_equal(stir, [*active, *[True] * len(entered)])
         assert np.count_nonzero(dense.slot >= 0) == total
         results.append(dense.slot.copy())
         np.testing.assert_array_equal(dense.slot[cells], np.arange(total))
@@ -699,7 +700,7 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
 
 @pytest.mark.parametrize("shape", [(7, 9, 8), *THIN])
 def test_a_round_takes_the_closest_of_the_neighbours_feet(shape):
-    """Of a whole band with random feet, some not known, as a plain twin; a range writes nothing outside."""
+    """Of a whole band with random feet, some not known, as a plain reference; a range writes nothing outside."""
     rng = np.random.default_rng(17)
     size = int(np.prod(shape))
     dense, band = reference.whole_band(np.ones(shape), rng.normal(0, 1, (size, 3)))
@@ -710,7 +711,7 @@ def test_a_round_takes_the_closest_of_the_neighbours_feet(shape):
     better, changed = np.full((on.size, 3), np.float32(np.nan)), np.full(on.size, 7, np.int8).astype(bool)
     at, last = foot.copy(), state.copy()
     first, stop = 2, on.size - 3
-    march.pull_feet(first, stop, dense, grid, band.cells, foot, state, on, better, changed)
+    march.propagate_feet(first, stop, dense, grid, band.cells, foot, state, on, better, changed)
     np.testing.assert_array_equal(foot, at)
     np.testing.assert_array_equal(state, last)
     assert np.isnan(better[:first]).all() and np.isnan(better[stop:]).all()
@@ -723,13 +724,13 @@ def test_a_round_takes_the_closest_of_the_neighbours_feet(shape):
             if other >= 0 and dense.slot[other] >= 0 and state[other] != march.OPEN:
                 offers.append(foot[other] + np.array(march.step_of(side, grid)))
         offers.sort(key=np.linalg.norm)
-        least = np.inf if state[s] == march.OPEN else np.linalg.norm(foot[s]) - march.CLOSER * h.min()
+        least = np.inf if state[s] == march.OPEN else np.linalg.norm(foot[s]) - march.MIN_GAIN * h.min()
         takes = bool(offers) and np.linalg.norm(offers[0]) < least
         assert changed[row] == takes
         if takes:
             want[s], stands[s] = offers[0], march.FROZEN
     assert 0 < changed[first:stop].sum() < stop - first
-    march.take_feet(first, stop, on, better, changed, foot, state)
+    march.update_feet(first, stop, on, better, changed, foot, state)
     np.testing.assert_allclose(foot, want, rtol=0, atol=4 * EPS * 5)
     np.testing.assert_array_equal(state, stands)
 
@@ -738,9 +739,9 @@ def test_a_foot_must_be_closer_by_more_than_is_negligible():
     grid = reference.grid_of((1, 1, 2), (1, 1, 1))
     dense, band = reference.whole_band(np.ones((1, 1, 2)), [(0, 0, 2.0), (0, 0, 1.0)])
     near, out, state = np.empty(6, np.int64), np.full(3, -7.0), np.full(2, march.FROZEN, np.int8)
-    for longer, takes in ((0.5 * march.CLOSER, False), (1.5 * march.CLOSER, True)):
+    for longer, takes in ((0.5 * march.MIN_GAIN, False), (1.5 * march.MIN_GAIN, True)):
         band.foot[0, 2] = 2 + longer
-        assert march.closer_foot(0, dense, grid, band.cells, band.foot, state, near, out) == takes
+        assert march.nearer_neighbour_foot(0, dense, grid, band.cells, band.foot, state, near, out) == takes
     np.testing.assert_allclose(out, (0, 0, 2))
 
 
@@ -781,7 +782,7 @@ def test_rounds_give_what_a_march_in_order_gives(make, shape, spacing, monkeypat
     There are few such cells (worst here 2.2 %), and none more than 0.3 voxel off (worst here 0.27). At the band's edge
     some are met by one way only, where a cell on the other is just beyond it (worst here 8 of 734).
     """
-    monkeypatch.setattr(march, "polish_feet", lambda start, stop, *args: None)
+    monkeypatch.setattr(march, "refine_feet", lambda start, stop, *args: None)
     psi, half_width = make(shape, spacing), 3.0
     _, grid, band, foot, state = started(psi, spacing)
     want = reference.march_in_order(grid, band.cells, foot, state, half_width)
@@ -789,18 +790,18 @@ def test_rounds_give_what_a_march_in_order_gives(make, shape, spacing, monkeypat
     lengths = [{c: voxels_along(*f, grid) for c, f in feet.items()} for feet in (want, got)]
     both = sorted(c for c in set(want) & set(got) if max(lengths[0][c], lengths[1][c]) <= half_width)
     for one, other in (lengths, lengths[::-1]):
-        missed = [c for c, d in one.items() if d < half_width - march.CLOSER and other.get(c, np.inf) > half_width]
+        missed = [c for c, d in one.items() if d < half_width - march.MIN_GAIN and other.get(c, np.inf) > half_width]
         assert len(missed) <= (2 if spacing == UNEQUAL else 1) + 0.01 * len(both)
     gap = np.array([np.linalg.norm(got[c]) - np.linalg.norm(want[c]) for c in both]) / min(spacing)
     if len(both) > 0:
-        assert (np.abs(gap) > march.CLOSER).sum() <= 1 + 0.03 * len(both)
+        assert (np.abs(gap) > march.MIN_GAIN).sum() <= 1 + 0.03 * len(both)
         assert np.abs(gap).max() < 0.3
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.5, 1.0, 0.8), UNEQUAL])
 @pytest.mark.parametrize("shape", [(11, 9, 12), *THIN, (1, 1, 12)])
 @pytest.mark.parametrize("make", [two_sheets, box, smooth, rough])
-def test_rounds_are_those_of_the_slow_twin(make, shape, spacing):
+def test_rounds_are_those_of_the_slow_reference(make, shape, spacing):
     """Polished: the same cells and bytes. In the largest volume some feet change after they were polished."""
     psi, half_width = make(shape, spacing), 3.0
     dense, grid, band, foot, state = started(psi, spacing)
@@ -906,7 +907,7 @@ def test_a_range_of_slots_writes_nothing_outside_itself():
     assert not foot[:5].any() and not foot[11:].any()
     find_feet(dense, grid, band, foot, state)
     reviewed = np.full_like(state, 77)
-    march.review_feet(5, 11, dense, grid, band.cells, foot, state, reviewed)
+    march.classify_feet(5, 11, dense, grid, band.cells, foot, state, reviewed)
     assert (reviewed[:5] == 77).all() and (reviewed[11:] == 77).all() and (reviewed[5:11] != 77).all()
 
 

@@ -99,7 +99,7 @@ def test_kick_solves_the_centred_scheme():
     np.testing.assert_allclose(beta[front], want[front], rtol=2e-5, atol=1e-6)
     np.testing.assert_array_equal(beta[~front], before[~front])
     np.testing.assert_array_equal(gain, given)
-    # As the equation: (b+ - b)/dm = w f/rho - gamma (b + b+)/2 + b b+ H/2, where the denominator was not held.
+    # As the equation: (b+ - b)/dm = w f/rho - gamma (b + b+)/2 + b b+ H/2, where the denominator was not clipped.
     b, new, f, h, rho = (a.astype(float)[front] for a in (before, beta, force, curvature, density))
     free = 1 + 0.5 * gamma * dm - 0.5 * dm * b * h > 0.2
     residue = (new - b) / dm - weight * f / rho + gamma * (b + new) / 2 - b * new * h / 2
@@ -154,7 +154,7 @@ def test_neighbours_off_the_band_and_beyond_the_border_are_the_cell_itself(shape
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_laplacian_as_the_twin_with_holes_and_at_the_border(shape):
+def test_laplacian_as_the_reference_with_holes_and_at_the_border(shape):
     """A stage with the weights 0, 1, 0 is the Laplacian, on the cells ``on`` only."""
     present, slot, cells = holed(shape, 4)
     values = np.random.default_rng(6).standard_normal(shape).astype(np.float32)
@@ -216,7 +216,7 @@ def test_drift_moves_psi_by_the_speed_and_only_in_the_band():
     cells = np.array([3, 7, 8, 20, 49])
     values, beta, norm = (rng.standard_normal(5).astype(np.float32) for _ in range(3))
     band = Band(cells, values, np.zeros((5, 3), np.float32))
-    motion.drift(1, 4, psi, band, beta, norm, np.float32(0.25))
+    motion.advance_psi(1, 4, psi, band, beta, norm, np.float32(0.25))
     want = np.full(50, 9.0)
     want[cells[1:4]] = (values + 0.25 * beta * norm)[1:4]
     np.testing.assert_allclose(psi, want, rtol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import region
-from accelsurf.kernels.grid import BLOCK, Band, Lattice
+from accelsurf.kernels.grid import BLOCK, Band, DenseArrays
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -23,11 +23,11 @@ def test_cut_voxel_is_the_exact_polygon(direction, spacing):
     reach = 0.5 * np.abs(n) @ spacing
     for psi in np.linspace(-1.2, 1.2, 23) * reach:
         want = reference.cut_voxel(psi, n, spacing)[0]
-        assert region.cut_voxel(psi, *(2.5 * n), grid) == pytest.approx(want, abs=3e-4)
+        assert region.fraction_below_plane(psi, *(2.5 * n), grid) == pytest.approx(want, abs=3e-4)
 
 
 def test_cut_voxel_by_counting_points():
-    """A twin of the twin: share of a fine lattice of points."""
+    """A reference of the reference: share of a fine lattice of points."""
     grid = reference.grid_of((3, 3, 3), SPACING)
     u = (np.arange(60) + 0.5) / 60 - 0.5
     z, y, x = np.meshgrid(*(u * h for h in SPACING), indexing="ij")
@@ -35,19 +35,19 @@ def test_cut_voxel_by_counting_points():
         n = np.array(n) / np.linalg.norm(n)
         for psi in (-0.6, -0.1, 0.0, 0.4):
             want = np.mean(psi + n[0] * z + n[1] * y + n[2] * x < 0)
-            assert region.cut_voxel(psi, *n, grid) == pytest.approx(want, abs=0.01)
+            assert region.fraction_below_plane(psi, *n, grid) == pytest.approx(want, abs=0.01)
 
 
 def test_cut_voxel_without_a_gradient_is_in_or_out():
     grid = reference.grid_of((3, 3, 3), SPACING)
-    assert region.cut_voxel(-0.1, 0.0, 0.0, 0.0, grid) == 1.0
-    assert region.cut_voxel(0.1, 0.0, 0.0, 0.0, grid) == 0.0
+    assert region.fraction_below_plane(-0.1, 0.0, 0.0, 0.0, grid) == 1.0
+    assert region.fraction_below_plane(0.1, 0.0, 0.0, 0.0, grid) == 0.0
 
 
 @pytest.mark.parametrize("axis", range(3))
 def test_a_face_exactly_between_two_voxels_is_shared_by_them(axis):
     grid, n = reference.grid_of((3, 3, 3), SPACING), np.eye(3)[axis]
-    inner, outer = (region.cut_voxel(sign * 0.5 * SPACING[axis], *n, grid) for sign in (-1, 1))
+    inner, outer = (region.fraction_below_plane(sign * 0.5 * SPACING[axis], *n, grid) for sign in (-1, 1))
     assert inner + outer == pytest.approx(1, abs=1e-6)
     assert inner > 0.9999
 
@@ -104,7 +104,7 @@ MEASURED = [(7, 9, 8), (1, 9, 12), (3, 4, 5), (2, 5, 6), (5, 1, 6)]
 
 @pytest.mark.parametrize("within", [1.0, 2.0, 9.0])
 @pytest.mark.parametrize("shape", MEASURED)
-def test_measured_curvature_as_the_twin(shape, within):
+def test_measured_curvature_as_the_reference(shape, within):
     psi = (0.8 * reference.smooth_noise(shape, 2, 2.0)).astype(np.float32)
     foot, gradient = down_the_gradient(psi, SPACING)
     _, _, bend = measured(psi, SPACING, foot, within)
@@ -112,7 +112,7 @@ def test_measured_curvature_as_the_twin(shape, within):
     voxels = np.linalg.norm(foot.astype(np.float32).astype(float) / SPACING, axis=1)
     near, steep = voxels <= within, np.linalg.norm(gradient, axis=1) > 0.1
     assert (near & steep).sum() > 8
-    # The twin divides by 1 - d k of each curvature, which is ill conditioned beside the centre of curvature.
+    # The reference divides by 1 - d k of each curvature, which is ill conditioned beside the centre of curvature.
     factors = 1 - psi.ravel()[:, None] * reference.principal_curvatures(psi, SPACING).reshape(-1, 2)
     tame = near & steep & (np.abs(factors.prod(axis=1) - 0.2) > 1e-3)
     np.testing.assert_allclose(bend[tame], want[tame], rtol=2e-3, atol=2e-4)
@@ -137,7 +137,7 @@ def test_measured_curvature_of_a_ball_is_that_at_the_foot():
 @pytest.mark.parametrize("within", [0.3, 2.0])
 @pytest.mark.parametrize("spacing", [SPACING, (1.0, 1.0, 1.0)])
 @pytest.mark.parametrize("shape", MEASURED)
-def test_measured_shares_and_areas_as_the_twins(shape, spacing, within):
+def test_measured_shares_and_areas_as_the_reference(shape, spacing, within):
     """Of rough surfaces, whatever the distance within which the curvature is asked for."""
     psi = reference.smooth_noise(shape, 3, 1.2)
     foot, gradient = down_the_gradient(psi, spacing)
@@ -286,7 +286,7 @@ def test_inside_sums_leave_the_band_and_the_outside_out():
     slot = np.where(rng.random(n) < 0.3, 5, -1).astype(np.int32)
     image = rng.standard_normal(n).astype(np.float32)
     sums = np.zeros((3, 3))
-    region.inside_sums(0, 3, Lattice(psi, slot), image, sums)
+    region.inside_sums(0, 3, DenseArrays(psi, slot), image, sums)
     counted = image[(psi < 0) & (slot < 0)].astype(np.float64)
     np.testing.assert_allclose(sums.sum(axis=0), [counted.size, counted.sum(), (counted**2).sum()], rtol=1e-12)
 

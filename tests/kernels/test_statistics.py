@@ -14,7 +14,7 @@ TINY = np.finfo(np.float32).smallest_subnormal
 def check_ranks(values, where, ranks):
     want = np.sort(np.abs(values[where]))
     for rank in ranks:
-        got = statistics.size_at_rank(values, where, rank)
+        got = statistics.magnitude_at_rank(values, where, rank)
         assert got == want[rank]
         assert np.float32(got).tobytes() == want[rank].tobytes()
 
@@ -55,7 +55,7 @@ def test_values_stay_as_they_were():
     values = np.array([3.0, -1.0, 2.0], np.float32)
     before = values.copy()
     where = np.array([True, True, False])
-    assert statistics.size_at_rank(values, where, 1) == 3
+    assert statistics.magnitude_at_rank(values, where, 1) == 3
     np.testing.assert_array_equal(values, before)
 
 

@@ -129,7 +129,7 @@ def test_at_the_border_nothing_is_gathered():
 
 @pytest.mark.parametrize("spacing", [SPACING, (1.0, 1.0, 1.0)])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (3, 4, 5)])
-def test_curvatures_as_cell_by_cell_and_as_the_twin(shape, spacing):
+def test_curvatures_as_cell_by_cell_and_as_the_reference(shape, spacing):
     """Within what float32 may lose: the sums of the formulas' terms without their signs, times their operations."""
     psi = 2 * reference.smooth_noise(shape, 1)
     cells, rows, out = blocks(psi, spacing)

@@ -1,10 +1,10 @@
-"""Transport: interpolation of vectors, departure points, what is carried, stretch of the area, surface gradient."""
+"""Transport: interpolation of vectors, departure points, what is advected, stretch of the area, surface gradient."""
 
 import numpy as np
 import pytest
 
 from accelsurf.kernels import transport
-from accelsurf.kernels.grid import Band, Lattice
+from accelsurf.kernels.grid import Band, DenseArrays
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -132,12 +132,12 @@ def test_the_stencil_is_the_nodes_of_the_interpolation_and_no_others(shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("share", [1.0, 0.5])
-def test_departure_as_the_twin(shape, share):
+def test_departure_as_the_reference(shape, share):
     present, dense, values, slot = vectors_of(shape, 8, share=share, extra=3)
     grid, at = reference.grid_of(shape, SPACING), np.full(3, np.nan)
     stayed = 0
     for target in positions(shape, 9):
-        transport.depart(values, slot, grid, target, 0.4, scratch(), at)
+        transport.departure_point(values, slot, grid, target, 0.4, scratch(), at)
         want = reference.departure(dense, present, SPACING, target, 0.4)
         np.testing.assert_allclose(at, want, atol=1e-4)
         stayed += np.array_equal(at, target)
@@ -152,7 +152,7 @@ def test_departure_inverts_an_affine_motion():
     values = ((indices(shape) - middle) * h @ slope.T).astype(np.float32)
     slot, at = np.arange(len(values), dtype=np.int32), np.empty(3)
     for target in positions(shape, 10, beyond=-1.0)[:25]:
-        transport.depart(values, slot, grid, target, dt, scratch(), at)
+        transport.departure_point(values, slot, grid, target, dt, scratch(), at)
         moved = at + dt * (slope @ ((at - middle) * h)) / h
         far = np.abs(target - middle).max()
         assert np.abs(moved - target).max() < 2e-3 * far
@@ -165,18 +165,19 @@ def test_departure_goes_no_further_than_two_voxels_back_along_any_axis():
     grid, slot = reference.grid_of(shape, SPACING), np.arange(9**3, dtype=np.int32)
     values = np.tile(np.array([30.0, -50.0, 0.7], np.float32), (9**3, 1))
     at = np.empty(3)
-    transport.depart(values, slot, grid, np.array([4.0, 4.0, 4.0]), 1.0, scratch(), at)
+    transport.departure_point(values, slot, grid, np.array([4.0, 4.0, 4.0]), 1.0, scratch(), at)
     np.testing.assert_allclose(at, [2, 6, 3], atol=1e-6)
 
 
 def test_departure_stays_where_nothing_is_known():
     shape, target, at = (4, 5, 6), np.array([1.3, 2.2, 3.1]), np.empty(3)
     slot = np.full(120, -1, np.int32)
-    transport.depart(np.ones((3, 3), np.float32), slot, reference.grid_of(shape, SPACING), target, 1.0, scratch(), at)
+    grid = reference.grid_of(shape, SPACING)
+    transport.departure_point(np.ones((3, 3), np.float32), slot, grid, target, 1.0, scratch(), at)
     np.testing.assert_array_equal(at, target)
 
 
-# ---------------------------------------------------------------------------------------------------- psi is carried
+# ---------------------------------------------------------------------------------------------------- psi is advected
 
 
 def plane_band(shape, normal, offset, share=1.0, seed=0):
@@ -187,7 +188,7 @@ def plane_band(shape, normal, offset, share=1.0, seed=0):
     slot[cells] = np.arange(cells.size)
     foot = (-psi[:, None] * normal).astype(np.float32)
     band = Band(cells, psi[cells].astype(np.float32), foot[cells])
-    return psi, Lattice(psi.astype(np.float32), slot), band, present
+    return psi, DenseArrays(psi.astype(np.float32), slot), band, present
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -201,7 +202,7 @@ def test_a_plane_is_translated_exactly(shape, share):
     for velocity in (np.array([1.2, -0.9, 0.5]), np.array([-1.2, 0.9, -0.5])):
         moves = np.tile((velocity * thick).astype(np.float32), (band.cells.size, 1))
         out = np.full(band.cells.size, np.nan, np.float32)
-        transport.carry_psi(0, out.size, dense, reference.grid_of(shape, SPACING), band, moves, dt, out)
+        transport.advect_psi(0, out.size, dense, reference.grid_of(shape, SPACING), band, moves, dt, out)
         np.testing.assert_allclose(out, psi[band.cells] - dt * normal @ (velocity * thick), atol=2e-5)
 
 
@@ -211,19 +212,19 @@ def test_psi_is_that_of_the_departure_point_or_moved_along_the_normal(shape, sha
     present, flow, velocity, slot = vectors_of(shape, 11, share=share, hole=hole)
     rng, grid, dt = np.random.default_rng(12), reference.grid_of(shape, SPACING), 0.3
     cells, psi = np.flatnonzero(present), 2 * reference.smooth_noise(shape, 13)
-    # Feet somewhere at the distance of psi: where a twin takes the gradient for the foot, it differs.
+    # Feet somewhere at the distance of psi: where a reference takes the gradient for the foot, it differs.
     d = psi.ravel()[cells]
     way = random_normals(cells.size, 14)
     band = Band(cells, d, -d[:, None] * way)
     psi = psi + rng.uniform(-0.1, 0.1, shape).astype(np.float32)
     out = np.full(cells.size, np.nan, np.float32)
-    transport.carry_psi(0, cells.size, Lattice(psi.ravel().copy(), slot), grid, band, velocity, dt, out)
+    transport.advect_psi(0, cells.size, DenseArrays(psi.ravel().copy(), slot), grid, band, velocity, dt, out)
     gradient = unit(reference.derivatives(psi, SPACING)[0].reshape(-1, 3)[cells])
     seen = set()
     for s, target in enumerate(np.argwhere(present)):
         at = reference.departure(flow, present, SPACING, target, dt)
         if reference.has_stencil(present, at):
-            want, kind = reference.interpolate(psi, at)[0][0], "carried"
+            want, kind = reference.interpolate(psi, at)[0][0], "advected"
         elif abs(d[s]) > 0.5 * min(SPACING):
             want, kind = d[s] - dt * velocity[s] @ way[s], "foot"
         else:
@@ -231,7 +232,7 @@ def test_psi_is_that_of_the_departure_point_or_moved_along_the_normal(shape, sha
         assert out[s] == pytest.approx(want, rel=1e-5, abs=1e-4), kind
         seen.add(kind)
     if shape == SHAPES[0]:
-        assert ("carried" in seen) == (share == 1)
+        assert ("advected" in seen) == (share == 1)
         assert ("foot" in seen) == (share < 1 or hole is not None)
         assert ("gradient" in seen) == (share < 1)
 
@@ -316,7 +317,7 @@ def stretched(shape, velocity, normal, front, dt, slot=None):
         pytest.param(np.eye(3), id="at rest"),
         pytest.param(np.diag([1.5, 0.8, 1.1]), id="stretch"),
         pytest.param(np.eye(3) + 0.6 * np.outer([0, 0, 1], [1, 0, 0]), id="shear"),
-        pytest.param(np.diag([1.2, 1.3, 0.0]), id="flattened"),
+        pytest.param(np.diag([1.2, 1.3, 0.0]), id="tangent_foot"),
         pytest.param(np.diag([1, -1, -1.0]), id="half turn"),
     ],
 )
@@ -380,7 +381,7 @@ def test_stretch_of_a_growing_sphere():
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("share", [1.0, 0.6])
-def test_stretch_as_the_twin_with_holes(shape, share):
+def test_stretch_as_the_reference_with_holes(shape, share):
     present, dense, velocity, slot = vectors_of(shape, 20, share=share)
     n, dt = len(velocity), 0.4
     normal, front = random_normals(n, 21), np.random.default_rng(22).random(n) < 0.7
@@ -423,7 +424,7 @@ def test_surface_gradient_of_a_linear_field():
         np.testing.assert_allclose(out, np.tile(np.array(want, float), (60, 1)), atol=1e-5)
 
 
-# ------------------------------------------------------------------------------------------------ fields are carried
+# ------------------------------------------------------------------------------------------------ fields are advected
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -439,8 +440,8 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
     _, band = reference.whole_band(np.ones(shape), foot)
     out = np.full((n, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
-    transport.carry_fields(0, n, np.arange(n, dtype=np.int32), grid, band, velocity, dt, values, out)
-    # Held at the border.
+    transport.advect_fields(0, n, np.arange(n, dtype=np.int32), grid, band, velocity, dt, values, out)
+    # Clamped to the border.
     at = np.clip(indices(shape) + (foot - dt * uniform) / h, 0, last) * h
     np.testing.assert_allclose(out, at @ slopes.T + 1, atol=5e-5)
 
@@ -459,7 +460,7 @@ def test_fields_are_carried_onto_another_band(shape, columns, share):
     foot = (rng.uniform(-1.3, 1.3, (cells.size, 3)) * SPACING).astype(np.float32)
     band = Band(cells, np.ones(cells.size, np.float32), foot)
     out = np.full((cells.size, columns), np.nan, np.float32)
-    transport.carry_fields(0, cells.size, slot, grid, band, velocity, dt, values, out)
+    transport.advect_fields(0, cells.size, slot, grid, band, velocity, dt, values, out)
     seen = set()
     for s, cell in enumerate(indices(shape)[cells]):
         at = reference.departure(flow, present, SPACING, cell + foot[s].astype(float) / SPACING, dt)
@@ -482,11 +483,11 @@ def test_cells_with_nothing_known_keep_their_own_values_or_get_none():
     far = np.tile(np.array([9.0, 3.0, 2.8], np.float32), (3, 1))
     band = Band(np.array([0, 1, 3]), np.ones(3, np.float32), far)
     out = np.full((3, 2), np.nan, np.float32)
-    transport.carry_fields(0, 3, slot, grid, band, velocity, 0.5, values, out)
+    transport.advect_fields(0, 3, slot, grid, band, velocity, 0.5, values, out)
     np.testing.assert_array_equal(out, [[5, -6], [0, 0], [0, 0]])
     # With their feet beside the cell all three have its values.
     band.foot[:] = np.array([[0.3, 0.2, 0.1], [0.3, 0.2, -0.6], [0.3, 0.2, -2.0]], np.float32)
-    transport.carry_fields(0, 3, slot, grid, band, velocity, 0.5, values, out)
+    transport.advect_fields(0, 3, slot, grid, band, velocity, 0.5, values, out)
     np.testing.assert_allclose(out, np.tile(values, (3, 1)), atol=1e-6)
 
 
@@ -496,7 +497,7 @@ def test_kernels_write_only_their_range():
     _, dense, band, _ = plane_band(shape, unit(np.array([1.0, 2.0, 3.0])), 2.0)
     velocity, field, front = np.ones((n, 3), np.float32), np.ones((n, 1), np.float32), np.ones(n, bool)
     wide, flat = np.full((n, 3), np.nan, np.float32), np.full(n, np.nan, np.float32)
-    transport.carry_psi(7, 20, dense, grid, band, velocity, 0.1, flat)
+    transport.advect_psi(7, 20, dense, grid, band, velocity, 0.1, flat)
     assert np.isfinite(flat[7:20]).all() and np.isnan(flat[:7]).all() and np.isnan(flat[20:]).all()
     flat[:] = np.nan
     transport.area_stretch(7, 20, dense.slot, grid, band.cells, velocity, normal, front, 0.1, flat)
@@ -504,7 +505,7 @@ def test_kernels_write_only_their_range():
     for call in (
         lambda out: transport.normals(7, 20, dense.psi, grid, band, out),
         lambda out: transport.surface_gradient(7, 20, dense.slot, grid, band.cells, field, normal, front, out),
-        lambda out: transport.carry_fields(7, 20, dense.slot, grid, band, velocity, 0.1, velocity, out),
+        lambda out: transport.advect_fields(7, 20, dense.slot, grid, band, velocity, 0.1, velocity, out),
     ):
         wide[:] = np.nan
         call(wide)

@@ -80,7 +80,7 @@ def test_mean_variance_and_correlation_over_many_draws():
     assert np.abs(xi.mean(axis=0)).max() < 0.1  # 4 standard errors
     assert np.abs(np.diag(got) - 1).max() < 0.13
     assert np.abs(got - want).max() < 0.13
-    # Correlations of another shape or length are told apart.
+    # Correlations of another shape or length differ.
     for other in (np.exp(-squared / length**2), np.exp(-squared / (4 * length**2)), np.exp(-np.sqrt(squared) / length)):
         assert np.abs(got - other).max() > 0.15
 

@@ -1,4 +1,4 @@
-"""Window sums and histograms against slow twins: every window by its formula, every value by itself."""
+"""Window sums and histograms against slow references: every window by its formula, every value by itself."""
 
 import math
 
@@ -38,28 +38,28 @@ def test_windows_add_up_to_1_on_every_voxel():
         np.testing.assert_allclose(axis.sum(axis=0), 1.0)
 
 
-def test_splat_and_tents_are_the_window_sums():
+def test_scatter_and_tents_are_the_window_sums():
     rng = np.random.default_rng(1)
     image, share = rng.normal(size=SHAPE).astype(np.float32), rng.random(SHAPE)
     share[rng.random(SHAPE) < 0.2] = 0.0
     grid = reference.grid_of(SHAPE, SPACING)
     counts, totals = np.zeros(NODES[:3]).ravel(), np.zeros(NODES[:3]).ravel()
-    windows.splat(np.arange(share.size), share.ravel(), image.ravel(), grid, NODES, counts, totals)
+    windows.scatter(np.arange(share.size), share.ravel(), image.ravel(), grid, NODES, counts, totals)
     for got, values in ((counts, share), (totals, share * image)):
         want = reference.window_sums(values, weights())
         np.testing.assert_allclose(smoothed(got.reshape(NODES[:3])), want, atol=1e-12)
 
 
-def test_splat_inside_is_that_of_the_inside_voxels_out_of_the_band():
+def test_scatter_inside_is_that_of_the_inside_voxels_out_of_the_band():
     rng = np.random.default_rng(2)
     psi, image = rng.normal(size=SHAPE).astype(np.float32), rng.normal(size=SHAPE).astype(np.float32)
     lattice, _ = reference.whole_band(psi)
     lattice.slot[rng.random(psi.size) < 0.7] = -1
     grid = reference.grid_of(SHAPE, SPACING)
     got = [np.zeros(math.prod(NODES[:3])) for _ in range(4)]
-    windows.splat_inside(lattice, image.ravel(), grid, NODES, got[0], got[1])
+    windows.scatter_inside(lattice, image.ravel(), grid, NODES, got[0], got[1])
     cells = np.flatnonzero((lattice.slot < 0) & (psi.ravel() < 0))
-    windows.splat(cells, np.ones(cells.size), image.ravel(), grid, NODES, got[2], got[3])
+    windows.scatter(cells, np.ones(cells.size), image.ravel(), grid, NODES, got[2], got[3])
     np.testing.assert_array_equal(got[0], got[2])
     np.testing.assert_array_equal(got[1], got[3])
     assert got[0].sum() == pytest.approx(cells.size)

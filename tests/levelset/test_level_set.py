@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.kernels.closest import FIRST_TOLERANCE
-from accelsurf.kernels.grid import Lattice
+from accelsurf.kernels.grid import DenseArrays
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checks import check_level_set
 from tests.support import reference
@@ -56,7 +56,7 @@ def depth(surface):
     return out.reshape(surface.shape)
 
 
-def rest(surface, times):
+def redistanced(surface, times):
     for _ in range(times):
         surface.redistance()
     return surface
@@ -111,7 +111,7 @@ def test_distance_converges_to_the_exact_one(name, given):
     for n in SIZES:
         exact, h = exact_case(name, n)
         z, y, x = coordinates(exact.shape, (h, h, h))
-        surface = rest(LevelSet(exact * (1 if given == "distance" else 1 + 0.4 * x + 0.3 * y * z), (h, h, h)), 1)
+        surface = redistanced(LevelSet(exact * (1 if given == "distance" else 1 + 0.4 * x + 0.3 * y * z), (h, h, h)), 1)
         near = np.abs(exact) < 1.5 * h
         error = np.abs(surface.psi - exact)[near]
         means.append(error.mean())
@@ -131,7 +131,7 @@ def test_distance_of_a_plane_is_exact_up_to_the_border():
     inner = np.zeros(exact.shape, bool)
     inner[3:-3, 3:-3, 3:-3] = True
     assert np.abs(surface.psi - exact)[near | (in_band(surface) & inner)].max() < 1e-5 * h
-    error = np.abs(rest(surface, 3).psi - exact)
+    error = np.abs(redistanced(surface, 3).psi - exact)
     assert error[inner & in_band(surface)].max() < 1e-5 * h
     assert error[near].max() < 0.01 * h
     # Where the closest point lies beyond the border, and stencils at the border leave the band.
@@ -168,7 +168,7 @@ def test_a_ball_at_rest_drifts_less_than_a_200th_voxel_in_100_redistances():
     surface = LevelSet(exact, ISOTROPIC)
     near = np.abs(exact) < 1
     before = volume(surface)
-    rest(surface, 100)
+    redistanced(surface, 100)
     drift = np.abs(surface.psi - exact)[near].max()
     print(f"largest drift {drift:.1e} voxel, volume {volume(surface) / before - 1:.1e}")
     assert drift < 0.005
@@ -180,7 +180,7 @@ def test_a_ball_at_rest_drifts_less_than_a_200th_voxel_in_100_redistances():
     ("off", "most"), [((-16, 0.1, 0.2), 0.01), ((-15.2, 14.6, 0.1), 0.02), ((-14.2, 14.8, 13.9), 0.03)]
 )
 def test_the_band_at_the_border_is_a_normal_case(off, most):
-    """A ball cut by a face, an edge and a corner of the volume: exact at the cuts, and it stays so for 50 rests."""
+    """A ball cut by a face, an edge and a corner of the volume: exact at the cuts, and so after 50 redistancings."""
     exact = ball((36, 36, 36), ISOTROPIC, 12.0, off)
     surface = LevelSet(exact, ISOTROPIC)
     near = np.abs(exact) < 1.5
@@ -189,9 +189,9 @@ def test_the_band_at_the_border_is_a_normal_case(off, most):
     assert (near & border).sum() > 20
     before = volume(surface)
     start = np.abs(surface.psi - exact)[near & border].max()
-    rest(surface, 50)
+    redistanced(surface, 50)
     drift = np.abs(surface.psi - exact)
-    print(f"border: error {start:.1e}, after 50 rests {drift[near & border].max():.1e} voxel")
+    print(f"border: error {start:.1e}, after 50 redistancings {drift[near & border].max():.1e} voxel")
     assert start < most
     assert drift[near].max() < most
     assert abs(volume(surface) / before - 1) < 3e-4
@@ -206,9 +206,9 @@ def test_an_anisotropic_ball_is_accurate_and_stays(spacing):
     near = np.abs(exact) < min(spacing)
     start = np.abs(surface.psi - exact)[near].max()
     before = volume(surface)
-    rest(surface, 30)
+    redistanced(surface, 30)
     drift = np.abs(surface.psi - exact)[near].max()
-    print(f"{spacing}: error {start:.1e}, after 30 rests {drift:.1e} mm, volume {volume(surface) / before - 1:.1e}")
+    print(f"{spacing}: error {start:.1e}, after 30 times {drift:.1e} mm, volume {volume(surface) / before - 1:.1e}")
     assert start < 0.005
     assert drift < 0.05
     assert volume(surface) == pytest.approx(4 / 3 * np.pi * 20**3, rel=0.005)
@@ -223,7 +223,7 @@ def test_no_surface_appears_where_there_was_none(spacing, off):
     exact = ball(shape, spacing, 14.0, off)
     surface = LevelSet(exact, spacing)
     before = volume(surface)
-    rest(surface, 50)
+    redistanced(surface, 50)
     closer = (np.abs(exact) - np.abs(surface.psi))[in_band(surface)]
     assert closer.max() < 3.0
     assert np.abs(surface.psi - exact)[np.abs(exact) < 1].max() < 0.15
@@ -242,8 +242,8 @@ def test_the_other_side_is_the_same_bytes():
         for _ in range(3):
             np.testing.assert_array_equal(one.psi, -other.psi)
             np.testing.assert_array_equal(one.band.foot, other.band.foot)
-            rest(one, 1)
-            rest(other, 1)
+            redistanced(one, 1)
+            redistanced(other, 1)
 
 
 TURNS = {
@@ -265,11 +265,11 @@ def test_turned_and_mirrored_surfaces_are_the_same(turn):
     turned = TURNS[turn]
     for psi in (torus((20, 34, 40), spacing, 9.0, 4.5), ball((20, 34, 40), spacing, 8.0, (2.0, 3.0, -11.0))):
         psi = psi.astype(np.float32)
-        one, other = rest(LevelSet(psi, spacing), 3), rest(LevelSet(turned(psi), turned_spacing), 3)
+        one, other = redistanced(LevelSet(psi, spacing), 3), redistanced(LevelSet(turned(psi), turned_spacing), 3)
         gap = np.abs(turned(one.psi) - other.psi)
         assert gap[np.abs(other.psi) < 2].max() < 1e-4
         assert (gap > 1e-3).mean() < 1e-4
-        # In one band and not in the other may only be cells at the very edge, as far as feet are known there: off a
+        # In one band and not in the other may only be cells at the very edge, as far as closest points are known there: off a
         # slanted surface their lengths in voxels change as much as they move along it, FIRST_TOLERANCE at a voxel.
         here, there = turned(in_band(one)), in_band(other)
         edge = np.where(here, turned(depth(one)), depth(other))[here != there]
@@ -390,17 +390,17 @@ def test_a_ball_is_carried_along():
     surface = LevelSet(ball(shape, spacing, 9.0, -1.8 * way), spacing)
     before = volume(surface)
 
-    def carried(level):
+    def speed_of(level):
         gradient = np.stack(np.gradient(level.psi, *spacing), axis=-1).reshape(-1, 3)[level.band.cells]
         # Constant along normals: taken at the front and extended.
         speed = -(gradient @ way / np.linalg.norm(gradient, axis=1)).astype(np.float32)
         level.extend_outwards(speed, level.front(1.9))
         return speed
 
-    steps(surface, carried, dt, 12)
+    steps(surface, speed_of, dt, 12)
     exact = ball(shape, spacing, 9.0, 1.8 * way)
     error = (surface.psi - exact)[np.abs(exact) < 0.8]
-    print(f"carried by 3.6 mm: mean error {error.mean():.1e}, max {np.abs(error).max():.1e} mm")
+    print(f"advected by 3.6 mm: mean error {error.mean():.1e}, max {np.abs(error).max():.1e} mm")
     assert np.abs(error).max() < 0.1
     assert volume(surface) == pytest.approx(before, rel=0.02)
 
@@ -512,8 +512,8 @@ def test_small_components_vanish_and_large_ones_stay(where, sign):
     assert number == 3
     assert surface.remove_small() == 1
     # What psi keeps of the flipped cells may hold a few cells in the band for one more redistance.
-    rest(surface, 2)
-    want = rest(LevelSet(sign * np.minimum(large, middle), ISOTROPIC), 2)
+    redistanced(surface, 2)
+    want = redistanced(LevelSet(sign * np.minimum(large, middle), ISOTROPIC), 2)
     assert surface.remove_small() == 0
     assert check_level_set(surface) == []
     np.testing.assert_array_equal(surface.labels, want.labels)
@@ -611,7 +611,7 @@ def test_one_slice_is_the_curve_of_the_paper():
     shape = (1, 40, 46)
     z, y, x = coordinates(shape, spacing, (0, 0.2, -0.1))
     exact = np.hypot(y, x) - radius
-    surface = rest(LevelSet(exact, spacing), 20)
+    surface = redistanced(LevelSet(exact, spacing), 20)
     assert np.abs(surface.psi - exact)[np.abs(exact) < 1].max() < 0.01
     assert volume(surface) == pytest.approx(np.pi * radius**2 * 2.5, rel=2e-3)
     assert area(surface) == pytest.approx(2 * np.pi * radius * 2.5, rel=2e-3)
@@ -636,7 +636,7 @@ class Strict(np.ndarray):
 def strict_where_possible(surface):
     """Compiled code takes no subclasses: with the JIT off every index is looked at."""
     if os.environ.get("NUMBA_DISABLE_JIT") == "1":
-        surface.dense = Lattice(surface.dense.psi.view(Strict), surface.dense.slot.view(Strict))
+        surface.dense = DenseArrays(surface.dense.psi.view(Strict), surface.dense.slot.view(Strict))
     return surface
 
 
@@ -740,7 +740,7 @@ def test_psi_is_read_only_and_labels_are_its_sign():
 def test_the_band_is_valid_and_as_wide_as_asked(half_width):
     for spacing in (ISOTROPIC, (1.4, 1.0, 0.9)):
         exact = ball((30, 34, 36), spacing, 10.0)
-        surface = rest(LevelSet(exact, spacing, half_width), 2)
+        surface = redistanced(LevelSet(exact, spacing, half_width), 2)
         assert check_level_set(surface) == []
         # Wider where the spacings differ.
         assert surface.half_width == half_width if spacing == ISOTROPIC else half_width < surface.half_width < 5
@@ -772,12 +772,12 @@ def spoilt(how):
             for array in (band.psi, band.foot, dense.psi):
                 array *= np.float32(0.5)
             surface.gamma *= np.float32(0.5)
-        case "feet":
+        case "residuals":
             band.foot[:] *= -1
     return surface
 
 
-@pytest.mark.parametrize("how", ["finite", "ordered", "distances", "slots", "outside", "closed", "slope", "feet"])
+@pytest.mark.parametrize("how", ["finite", "ordered", "distances", "slots", "outside", "closed", "slope", "residuals"])
 def test_a_spoilt_level_set_is_found_out(how):
     (finding,) = check_level_set(spoilt(how))
     assert finding.split()[1] == f"{how}:"

@@ -9,6 +9,7 @@ import pytest
 from accelsurf.kernels.grid import BLOCK
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.checks import check_level_set
+from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference
 
 SIZES = [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 7 * BLOCK + 3, 40 * BLOCK]
@@ -25,7 +26,7 @@ def test_ranges_cover_every_slot_once(threads, size):
             seen[start:stop] += step
 
     with Workers(threads) as workers:
-        workers.run(kernel, size, 3)
+        workers.parallel(kernel, size, 3)
     assert (seen == 3).all()
 
 
@@ -41,7 +42,7 @@ def test_sums_are_the_same_bytes_for_any_number_of_threads(size):
     results = []
     for threads in (1, 2, 3):
         with Workers(threads) as workers:
-            results.append(workers.sums(kernel, size, 2, values))
+            results.append(workers.block_sums(kernel, size, 2, values))
     assert results[0].tobytes() == results[1].tobytes() == results[2].tobytes()
     np.testing.assert_allclose(results[0], [values.sum(), (values**2).sum()], rtol=1e-9, atol=1e-9)
 
@@ -53,7 +54,7 @@ def test_an_error_in_a_range_is_raised(threads):
             raise ZeroDivisionError("in a range")
 
     with Workers(threads) as workers, pytest.raises(ZeroDivisionError, match="in a range"):
-        workers.run(kernel, 4 * BLOCK)
+        workers.parallel(kernel, 4 * BLOCK)
 
 
 @pytest.mark.parametrize("raising", ["this", "other"])
@@ -70,10 +71,10 @@ def test_an_error_in_either_thread_reaches_the_caller(raising):
 
     with Workers(2) as workers:
         with pytest.raises(ZeroDivisionError, match=raising):
-            workers.run(kernel, 40 * BLOCK)
+            workers.parallel(kernel, 40 * BLOCK)
         # They go on working.
         seen = []
-        workers.run(lambda start, stop: seen.append(stop - start), 40 * BLOCK)
+        workers.parallel(lambda start, stop: seen.append(stop - start), 40 * BLOCK)
     assert sum(seen) == 40 * BLOCK
     assert set(workers.seconds) == {"<lambda>"}
 
@@ -92,12 +93,12 @@ def test_seconds_by_kernel_add_up(threads):
 
     with Workers(threads) as workers:
         began = time.perf_counter()
-        workers.run(slow, 3)
+        workers.parallel(slow, 3)
         once = workers.seconds["slow"]
-        workers.run(slow, 3)
-        workers.run(slow, 0)
-        assert workers.sums(summed, 5 * BLOCK, 1) == 5
-        assert workers.alone(lonely, 7) == 7
+        workers.parallel(slow, 3)
+        workers.parallel(slow, 0)
+        assert workers.block_sums(summed, 5 * BLOCK, 1) == 5
+        assert workers.serial(lonely, 7) == 7
         whole = time.perf_counter() - began
     assert set(workers.seconds) == {"slow", "summed", "lonely"}
     assert once >= 0.01
@@ -107,7 +108,7 @@ def test_seconds_by_kernel_add_up(threads):
 
 
 def test_a_noisy_surface_is_the_same_bytes_with_one_two_and_three_threads():
-    """Closest points in many rounds: cells that enter, and feet taken over everywhere."""
+    """Closest points in many rounds: cells that enter, and closest points adopted everywhere."""
     psi, results = reference.smooth_noise((36, 40, 42), 4, 0.9), []
     for threads in (1, 2, 3):
         with Workers(threads) as workers:
@@ -115,7 +116,7 @@ def test_a_noisy_surface_is_the_same_bytes_with_one_two_and_three_threads():
             assert surface.size > 4 * BLOCK
             seen = [surface.psi.copy(), surface.band.foot]
             surface.advance(np.sin(surface.band.cells * 0.37).astype(np.float32), 0.6)
-            cells, foot, state, n = surface._feet()
+            cells, foot, state, n = find_closest_points(surface)
             results.append(b"".join(np.asarray(a).tobytes() for a in [*seen, cells[:n], foot[:n], state[:n]]))
     assert results[0] == results[1] == results[2]
 
@@ -128,7 +129,7 @@ def test_threads_work_at_the_same_time():
         time.sleep(0.02)
 
     with Workers(2) as workers:
-        workers.run(kernel, 8 * BLOCK)
+        workers.parallel(kernel, 8 * BLOCK)
     assert len(names) == 2
 
 
@@ -136,7 +137,7 @@ def test_closed_workers_do_no_more():
     workers = Workers(2)
     workers.close()
     with pytest.raises(RuntimeError):
-        workers.run(lambda start, stop: None, 4 * BLOCK)
+        workers.parallel(lambda start, stop: None, 4 * BLOCK)
 
 
 def test_a_moving_surface_is_the_same_bytes_with_one_two_and_three_threads():

@@ -33,7 +33,7 @@ def state(run):
         fields = b"".join(np.ascontiguousarray(f).tobytes() for f in one.flow.fields)
         arrays = (surface.dense.psi, surface.dense.slot, *surface.band)
         data = b"".join(a.tobytes() for a in arrays) + fields
-        found.append((data, records, one.evolution.state.time, surface._inside_beyond_band, one.corner))
+        found.append((data, records, one.evolution.state.time, surface.inside_beyond_band, one.corner))
     return found
 
 
@@ -58,14 +58,14 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
     surface = LevelSet(psi, spacing)
     kept = checkpoint_surface(surface)
     before = [a.copy() for a in (surface.dense.psi, surface.dense.slot, *surface.band)]
-    beyond = surface._inside_beyond_band
+    beyond = surface.inside_beyond_band
     other = LevelSet(np.roll(5.0 - far, 3, axis=2), spacing, 4.0)
     for target in (surface, other):
         surface.dense.psi[:] = 7.0
         restore_surface(target, kept)
         for a, b in zip((target.dense.psi, target.dense.slot, *target.band), before, strict=True):
             assert a.dtype == b.dtype and np.array_equal(a, b)
-        assert target._inside_beyond_band == beyond and target.half_width == kept.requested_half_width * target._slant
+        assert target.inside_beyond_band == beyond and target.half_width == kept.requested_half_width * target._slant
         assert not check_level_set(target) or what in ("filled", "none", "hollow")
     assert kept.nbytes < 40 * surface.size + surface.psi.size / 4 + 64
 

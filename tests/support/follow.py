@@ -19,8 +19,8 @@ WIDTH = 2.6
 SIZES = (32, 48, 64)
 Triple = tuple[int, int, int]
 
-#: Case -> time step in h: 0.5, the CFL number, where the surface moves by at most half a voxel in it; the others turn
-#: round within 0.3 time units in a well as steep as 1/0.1, and need half of it for the same error in time.
+#: Case -> time step in h: 0.5, the CFL number, where the surface moves by at most half a voxel in it; the others
+#: reverse within 0.3 time units under a force of slope 1/0.1, and need half of it for the same error in time.
 STEP = {
     **dict.fromkeys("ABDGJ", 0.5),
     **dict.fromkeys("CEFHLM", 0.25),

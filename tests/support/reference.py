@@ -1,4 +1,4 @@
-"""Slow, plain twins of the kernels, by another formula wherever there is one.
+"""Slow, plain references of the kernels, by another formula wherever there is one.
 
 Arrays are (z, y, x), spacings (hz, hy, hx) in mm, positions in voxels unless mm is said.
 """
@@ -10,7 +10,7 @@ import numpy as np
 from scipy import integrate, ndimage, spatial
 
 from accelsurf.kernels import closest, march
-from accelsurf.kernels.grid import Band, Grid, Lattice
+from accelsurf.kernels.grid import Band, DenseArrays, Grid
 
 # ------------------------------------------------------------------------------------------------- data for kernels
 
@@ -25,14 +25,14 @@ def coordinates(shape, spacing, centre):
     return np.meshgrid(*(np.arange(n) * h - c for n, h, c in zip(shape, spacing, centre, strict=True)), indexing="ij")
 
 
-def whole_band(psi, foot=None) -> tuple[Lattice, Band]:
+def whole_band(psi, foot=None) -> tuple[DenseArrays, Band]:
     """Every voxel in the band, the slot of a voxel being its raveled index."""
     flat = np.ascontiguousarray(psi, np.float32).ravel()
     cells = np.arange(flat.size)
     feet = np.zeros((flat.size, 3), np.float32)
     if foot is not None:
         feet[:] = np.reshape(foot, (-1, 3))
-    return Lattice(flat.copy(), cells.astype(np.int32)), Band(cells, flat.copy(), feet)
+    return DenseArrays(flat.copy(), cells.astype(np.int32)), Band(cells, flat.copy(), feet)
 
 
 def smooth_noise(shape, seed, sigma=1.5) -> np.ndarray:
@@ -50,13 +50,13 @@ def axis_weights(p, n):
     From the monomials: the inverse of the Vandermonde matrix of the nodes.
     """
     count = min(n, 4)
-    held = np.clip(p, 0, n - 1)
-    base = np.clip(np.floor(held).astype(int) - 1, 0, n - count)
+    clamped = np.clip(p, 0, n - 1)
+    base = np.clip(np.floor(clamped).astype(int) - 1, 0, n - count)
     k = np.arange(count)
     coefficients = np.linalg.inv(np.vander(k, increasing=True).astype(float))
-    u = (held - base)[:, None]
+    u = (clamped - base)[:, None]
     slopes = k * u ** np.maximum(k - 1, 0)
-    return base, u**k @ coefficients, slopes @ coefficients, p - held
+    return base, u**k @ coefficients, slopes @ coefficients, p - clamped
 
 
 def interpolate(array, positions):
@@ -78,7 +78,7 @@ def interpolate(array, positions):
 
 
 def linear(array, positions):
-    """Linear interpolation held at the border."""
+    """Linear interpolation clamped to the border."""
     return ndimage.map_coordinates(np.asarray(array, float), np.atleast_2d(positions).T, order=1, mode="nearest")
 
 
@@ -104,10 +104,10 @@ def has_stencil(present, position):
 
 def band_vector(values, present, position):
     """(vector, found): (z, y, x, m) ``values`` at ``position``, cubic where the stencil is ``present``, else linear."""
-    held = np.clip(position, 0, np.array(present.shape) - 1.0)
+    clamped = np.clip(position, 0, np.array(present.shape) - 1.0)
     parts = np.moveaxis(np.asarray(values, float), -1, 0)
     if has_stencil(present, position):
-        return np.array([interpolate(part, held)[0][0] for part in parts]), True
+        return np.array([interpolate(part, clamped)[0][0] for part in parts]), True
     found = [known_linear(part, present, position) for part in parts]
     return np.array([value for value, _ in found]), found[0][1]
 
@@ -172,14 +172,14 @@ def corrected(iteration, foot, level, past, spacing):
     """One of Chopp's two corrections at once, the part along the level relaxed by the secant of two residues.
 
     ``level`` is (psi, gradient per mm) at the ``foot`` (mm from the cell); ``past`` (last residue, its square, the last
-    relaxation, the square of the first residue). Returns (foot, how it stands, past, by how much of a limit each of
+    relaxation, the square of the first residue). Returns (foot, its status, past, by how much of a limit each of
     the decisions was made).
     """
     last, square, relax, first = past
     value, g = level[0], np.asarray(level[1:], float)
     slope2 = g @ g
-    margins = [abs(slope2 / closest.LEAST_SLOPE2 - 1)]
-    if not slope2 > closest.LEAST_SLOPE2:
+    margins = [abs(slope2 / closest.MIN_SLOPE2 - 1)]
+    if not slope2 > closest.MIN_SLOPE2:
         return foot, closest.LOST, past, margins
     residue = (foot @ g) / slope2 * g - foot
     if iteration == 0:
@@ -202,7 +202,7 @@ def corrected(iteration, foot, level, past, spacing):
 
 
 def iterated(psi, spacing, cell, foot):
-    """Closest point of one cell by `corrected`, one correction after the other: (foot, how it stands, least margin)."""
+    """Closest point of one cell by `corrected`, one correction after the other: (foot, its status, least margin)."""
     h = np.asarray(spacing, float)
     foot, past, least = np.asarray(foot, float), (np.zeros(3), 0.0, 1.0, 0.0), np.inf
     for iteration in range(closest.MAX_ITERATIONS):
@@ -241,7 +241,7 @@ def march_in_order(grid, cells, foot, state, half_width):
     third cell, past one that has a closer one): a cell that is passed then takes it over and hands it on once more.
     """
     known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
-    held, waiting = set(known), {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
+    fixed, waiting = set(known), {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
     h, best, queue = np.array(grid[3:]), {}, []
 
     def hand_on(cell):
@@ -249,7 +249,7 @@ def march_in_order(grid, cells, foot, state, half_width):
         if np.linalg.norm(f / h) > half_width:
             return
         for target, step in cells_beside(cell, grid):
-            if target in held:
+            if target in fixed:
                 continue
             if enters(f, step, grid, half_width):
                 waiting.add(target)
@@ -279,11 +279,11 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
     known = {int(c): np.float32(f) for c, f, s in zip(cells, foot, state, strict=True) if s != march.OPEN}
     asked = {int(c) for c, s in zip(cells, state, strict=True) if s == march.OPEN}
     changed = [int(c) for c, s in zip(cells, state, strict=True) if s == march.EDGE]
-    held, band, later, h = set(known), set(known) | asked, set(), np.array(grid[3:])
+    fixed, band, later, h = set(known), set(known) | asked, set(), np.array(grid[3:])
 
     def polished(cell, f):
         feet = np.array([f], np.float32)
-        march.polish_feet(0, 1, psi, grid, np.array([cell]), np.array([0]), feet)
+        march.refine_feet(0, 1, psi, grid, np.array([cell]), np.array([0]), feet)
         return feet[0]
 
     while True:
@@ -292,7 +292,7 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
             for target, step in cells_beside(cell, grid):
                 if np.linalg.norm(f / h) <= half_width and (target in band or enters(f, step, grid, half_width)):
                     asked.add(target)
-        asked -= held
+        asked -= fixed
         band |= asked
         if not asked:
             break
@@ -301,7 +301,7 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
             offers = [known[other] + step for other, step in cells_beside(cell, grid) if other in known]
             lengths = [np.sqrt((offer**2).sum()) for offer in offers]
             own = known.get(cell, np.full(3, np.inf)).astype(float)
-            least = np.sqrt((own**2).sum()) - march.CLOSER * h.min()
+            least = np.sqrt((own**2).sum()) - march.MIN_GAIN * h.min()
             if min(lengths, default=np.inf) < least:
                 taken[cell] = np.float32(offers[int(np.argmin(lengths))])
         later |= set(taken) & set(known)

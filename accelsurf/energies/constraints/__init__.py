@@ -1,1 +1,1 @@
-"""Energies held back in places: by a mask, or by the contact with other objects."""
+"""Energies whose surface may not go everywhere: beyond a mask, or into another object."""

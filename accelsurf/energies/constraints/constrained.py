@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies.protocol import Energy
-from accelsurf.levelset import Change, LevelSet
+from accelsurf.levelset import BandChange, LevelSet
 
 
 class ConstrainedEnergy(Energy):
@@ -33,7 +33,7 @@ class ConstrainedEnergy(Energy):
         """Start the energy on a first surface."""
         self._energy.start(surface)
 
-    def follow(self, surface: LevelSet, change: Change) -> None:
+    def follow(self, surface: LevelSet, change: BandChange) -> None:
         """Update the energy."""
         self._energy.follow(surface, change)
 

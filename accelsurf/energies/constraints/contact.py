@@ -1,4 +1,4 @@
-"""An energy beside others: where two surfaces meet neither enters the other or pushes it back."""
+"""Contact of several surfaces: where two meet, neither enters the other or moves it back."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
-#: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
-NEAR = 1.0
+#: Contact sets in at this distance, voxels of the smallest spacing, and grows until the surfaces touch.
+CONTACT_RANGE = 1.0
 
 
 class Neighbour(NamedTuple):
-    """Another object: its ``surface``, where its grid begins in the common one, what pulls it and how it moves."""
+    """Another object: its ``surface``, where its grid begins in the common one, its energy and its flow."""
 
     surface: LevelSet
     corner: Corner
@@ -29,8 +29,8 @@ class Neighbour(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Where a surface is near a neighbour: ``near`` (m,) of the places asked for; the neighbour's ``cells`` and
-    ``slots`` there; ``share`` (m,), 1 where the two touch and 0 from `NEAR` on.
+    """Where a surface is near a neighbour: ``near`` (m,) indices of the points; the neighbour's ``cells`` and ``slots``
+    there; ``share`` (m,), 1 where the two touch and 0 from `CONTACT_RANGE` on.
     """
 
     other: Neighbour
@@ -41,14 +41,14 @@ class Contact(NamedTuple):
 
 
 class NonOverlap(ConstrainedEnergy):
-    """Another energy among neighbours that pull at the same places.
+    """An energy of one object beside others, under the condition that no two overlap.
 
-    Where surfaces i and j touch neither can push the other back: i's force becomes max(f_i, -max(f_j, 0)), so that it
-    rests while both want to grow, and follows where the other gives way. Then neither could lower its own energy alone.
-    (The mean of both forces would have the minimum of U_i + U_j, and no rest between objects that are alike: the
-    smallest difference of their models lets one swallow the other.) Speeds meet in the same way, as in a collision that
-    is not elastic. It sets in over the last voxel between them; surfaces that draw apart feel nothing of each other.
-    After each motion psi_i is held above (psi_i - psi_j)/2: what both hold goes to the one that is deeper there.
+    Where surfaces i and j touch, i's force becomes max(f_i, -max(f_j, 0)): the contact reaction stops it where both
+    would grow, and lets it follow where j shrinks. Then neither can lower its own energy alone. (The mean of both
+    forces would minimise U_i + U_j, and come to no equilibrium between objects that are alike: the smallest difference
+    of their models lets one take the other's volume.) Normal velocities meet in the same way, as in an inelastic
+    collision. Contact sets in over the last voxel between the two; surfaces that separate do not act on each other.
+    After each motion psi_i is at least (psi_i - psi_j)/2: a voxel in both goes to the one in which it is deeper.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class NonOverlap(ConstrainedEnergy):
     Attributes
     ----------
     neighbours : sequence of Neighbour
-        Set by whoever moves the objects; they stand still while this one moves.
+        Set by the run of the objects; they do not move while this one does.
     """
 
     def __init__(self, energy: Energy, corner: Corner) -> None:
@@ -71,18 +71,19 @@ class NonOverlap(ConstrainedEnergy):
         self._cells, self._forces = np.empty(0, np.int64), np.empty(0, np.float32)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Force f (n,) at the front; held where it pushes against a neighbour that does not give way."""
+        """Force f (n,) at the front, with the reaction of neighbours that do not shrink."""
         own = np.asarray(self._energy.force(surface, front, curvature), np.float32)
         self._cells, self._forces = surface.band.cells[front], own[front]
         on = np.flatnonzero(front)
-        held = np.zeros(on.size, np.float32)
-        for touch in self._touching(surface, on):
+        reaction = np.zeros(on.size, np.float32)
+        for touch in self._contacts(surface, on):
             theirs = touch.other.energy.force_in(touch.cells)
-            held[touch.near] = np.maximum(held[touch.near], contact_reaction(own[on[touch.near]], theirs, touch.share))
-        own[on] += held
+            one = contact_reaction(own[on[touch.near]], theirs, touch.share)
+            reaction[touch.near] = np.maximum(reaction[touch.near], one)
+        own[on] += reaction
         return own
 
-    def _touching(self, surface: LevelSet, on: NDArray[np.intp]) -> Iterator[Contact]:
+    def _contacts(self, surface: LevelSet, on: NDArray[np.intp]) -> Iterator[Contact]:
         """Where the surface, at slots ``on`` of its band, is near each neighbour."""
         if not self.neighbours:
             return
@@ -92,7 +93,7 @@ class NonOverlap(ConstrainedEnergy):
         for other in self.neighbours:
             shape = np.array(other.surface.shape)
             place = index + foot - np.array(other.corner)
-            # Feet of cells at the volume's border may lie beyond it: there the border's own voxels tell.
+            # Closest points of cells at the volume's border may lie beyond it: there the border's own voxels count.
             within = np.clip(place, 0, shape - 1)
             near = np.flatnonzero((np.abs(place - within) <= FRONT_WIDTH).all(axis=1))
             place = within
@@ -100,7 +101,7 @@ class NonOverlap(ConstrainedEnergy):
             slots = other.surface.dense.slot[cells]
             near, cells, slots = near[slots >= 0], cells[slots >= 0], slots[slots >= 0]
             gap = ndimage.map_coordinates(other.surface.psi, place[near].T, order=1, mode="nearest")
-            share = np.clip(1.0 - gap / (NEAR * steps.min()), 0.0, 1.0).astype(np.float32)
+            share = np.clip(1.0 - gap / (CONTACT_RANGE * steps.min()), 0.0, 1.0).astype(np.float32)
             touches = share > 0
             yield Contact(other, near[touches], cells[touches], slots[touches], share[touches])
 
@@ -112,26 +113,26 @@ class NonOverlap(ConstrainedEnergy):
         return np.where(self._cells[at] == cells, self._forces[at], np.float32(0.0))
 
     def react_to_contact(self, surface: LevelSet, flow: Flow) -> None:
-        """Let the surface's speed meet its neighbours'; after its motion."""
+        """Change the surface's velocity by the reaction of its neighbours; after its motion."""
         if not self.neighbours or surface.size == 0:
             return
         speed, front = np.asarray(flow.normal_velocity(surface), np.float32), surface.front()
         on = np.flatnonzero(front)
-        own, pressed = speed[on], self.force_in(surface.band.cells[on]) < 0
+        own, grows = speed[on], self.force_in(surface.band.cells[on]) < 0
         stopped, slowed = np.zeros(on.size, np.float32), np.zeros(on.size, np.float32)
-        for other, near, cells, slots, share in self._touching(surface, on):
+        for other, near, cells, slots, share in self._contacts(surface, on):
             theirs = other.flow.normal_velocity(other.surface)[slots]
             stopped[near] = np.maximum(stopped[near], contact_reaction(own[near], theirs, share))
-            both = pressed[near] & (other.energy.force_in(cells) < 0)
+            both = grows[near] & (other.energy.force_in(cells) < 0)
             slowed[near] = np.minimum(slowed[near], np.where(both, -share * np.maximum(own[near], 0.0), 0.0))
-        push = np.zeros(surface.size, np.float32)
-        push[on] = stopped + slowed
-        if push.any():
-            surface.extend_outwards(push, front)
-            flow.add_velocity(surface, push)
+        reaction = np.zeros(surface.size, np.float32)
+        reaction[on] = stopped + slowed
+        if reaction.any():
+            surface.extend_outwards(reaction, front)
+            flow.add_velocity(surface, reaction)
 
     def project(self, surface: LevelSet) -> None:
-        """Give up half of what neighbours hold too; between the surface's motion and its redistancing."""
+        """Divide the voxels that neighbours have too; between the surface's motion and its redistancing."""
         super().project(surface)
         for other in self.neighbours:
             on, theirs = shared_cells(surface, self._corner, other)

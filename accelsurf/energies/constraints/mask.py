@@ -9,21 +9,22 @@ from scipy import ndimage
 from accelsurf.energies.constraints.constrained import ConstrainedEnergy
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.energies.protocol import Energy
+from accelsurf.grid.spacing import smallest_spacing
 from accelsurf.levelset import LevelSet
 
-#: The surface stands at the fence when it is this close, voxels of the smallest spacing.
-AT_MASK = 0.25
+#: The surface touches the boundary of the mask when it is this close, voxels of the smallest spacing.
+CONTACT_DISTANCE = 0.25
 
 
 class MaskConstraint(ConstrainedEnergy):
-    """Another energy within a fence: `project` puts the surface back behind it, and no force pushes against it.
+    """An energy that is infinite beyond a mask: `project` cuts the surface there, and no force acts across it.
 
     Parameters
     ----------
     energy : Energy
-        What pulls the surface within the fence.
-    fence : ndarray (nz, ny, nx), float32
-        Signed distance of the fence, mm, negative within; from `mask_distance`, on the energy's grid.
+        What acts on the surface within the mask.
+    distance : ndarray (nz, ny, nx), float32
+        Signed distance to the boundary of the mask, mm, negative within; from `mask_distance`, on the energy's grid.
     """
 
     def __init__(self, energy: Energy, distance: NDArray[np.float32]) -> None:
@@ -31,14 +32,14 @@ class MaskConstraint(ConstrainedEnergy):
         self._distance = np.ascontiguousarray(distance, np.float32).reshape(-1)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Force f (n,) at the front; 0 where the surface stands at the fence and would grow."""
+        """Force f (n,) at the front; 0 where the surface touches the boundary and would grow."""
         force = self._energy.force(surface, front, curvature)
-        near = -AT_MASK * min(surface.grid.hz, surface.grid.hy, surface.grid.hx)
-        held = front & (sample_at_front(self._distance, surface, front) > near) & (force < 0)
-        return np.where(held, np.float32(0.0), force)
+        near = -CONTACT_DISTANCE * min(surface.grid.hz, surface.grid.hy, surface.grid.hx)
+        stopped = front & (sample_at_front(self._distance, surface, front) > near) & (force < 0)
+        return np.where(stopped, np.float32(0.0), force)
 
     def project(self, surface: LevelSet) -> None:
-        """Cut off what has crossed the fence; between the surface's motion and its redistancing."""
+        """Cut off what has crossed the boundary; between the surface's motion and its redistancing."""
         super().project(surface)
         cells = surface.band.cells
         surface.dense.psi[cells] = np.maximum(surface.dense.psi[cells], self._distance[cells])
@@ -52,8 +53,7 @@ def mask_distance(mask: NDArray[np.bool_], spacing: tuple[float, float, float]) 
     >>> mask_distance(np.array([[[False, True, True, False]]]), (1.0, 1.0, 2.0))
     array([[[ 1., -1., -1.,  1.]]], dtype=float32)
     """
-    steps = [h for n, h in zip(mask.shape, spacing, strict=True) if n > 1]
-    half = np.float32(0.5 * min(steps or [1.0]))
+    half = np.float32(0.5 * smallest_spacing(mask.shape, spacing))
     distance = np.where(
         mask,
         half - ndimage.distance_transform_edt(mask, spacing) if not mask.all() else -1e6,

@@ -1,6 +1,6 @@
 """Cubic interpolation on 4 x 4 x 4 nodes in vector instructions: the innermost work of every step.
 
-The compiler does not find this by itself: each row of four neighbours along x is one load, and the weights of an axis
+The compiler does not find this: each row of four neighbours along x is one load, and the weights of an axis
 are one vector. Written as numba intrinsics, with a plain form of the same for the interpreter (`NUMBA_DISABLE_JIT`).
 """
 
@@ -37,7 +37,7 @@ class _Emitter:
     def __init__(self, builder: Any) -> None:
         self.b = builder
 
-    def splat(self, scalar: Any) -> Any:
+    def broadcast(self, scalar: Any) -> Any:
         one = self.b.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
         return self.lane(one, 0)
 
@@ -53,12 +53,12 @@ class _Emitter:
         return self.b.fadd(a, b, flags=_FLAGS)
 
     def weights(self, u: Any) -> Any:
-        u = self.splat(u)
+        u = self.broadcast(u)
         r0, r1, r2 = (self.b.fsub(u, _constant(roots), flags=_FLAGS) for roots in _ROOTS)
         return self.mul(self.mul(self.mul(r0, _constant(_SCALE)), r1), r2)
 
     def slopes(self, u: Any) -> Any:
-        u = self.splat(u)
+        u = self.broadcast(u)
         a, b, c = (_constant(v) for v in _SLOPE)
         return self.add(self.mul(self.add(self.mul(a, u), b), u), c)
 

@@ -1,0 +1,69 @@
+"""Fields on the band: extended along normals, and brought to a new band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from accelsurf.kernels import band as band_kernels
+from accelsurf.kernels import transport
+from accelsurf.kernels.grid import Band
+
+if TYPE_CHECKING:
+    from accelsurf.levelset.level_set import LevelSet
+    from accelsurf.levelset.threads import Workers
+
+
+class ExtensionTable(NamedTuple):
+    """Where cells off the front read the front's values, see `kernels.band.outward_table`.
+
+    ``front`` (n,) bool; ``off`` (m,) int32 slots that are extended to; ``slots`` (m, 8) int32 and ``shares`` (m, 8)
+    float32 of the cells that they read.
+    """
+
+    front: np.ndarray
+    off: np.ndarray
+    slots: np.ndarray
+    shares: np.ndarray
+
+    def extend(self, workers: Workers, values: np.ndarray) -> None:
+        """Overwrite ``values`` (n,) at the slots ``off``."""
+        workers.parallel(band_kernels.extend_outwards, self.off.size, self.off, self.slots, self.shares, values)
+
+
+def extension_table(surface: LevelSet, front: np.ndarray, off: np.ndarray) -> ExtensionTable:
+    """Return the table by which the slots ``off`` (m,) read the cells of ``front`` (n,)."""
+    off = off.astype(np.int32)
+    slots, shares = np.empty((off.size, 8), np.int32), np.empty((off.size, 8), np.float32)
+    surface.workers.parallel(
+        band_kernels.outward_table, off.size, surface.dense.slot, surface.grid, surface.band, front, off, slots, shares
+    )
+    return ExtensionTable(front, off, slots, shares)
+
+
+def sampled(
+    surface: LevelSet, new: Band, front: np.ndarray, fields: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Return fields (n_old,) on the ``front`` (n,) of a new band: their values at each closest point."""
+    if not fields:
+        return []
+    values = np.stack([np.asarray(field, np.float32) for field in fields])
+    out = np.empty((len(fields), new.cells.size), np.float32)
+    surface.workers.parallel(
+        band_kernels.sample_at_feet, new.cells.size, surface.dense.slot, surface.grid, new, front, values, out
+    )
+    return list(out)
+
+
+def advected(
+    surface: LevelSet, new: Band, fields: Sequence[np.ndarray], velocity: np.ndarray, dt: float
+) -> list[np.ndarray]:
+    """Return fields (n_old,) on a new band, from the points that ``velocity`` (n_old, 3) moved there in ``dt``."""
+    values = np.stack(fields, axis=1).astype(np.float32, copy=False)
+    out = np.empty((new.cells.size, len(fields)), np.float32)
+    surface.workers.parallel(
+        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, velocity, dt, values, out
+    )
+    return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]
