@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import ndimage
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front, slope_at_front
 from accelsurf.energies.protocol import ImageEnergy
 from accelsurf.errors import InputError
+from accelsurf.grid.geometry import axis_steps
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.levelset import LevelSet, dot
 
 #: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that
@@ -97,7 +98,7 @@ def edge_indicator(
     >>> bool(phi[0, 4, 12] < 0.1), bool(phi[0, 4, 2] > 0.99)
     (True, True)
     """
-    gradient = gradient_magnitude(image, spacing, largest_spacing(image.shape, spacing) if scale is None else scale)
+    gradient = gradient_magnitude(image, spacing, max(axis_steps(image.shape, spacing)) if scale is None else scale)
     return edge_indicator_of(gradient, edge_contrast(gradient) if contrast is None else float(contrast))
 
 
@@ -106,29 +107,18 @@ def edge_indicator_of(gradient: np.ndarray, contrast: float) -> np.ndarray:
     return np.asarray(1.0 / (1.0 + (gradient / np.float32(contrast)) ** 2), np.float32)
 
 
-def largest_spacing(shape: Sequence[int], spacing: Sequence[float]) -> float:
-    """Largest spacing (mm) among the axes with more than one slice."""
-    return max((float(h) for n, h in zip(shape, spacing, strict=True) if n > 1), default=1.0)
-
-
 def gradient_magnitude(image: np.ndarray, spacing: Sequence[float], scale: float) -> np.ndarray:
     """|grad I| (nz, ny, nx), float32, per mm, of the image smoothed by a Gaussian of ``scale`` mm.
 
     Centred differences of the smoothed image, and not a filter of the Gaussian's derivative: that is wrong where the
     Gaussian is narrower than a voxel, as it is across thick slices. An axis with one slice has no slope.
     """
-    smooth = smoothed(image, spacing, scale)
+    smooth = gaussian_mm(np.asarray(image, np.float32), spacing, scale)
     total = np.zeros(image.shape, np.float32)
     for axis, n in enumerate(image.shape):
         if n > 1:
             total += np.gradient(smooth, np.float32(spacing[axis]), axis=axis) ** 2
     return np.sqrt(total)
-
-
-def smoothed(image: np.ndarray, spacing: Sequence[float], scale: float) -> np.ndarray:
-    """The image, float32, smoothed by a Gaussian of ``scale`` mm along each axis of more than one slice."""
-    widths = [scale / h if n > 1 else 0.0 for n, h in zip(image.shape, spacing, strict=True)]
-    return np.asarray(ndimage.gaussian_filter(np.asarray(image, np.float32), widths, mode="nearest"))
 
 
 def edge_contrast(gradient: np.ndarray) -> float:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels import differences, march, motion, region, transport
 from accelsurf.kernels.grid import Band, Grid, Lattice
@@ -89,7 +90,7 @@ class LevelSet:
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
-        steps = [float(h) for n, h in zip(self.shape, spacing, strict=True) if n > 1] or [1.0]
+        steps = axis_steps(self.shape, spacing)
         # Nothing happens along an axis of one voxel: for the kernels it is as fine as the others, and the thickness
         # of the slice only scales volumes and areas.
         own = [float(h) if n > 1 else min(steps) for n, h in zip(self.shape, spacing, strict=True)]
@@ -110,9 +111,9 @@ class LevelSet:
 
     def _set_width(self, half_width: float) -> None:
         """Half width of the band in voxels along the normal, as the constructor was given it."""
-        steps = [h for n, h in zip(self.shape, (self.grid.hz, self.grid.hy, self.grid.hx), strict=True) if n > 1]
+        steps = axis_steps(self.shape, (self.grid.hz, self.grid.hy, self.grid.hx))
         self.requested_half_width, self.half_width = float(half_width), float(half_width) * self._slant
-        self.gamma = np.float32(self.half_width * max(steps, default=1.0))
+        self.gamma = np.float32(self.half_width * max(steps))
 
     def _start(self) -> None:
         count = march.front_cells(self.dense, self.grid, np.empty(0, np.int64))

@@ -24,11 +24,12 @@ from accelsurf.energies import (
     gaussian_of,
 )
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
-from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude, largest_spacing
+from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
-from accelsurf.grid.geometry import Box
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import axis_steps
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_expression import Term
@@ -294,7 +295,7 @@ def _local_region(
     alpha: float,
 ) -> Made:
     # Of the image's own grid, on every level.
-    radius = _number(settings, "R", WINDOW_VOXELS * largest_spacing(context.images[0].shape, context.spacing))
+    radius = _number(settings, "R", WINDOW_VOXELS * max(axis_steps(context.images[0].shape, context.spacing)))
     epsilon = _number(settings, "epsilon", config.epsilon)
     return LocalRegion(image, radius, alpha, epsilon), {"R": radius, "epsilon": epsilon}
 
@@ -359,7 +360,7 @@ def _geodesic(
     scale = settings.get("scale", config.edge_scale)
     contrast = settings.get("contrast", config.edge_contrast)
     balloon = _number(settings, "balloon", config.balloon)
-    scale = largest_spacing(image.shape, spacing) if isinstance(scale, str) else float(scale)
+    scale = max(axis_steps(image.shape, spacing)) if isinstance(scale, str) else float(scale)
     gradient = gradient_magnitude(image, spacing, scale)
     contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
     used = {"scale": scale, "contrast": contrast, "balloon": balloon}

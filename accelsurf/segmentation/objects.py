@@ -16,15 +16,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.constraints.contact import Corner, Neighbour, NonOverlap
+from accelsurf.energies.constraints.contact import Neighbour, NonOverlap
 from accelsurf.energies.constraints.mask import MaskConstraint
-from accelsurf.energies.geodesic import largest_spacing
 from accelsurf.energies.local_region import TENT
 from accelsurf.errors import InputError
 from accelsurf.evolution.loop import Evolution, Restart, StepRecord, Stop
 from accelsurf.flows import StepLimits
-from accelsurf.grid.geometry import Box
-from accelsurf.initialization.object_starts import ObjectStart, corner_of, meeting, shared, widened
+from accelsurf.grid.boxes import Box, Corner, corner_of, meeting, shared, widened
+from accelsurf.grid.geometry import axis_steps
+from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.segmentation.energy_assembly import WINDOW_VOXELS
 from accelsurf.segmentation.preprocessing import PreprocessedInput
@@ -189,7 +189,7 @@ class Moving:
 def _least_room(config: RunConfig, prepared: PreprocessedInput) -> tuple[int, int, int]:
     """Voxels that an object needs around itself for its energy to see what it would see on the whole grid."""
     shape, spacing = prepared.geometry.shape, prepared.geometry.spacing
-    usual = WINDOW_VOXELS * largest_spacing(shape, spacing)
+    usual = WINDOW_VOXELS * max(axis_steps(shape, spacing))
     local = [t for t in energy_expression.parse(config.energy) if t.name == "local-region"]
     # Windows half their width off the surface are cut by it, and reach as far again.
     reach = max((2.0 * TENT * float(term.settings.get("R", usual)) for term in local), default=0.0)

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.energies import Energy
 from accelsurf.energies.constraints.mask import MaskConstraint, mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid import pyramid
-from accelsurf.grid.geometry import Box, Geometry
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.initialization import starts
 from accelsurf.segmentation.energy_assembly import ImageContext, Mask, Scale
@@ -297,18 +298,14 @@ def in_mm(length: float | str, geometry: Geometry) -> float:
     """
     if not isinstance(length, str):
         return length
-    return float(length.removesuffix("vox")) * min(
-        h for n, h in zip(geometry.shape, geometry.spacing, strict=True) if n > 1
-    )
+    return float(length.removesuffix("vox")) * min(geometry.steps)
 
 
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
     """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
     image = volume.as_float32()
     if sigma > 0:
-        axes = zip(volume.geometry.shape, volume.geometry.spacing, strict=True)
-        widths = [sigma / h if n > 1 else 0.0 for n, h in axes]
-        image = ndimage.gaussian_filter(image, widths, output=np.float32)
+        image = gaussian_mm(image, volume.geometry.spacing, sigma, border="reflect")
     return image
 
 

@@ -17,7 +17,8 @@ from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import UsageError
 from accelsurf.evolution.loop import StepRecord, Stop
 from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.grid.geometry import Box, Geometry
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
 from accelsurf.io.channels import read_further

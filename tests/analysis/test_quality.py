@@ -7,6 +7,7 @@ from accelsurf import cli, io
 from accelsurf.analysis.quality import assess
 from accelsurf.evolution.loop import Stop
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from tests.report.test_document import row
@@ -125,11 +126,11 @@ def test_nothing_left_and_one_slice():
 @pytest.mark.parametrize("shape", [(12, 14, 9), (1, 20, 13)])
 def test_gradients_of_some_voxels_are_those_of_all(shape):
     from accelsurf.analysis.quality import _gradients
-    from accelsurf.energies.geodesic import gradient_magnitude, smoothed
+    from accelsurf.energies.geodesic import gradient_magnitude
 
     image = np.random.default_rng(1).normal(size=shape).astype(np.float32)
     some = np.arange(0, image.size, 3)
-    got = _gradients(smoothed(image, SPACING, 1.2), SPACING, some)
+    got = _gradients(gaussian_mm(image, SPACING, 1.2), SPACING, some)
     np.testing.assert_allclose(got, gradient_magnitude(image, SPACING, 1.2).ravel()[some], rtol=1e-5, atol=1e-6)
 
 
@@ -141,19 +142,20 @@ def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
     scan = (r < 9) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
     half = (r < 9) | ((r < 15) & (x > 0))
     whole = look(half, scan)
-    monkeypatch.setattr(quality, "ENOUGH", 1 << 12)
+    monkeypatch.setattr(quality, "GRADIENT_SAMPLES", 1 << 12)
     assert look(half, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.03)
 
 
 def test_slabs_make_no_difference(monkeypatch):
     from accelsurf.analysis import quality
+    from accelsurf.grid import slabs
 
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     scan = mask + np.random.default_rng(1).normal(0, 0.3, SHAPE)
     whole = look(mask, scan)
-    monkeypatch.setattr(quality, "SLAB", 1)
-    monkeypatch.setattr(quality, "HALOS", 1)
+    monkeypatch.setattr(slabs, "SLAB_VOXELS", 1)
+    monkeypatch.setattr(quality, "MIN_SLAB_HALOS", 1)
     assert look(mask, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.01)
 
 

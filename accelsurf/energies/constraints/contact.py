@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.protocol import ConstrainedEnergy, Energy
+from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Surfaces feel each other from this distance on, voxels of the smallest spacing: more and more until they touch.
 NEAR = 1.0
-
-Corner = tuple[int, int, int]
 
 
 class Flow(Protocol):
