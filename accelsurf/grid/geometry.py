@@ -25,7 +25,7 @@ ORTHONORMAL_TOLERANCE = 1e-4
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Geometry:
     """Where a grid of voxels lies in the world.
 
@@ -77,6 +77,12 @@ class Geometry:
         object.__setattr__(self, "spacing", spacing)
         object.__setattr__(self, "origin", _three(self.origin, "origin (x, y, z)"))
         object.__setattr__(self, "direction", _checked_direction(self.direction))
+
+    def __repr__(self) -> str:
+        direction = ""
+        if not np.array_equal(self.direction, np.eye(3)):
+            direction = f", direction={self.direction.round(6).tolist()}"
+        return f"Geometry(shape={self.shape}, spacing={self.spacing}, origin={self.origin}{direction})"
 
     @property
     def size(self) -> tuple[int, int, int]:

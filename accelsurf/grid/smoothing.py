@@ -38,7 +38,7 @@ def gaussian_mm(
     >>> image = np.zeros((1, 1, 5), np.float32)
     >>> image[0, 0, 2] = 1
     >>> gaussian_mm(image, (9.0, 9.0, 2.0), 1.0).round(3)
-    array([[[0.   , 0.106, 0.786, 0.106, 0.   ]]], dtype=float32)
+    array([[[0.   , 0.106, 0.787, 0.106, 0.   ]]], dtype=float32)
     """
     widths = [sigma / h if n > 1 else 0.0 for n, h in zip(image.shape, spacing, strict=True)]
     return np.asarray(ndimage.gaussian_filter(image, widths, output=np.float32, mode=border))

@@ -135,3 +135,18 @@ def test_another_array_on_the_same_grid_keeps_the_header_and_not_the_source(tmp_
     assert volume.metadata == {"key": "value"}
     with pytest.raises(InputError, match="shape"):
         volume.with_array(np.zeros((4, 3, 2)))
+
+
+def test_repr_is_one_short_line(tmp_path):
+    volume = Volume(np.zeros((2, 3, 4), np.float32), GRID, source=tmp_path / "scan.nii")
+    text = repr(volume)
+    assert "\n" not in text and "float32" in text and f"shape={GRID.shape}" in text and "scan.nii" in text
+    assert len(repr(Volume.from_array(np.zeros((50, 60, 70))))) < 120
+
+
+def test_repr_of_a_geometry_names_a_direction_only_when_it_has_one():
+    assert repr(Geometry((5, 4, 3), (2, 1, 0.5))) == (
+        "Geometry(shape=(5, 4, 3), spacing=(2.0, 1.0, 0.5), origin=(0.0, 0.0, 0.0))"
+    )
+    flipped = np.diag([-1.0, -1.0, 1.0])
+    assert repr(Geometry((5, 4, 3), (2, 1, 0.5), direction=flipped)).endswith(f"direction={flipped.tolist()})")
