@@ -98,18 +98,18 @@ def assess(
         Range of values that a model learned from the start gives the object.
     """
     inside = labels > 0
-    border, contrast = _faces(inside, image, spacing)
+    border, contrast = _border_and_contrast(inside, image, spacing)
     own = [row for row in history if row.level == 0]
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = own[-LAST_STEPS - 1].volume_mm3 if len(own) > LAST_STEPS else (own[0].volume_mm3 if own else 0.0)
     found = Quality(
         border_fraction=border,
         contrast=contrast,
-        no_edge_fraction=_without_edge(inside, image, spacing),
-        parts_beyond_necks=_parts(inside),
+        no_edge_fraction=_no_edge_fraction(inside, image, spacing),
+        parts_beyond_necks=_parts_beyond_necks(inside),
         growth=last / first if first > 0 else 0.0,
         late_growth=(last - before) / last if last > 0 else 0.0,
-        unlike_learned=None if learned is None else _unlike(inside, image, learned),
+        unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
         leaked=stop.reason == "leaked",
         warnings=(),
     )
@@ -148,7 +148,7 @@ def _around(inside: NDArray[np.bool_], margin: int) -> Box:
     return bounding_box(inside, margin) or (slice(0, 0), slice(0, 0), slice(0, 0))
 
 
-def _faces(
+def _border_and_contrast(
     inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Share of the object's faces on the border, by their areas, and the mean difference across the others."""
@@ -176,7 +176,7 @@ def _faces(
     return (on_border / total if total > 0 else 0.0), (differences / weights if weights > 0 else 0.0)
 
 
-def _unlike(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: tuple[float, float]) -> float:
+def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: tuple[float, float]) -> float:
     """Share of the object, without the voxels next to its surface, with values outside of an interval."""
     box = _around(inside, 1)
     part = ndimage.binary_erosion(inside[box], border_value=1)
@@ -184,7 +184,7 @@ def _unlike(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: tupl
     return float(((values < learned[0]) | (values > learned[1])).mean()) if values.size else 0.0
 
 
-def _without_edge(
+def _no_edge_fraction(
     inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
 ) -> float:
     """Share of the voxels next to the surface, on its inside, where the smoothed image has no edge."""
@@ -229,7 +229,7 @@ def _gradients(
     return np.sqrt(total)
 
 
-def _parts(inside: NDArray[np.bool_]) -> int:
+def _parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
     """Large parts of the largest component that are left of it without its necks."""
     box = _around(inside, 1)
     parts, count = ndimage.label(inside[box])

@@ -6,7 +6,7 @@ import os
 import time
 from pathlib import Path
 
-from accelsurf.cli.options import Display, Output, Overwrite
+from accelsurf.cli.options import Display, Output, Overwrite, required
 from accelsurf.settings.run_config import FlowName
 
 #: Small ball inside the cube, off its centre: most of the object has to be found.
@@ -14,10 +14,10 @@ START = "ball:9,-7,6,10"
 #: Descent and momentum, the pair that the README shows.
 FLOWS: tuple[FlowName, FlowName] = ("gradient", "constant-density")
 MAX_STEPS = 250
-#: The fastest place sets the step, for both flows: with the limiter of the defaults descent hops over many of the traps
-#: that the demo is about.
+#: The largest speed sets the time step, for both flows: with the default percentile descent jumps over many of the
+#: local minima that the demo is about.
 PERCENTILE = 100.0
-#: The image's own grid alone: on a coarser one, where noise is averaged, there are few traps to show.
+#: The image's own grid alone: on a coarser one, where noise is averaged, there are few local minima.
 LEVELS = 1
 
 
@@ -46,18 +46,18 @@ def demo(
     from accelsurf.report.outputs import refuse_existing
     from accelsurf.settings.run_config import RunConfig
 
-    assert output is not None
+    folder = required(output, "-o DIR, the output folder,")
     display = display or Display()
     recipe = recipes.load_recipe("cube_noisy")
-    image, labels = output / "cube.nii.gz", output / "cube_truth.nii.gz"
-    paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
+    image, labels = folder / "cube.nii.gz", folder / "cube_truth.nii.gz"
+    paths = {"comparison": folder / "demo.json", "picture": folder / "demo.png"}
     common = RunConfig(start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS)
     common = common.replace(threads=min(2, os.cpu_count() or 1))
-    cases = [Case(image, output, common.replace(flow=flow), name=f"cube_{flow}") for flow in FLOWS]
-    planned = [case.paths(case.config) for case in cases if case.config is not None]
-    everything = {"image": image, "labels": labels, **paths}
-    everything |= {f"{number}-{kind}": path for number, some in enumerate(planned) for kind, path in some.items()}
-    refuse_existing(everything, overwrite)
+    cases = [Case(image, folder, common.replace(flow=flow), name=f"cube_{flow}") for flow in FLOWS]
+    run_paths = [case.paths(case.config) for case in cases if case.config is not None]
+    outputs = {"image": image, "labels": labels, **paths}
+    outputs |= {f"{number}-{kind}": path for number, some in enumerate(run_paths) for kind, path in some.items()}
+    refuse_existing(outputs, overwrite)
 
     began = time.perf_counter()
     if not display.quiet:
@@ -79,5 +79,5 @@ def demo(
     }
     conclude(done, paths, facts, phantom.truth, "A cube in noise: gradient descent and accelerated flow", display.quiet)
     if not display.quiet:
-        print(f"\nAll files are in {output.absolute()} ({time.perf_counter() - began:.0f} s)")
+        print(f"\nAll files are in {folder.absolute()} ({time.perf_counter() - began:.0f} s)")
     return code

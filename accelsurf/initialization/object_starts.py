@@ -117,14 +117,14 @@ def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[s
 def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
     """Balls of a table, one start for all balls of an id, in order of their ids."""
     rows: dict[int, list[tuple[float, float, float, float]]] = {}
-    for own, *numbers in _rows(file, geometry):
+    for own, *numbers in _read_table(file, geometry):
         rows.setdefault(int(own), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_FORM}")
     return [_ball(file, own, rows[own], geometry, margin) for own in sorted(rows)]
 
 
-def _rows(file: str, geometry: Geometry) -> list[tuple[float, ...]]:
+def _read_table(file: str, geometry: Geometry) -> list[tuple[float, ...]]:
     """Rows (id, z, y, x, r) of a table: voxel indices, and r in mm."""
     with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
         try:
@@ -135,12 +135,12 @@ def _rows(file: str, geometry: Geometry) -> list[tuple[float, ...]]:
                 given = ",".join(columns) or "no line"
                 raise InputError(f"{given} was given as the first line, expected {_FORM}", "as in id,x,y,z,r")
             table.fieldnames = list(columns)
-            return [_row(line, table.line_num, vox, geometry) for line in table]
+            return [_read_line(line, table.line_num, vox, geometry) for line in table]
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
 
 
-def _row(line: dict[str, Any], number: int, vox: bool, geometry: Geometry) -> tuple[float, ...]:
+def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry) -> tuple[float, ...]:
     try:
         own, x, y, z, r = (float(line[name]) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS))
     except (TypeError, ValueError):

@@ -69,7 +69,11 @@ def test_the_advice_for_values_that_are_not_finite_works():
     array = np.arange(24.0).reshape(2, 3, 4)
     array[0, 0, :3] = np.nan, np.inf, -np.inf
     volume = Volume(array, GRID)
-    check_image(volume.with_array(np.nan_to_num(volume.array, posinf=0, neginf=0)))
+    with pytest.raises(InputError, match="not finite"):
+        check_image(volume)
+    better = volume.with_array(np.nan_to_num(volume.array, posinf=0, neginf=0))
+    check_image(better)
+    np.testing.assert_array_equal(better.as_float32().ravel(), [0, 0, 0, *range(3, 24)])
 
 
 def test_values_beyond_float32_are_refused():
@@ -87,8 +91,12 @@ def test_a_constant_image_is_refused(dtype):
 
 def test_an_image_of_two_values_is_an_image():
     array = np.zeros((2, 3, 4), bool)
+    with pytest.raises(InputError, match="constant"):
+        check_image(Volume(array, GRID))
     array[0, 0, 0] = True
-    check_image(Volume(array, GRID))
+    image = Volume(array, GRID)
+    check_image(image)
+    assert image.as_float32().sum() == 1.0
 
 
 @pytest.mark.parametrize(

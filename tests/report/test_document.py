@@ -209,7 +209,9 @@ def test_preview_of_one_slice_and_of_a_gradient_flow():
 
 def test_preview_without_a_single_step_and_of_a_constant_slice():
     psi, geometry = ball()
-    preview.preview_png(scene(psi, geometry, history=[], image=np.zeros_like(psi)))
+    picture = pixels(preview.preview_png(scene(psi, geometry, history=[], image=np.zeros_like(psi))))
+    assert share_of(picture[: len(picture) // 2], canvas.ORANGE) > 1e-3  # the contours
+    assert share_of(picture[len(picture) // 2 :], canvas.BLUE) < 1e-3  # no curve of the energy, only its axis' label
 
 
 def test_comparison_has_a_column_for_each_run_and_the_reference():
