@@ -10,7 +10,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
-from tests.report.test_document import row
+from tests.support.records import step_record
 
 SHAPE, SPACING = (40, 44, 48), (1.5, 1.0, 0.8)
 DONE = Stop("converged", 9, 1.0, "done")
@@ -28,7 +28,8 @@ def look(mask, image, history=(), stop=DONE):
 def test_a_clean_ball_raises_no_doubt():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
-    found = look(mask, mask + np.random.default_rng(1).normal(0, 0.05, SHAPE), [row(0, volume_mm3=5.0), row(1)])
+    history = [step_record(0, volume_mm3=5.0), step_record(1)]
+    found = look(mask, mask + np.random.default_rng(1).normal(0, 0.05, SHAPE), history)
     assert found.warnings == () and found.parts_beyond_necks == 1 and not found.leaked
     assert found.border_fraction == 0 and found.contrast == pytest.approx(1, abs=0.05)
     assert found.no_edge_fraction < 0.02 and found.growth == 2
@@ -76,7 +77,7 @@ def test_two_balls_on_a_thin_bridge_are_two_parts():
 def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
-    history = [row(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
+    history = [step_record(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
     found = look(mask, mask * 1.0, history, Stop("max-steps", 60, 6.0, "not converged"))
     assert found.late_growth == pytest.approx(40 / 218) and any("growth: " in words for words in found.warnings)
     assert look(mask, mask * 1.0, history).warnings == ()

@@ -12,8 +12,9 @@ from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution, Restart, StepRecord
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Noise, StepLimits
 from accelsurf.levelset import LevelSet
-from tests.evolution.test_exact_solutions import BentWrongly, spheroid
 from tests.support.follow import lattice
+from tests.support.shapes import spheroid
+from tests.support.wrong_flows import BentWrongly
 
 
 def run(

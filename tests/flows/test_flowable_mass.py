@@ -17,9 +17,9 @@ from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution, StepRecord
 from accelsurf.flows import FlowableMass, StepInput, StepLimits, StepPlan
 from accelsurf.levelset import LevelSet
-from tests.evolution.test_exact_solutions import spheroid
 from tests.support import exact
 from tests.support.follow import WIDTH, Lattice, energy_of, follow, lattice, surface_points
+from tests.support.shapes import spheroid
 
 AXES = np.array((0.6, 0.8, 1.0))  # z, y, x
 #: Half axes (x, y, z) of case I, from another solver run; eight digits.
