@@ -63,7 +63,8 @@ class Contours:
     def write(self, path: str | Path, space: str = "lps") -> None:
         """Write the contours: .vtp (closed polylines) or .csv, by suffix.
 
-        A CSV has the columns contour (counted from 0), x_mm, y_mm, z_mm; the last row of a contour repeats its first.
+        A CSV has the columns contour (counted from 0), x_lps_mm, y_lps_mm, z_lps_mm (or x_ras_mm, ...); the last row
+        of a contour repeats its first.
         The file appears complete or not at all; an existing one is replaced.
 
         Parameters
@@ -149,7 +150,7 @@ def _vtp(loops: tuple[Floats, ...], space: str) -> bytes:
 
 
 def _csv(loops: tuple[Floats, ...], space: str) -> bytes:
-    lines = ["contour,x_mm,y_mm,z_mm"]
+    lines = [",".join(("contour", *(f"{axis}_{space.lower()}_mm" for axis in "xyz")))]
     for number, loop in enumerate(loops):
         lines += [f"{number},{x:.6f},{y:.6f},{z:.6f}" for x, y, z in (*loop, loop[0])]
     return ("\n".join(lines) + "\n").encode()

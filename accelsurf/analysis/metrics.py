@@ -23,10 +23,10 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from accelsurf.errors import GeometryError, InputError
+from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.grid.volume import Volume
 
 Mask = NDArray[np.bool_]
@@ -191,11 +191,11 @@ def border_points(mask: Mask, spacing: tuple[float, float, float]) -> Floats:
     >>> len(border_points(np.ones((1, 3, 3), dtype=bool), (1.0, 1.0, 1.0)))  # a 2D image: the outline
     8
     """
-    found = ndimage.find_objects(mask.view(np.uint8) if mask.flags.c_contiguous else mask.astype(np.uint8))
-    if not found:
+    bounds = bounding_box(mask)
+    if bounds is None:
         return np.empty((0, 3))
-    # Work on the bounding box only. What is cut off is not object, so the box's faces are border in any case.
-    box = mask[found[0]]
+    # Work on the bounding box only. Beyond it there is no object, so the box's faces are border in any case.
+    box = mask[bounds]
     inner = box.copy()
     for axis in range(3):
         if mask.shape[axis] == 1:
@@ -204,8 +204,7 @@ def border_points(mask: Mask, spacing: tuple[float, float, float]) -> Floats:
         ahead[:-1] &= behind[1:]
         ahead[1:] &= behind[:-1]
         ahead[[0, -1]] = False
-    start = np.array([part.start for part in found[0]])
-    return (np.argwhere(box & ~inner) + start) * np.asarray(spacing, dtype=np.float64)
+    return (np.argwhere(box & ~inner) + np.array(corner_of(bounds))) * np.asarray(spacing, dtype=np.float64)
 
 
 def _nearest(points: Floats, targets: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Whether to trust a result: what can be told from the surface and the image without a reference."""
+"""Whether to trust a result: measures of the surface and the image that need no reference."""
 
 from __future__ import annotations
 
@@ -9,26 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.spacing import gaussian_smoothed, largest_spacing
+from accelsurf.grid.boxes import Box, bounding_box
+from accelsurf.grid.geometry import axis_steps
+from accelsurf.grid.slabs import slabs
+from accelsurf.grid.smoothing import gaussian_mm
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord, Stop
 
-#: What makes a warning: more of the surface than this on the border or without an edge; less contrast than this, in
-#: parts of the image's range; more growth than this in the last steps.
+#: A warning is given beyond these: fraction of the surface on the border, and without an edge; contrast as a fraction
+#: of the image's range; relative growth over the last steps.
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS = 0.2, 0.4, 0.05, 0.02, 20
-#: More of the object unlike what it was learned from. A Gaussian has 1.2 % beyond the bounds; of the good results of
-#: docs/real-scans.md at most 3 % was, of those that leaked 19 % and more.
+#: The same for the fraction of the object with values unlike those of the learned model. A Gaussian has 1.2 % beyond
+#: the bounds; good results of docs/real-scans.md have at most 3 %, leaked ones 19 % and more.
 MAX_UNLIKE = 0.1
-#: A gradient is no edge unless it is above this percentile of those in the object's own depth, so many voxels from its
-#: surface, and above this part of the image's range over the scale that gradients are seen at.
-USUAL_PERCENTILE, DEEP, FLAT = 75.0, 3, 0.005
-#: Parts of the object with this share of its volume that hang together by less than two voxels to either side.
+#: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
+#: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
+INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
+#: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
+#: parts are looked at.
 LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
-#: So many of the object's own voxels are enough to know their gradients.
-ENOUGH = 1 << 18
-#: Voxels of a slab that is worked on at once, and slices of it for each of those around it that it needs besides.
-SLAB, HALOS = 1 << 20, 4
+#: Gradients inside the object are sampled at about so many voxels.
+GRADIENT_SAMPLES = 1 << 18
+#: A slab has at least so many planes for each plane around it that is needed besides.
+MIN_SLAB_HALOS = 4
 
 
 class Quality(NamedTuple):
@@ -42,10 +46,10 @@ class Quality(NamedTuple):
         Mean difference of the image across the surface, inside less outside, a voxel off it to either side; in parts
         of the image's range.
     no_edge_fraction : float
-        Share of the surface where the image has no edge: no larger gradient than three quarters of the object's own
-        inside have.
+        Share of the surface where the image has no edge: a gradient within the lower three quarters of those inside the
+        object.
     parts_beyond_necks : int
-        Large parts that the object falls into without its necks of less than four voxels; 1 for a compact object.
+        Large parts that remain when necks of less than four voxels are removed; 1 for a compact object.
     growth : float
         Volume at the end over that of the start.
     late_growth : float
@@ -56,7 +60,7 @@ class Quality(NamedTuple):
     leaked : bool
         Whether it grew beyond ``max_volume``.
     warnings : tuple of str
-        What of this is doubtful, in words.
+        One sentence for each doubtful measure.
     """
 
     border_fraction: float
@@ -78,77 +82,73 @@ def assess(
     stop: Stop,
     learned: tuple[float, float] | None = None,
 ) -> Quality:
-    """Look at a result.
+    """Measure the quality of a result.
 
     Parameters
     ----------
     labels : ndarray (nz, ny, nx)
         Above 0 inside.
     image : ndarray (nz, ny, nx)
-        As energies saw it, 0 and 1 at its percentiles.
+        As energies see it, 0 and 1 at its percentiles.
     spacing : (hz, hy, hx)
         mm.
-    history : sequence of Row
+    history : sequence of StepRecord
     stop : Stop
     learned : (float, float), optional
-        Values between which those of the object should lie, as models learned from the start have it.
+        Range of values that a model learned from the start gives the object.
     """
     inside = labels > 0
-    border, contrast = _faces(inside, image, spacing)
+    border, contrast = _border_and_contrast(inside, image, spacing)
     own = [row for row in history if row.level == 0]
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = own[-LAST_STEPS - 1].volume_mm3 if len(own) > LAST_STEPS else (own[0].volume_mm3 if own else 0.0)
     found = Quality(
         border_fraction=border,
         contrast=contrast,
-        no_edge_fraction=_without_edge(inside, image, spacing),
-        parts_beyond_necks=_parts(inside),
+        no_edge_fraction=_no_edge_fraction(inside, image, spacing),
+        parts_beyond_necks=_parts_beyond_necks(inside),
         growth=last / first if first > 0 else 0.0,
         late_growth=(last - before) / last if last > 0 else 0.0,
-        unlike_learned=None if learned is None else _unlike(inside, image, learned),
+        unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
         leaked=stop.reason == "leaked",
         warnings=(),
     )
-    return found._replace(warnings=tuple(_doubts(found, stop)))
+    return found._replace(warnings=tuple(_warnings(found, stop)))
 
 
-def _doubts(found: Quality, stop: Stop) -> list[str]:
-    doubts = []
+def _warnings(found: Quality, stop: Stop) -> list[str]:
+    warnings = []
     if found.leaked:
-        doubts.append(f"leak: {stop.message}")
+        warnings.append(f"leak: {stop.message}")
     if found.unlike_learned is not None and found.unlike_learned > MAX_UNLIKE:
-        doubts.append(
+        warnings.append(
             f"values: {found.unlike_learned:.0%} of the object is unlike what it was learned from: it may have leaked, "
             "or what it was learned from is not typical"
         )
     if found.border_fraction > MAX_ON_BORDER:
-        doubts.append(f"border: {found.border_fraction:.0%} of the surface lies on the volume's border")
+        warnings.append(f"border: {found.border_fraction:.0%} of the surface lies on the volume's border")
     # An object may be brighter than one neighbour and darker than another: then there are edges.
     if abs(found.contrast) < MIN_CONTRAST and found.no_edge_fraction > MAX_WITHOUT_EDGE:
-        doubts.append(
+        warnings.append(
             f"contrast: inside and outside hardly differ at the surface ({found.contrast:.3f} of the image's range)"
         )
     if found.no_edge_fraction > MAX_WITHOUT_EDGE:
-        doubts.append(f"edge: under {found.no_edge_fraction:.0%} of the surface the image has no edge")
+        warnings.append(f"edge: under {found.no_edge_fraction:.0%} of the surface the image has no edge")
     if found.parts_beyond_necks > 1:
-        doubts.append(
-            f"necks: {found.parts_beyond_necks} large parts hang together by less than four voxels only; has it leaked?"
+        warnings.append(
+            f"necks: {found.parts_beyond_necks} large parts are connected by less than four voxels only; has it leaked?"
         )
     if abs(found.late_growth) > MAX_GROWTH and stop.reason != "converged":
-        doubts.append(f"growth: the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps")
-    return doubts
+        warnings.append(f"growth: the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps")
+    return warnings
 
 
-def _around(inside: NDArray[np.bool_], margin: int) -> tuple[slice, ...]:
-    """The object's box with so many voxels around it."""
-    box = []
-    for axis, n in enumerate(inside.shape):
-        on = np.flatnonzero(inside.any(axis=tuple(other for other in range(3) if other != axis)))
-        box.append(slice(max(int(on[0]) - margin, 0), min(int(on[-1]) + 1 + margin, n)) if on.size else slice(0, 0))
-    return tuple(box)
+def _around(inside: NDArray[np.bool_], margin: int) -> Box:
+    """The object's box with so many voxels around it; a box without voxels when there is no object."""
+    return bounding_box(inside, margin) or (slice(0, 0), slice(0, 0), slice(0, 0))
 
 
-def _faces(
+def _border_and_contrast(
     inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Share of the object's faces on the border, by their areas, and the mean difference across the others."""
@@ -176,7 +176,7 @@ def _faces(
     return (on_border / total if total > 0 else 0.0), (differences / weights if weights > 0 else 0.0)
 
 
-def _unlike(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: tuple[float, float]) -> float:
+def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: tuple[float, float]) -> float:
     """Share of the object, without the voxels next to its surface, with values outside of an interval."""
     box = _around(inside, 1)
     part = ndimage.binary_erosion(inside[box], border_value=1)
@@ -184,27 +184,26 @@ def _unlike(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: tupl
     return float(((values < learned[0]) | (values > learned[1])).mean()) if values.size else 0.0
 
 
-def _without_edge(
+def _no_edge_fraction(
     inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
 ) -> float:
     """Share of the voxels next to the surface, on its inside, where the smoothed image has no edge."""
-    scale = largest_spacing(inside.shape, spacing)
-    halo = DEEP + 5 * int(np.ceil(scale / spacing[0])) + 1
-    box = _around(inside, DEEP + 5 * int(np.ceil(scale / min(spacing))) + 1)
+    scale = max(axis_steps(inside.shape, spacing))
+    halo = INTERIOR_DEPTH + 5 * int(np.ceil(scale / spacing[0])) + 1
+    box = _around(inside, INTERIOR_DEPTH + 5 * int(np.ceil(scale / min(spacing))) + 1)
     inside, image = inside[box], image[box]
     if not inside.size:
         return 0.0
-    step = max(HALOS * halo, SLAB // (inside.shape[1] * inside.shape[2]))
     on_surface: list[NDArray[np.float32]] = []
     within: list[NDArray[np.float32]] = []
-    every = max(1, inside.size // ENOUGH)
-    for first in range(0, inside.shape[0], step):
-        low, high = max(first - halo, 0), min(first + step + halo, inside.shape[0])
-        smooth = gaussian_smoothed(image[low:high], spacing, scale)
-        before, after = first - low, min(first + step, inside.shape[0]) - low
+    every = max(1, inside.size // GRADIENT_SAMPLES)
+    for planes in slabs(inside.shape, at_least=MIN_SLAB_HALOS * halo):
+        low, high = max(planes.start - halo, 0), min(planes.stop + halo, inside.shape[0])
+        smooth = gaussian_mm(image[low:high], spacing, scale)
+        before, after = planes.start - low, planes.stop - low
         part = inside[low:high]
         within_rim = ndimage.binary_erosion(part, border_value=1)
-        deep = ndimage.binary_erosion(within_rim, iterations=DEEP - 1, border_value=1)
+        deep = ndimage.binary_erosion(within_rim, iterations=INTERIOR_DEPTH - 1, border_value=1)
         for mask, found, each in ((part & ~within_rim, on_surface, 1), (deep, within, every)):
             own = mask[before:after]
             found.append(_gradients(smooth, spacing, np.flatnonzero(own)[::each] + before * own[0].size))
@@ -212,8 +211,8 @@ def _without_edge(
     if surface.size == 0:
         return 0.0
     # A thin object has no inside to compare with.
-    usual = float(np.percentile(own, USUAL_PERCENTILE)) if own.size else 0.0
-    return float((surface <= max(usual, FLAT / scale)).mean())
+    usual = float(np.percentile(own, INTERIOR_PERCENTILE)) if own.size else 0.0
+    return float((surface <= max(usual, MIN_EDGE / scale)).mean())
 
 
 def _gradients(
@@ -230,7 +229,7 @@ def _gradients(
     return np.sqrt(total)
 
 
-def _parts(inside: NDArray[np.bool_]) -> int:
+def _parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
     """Large parts of the largest component that are left of it without its necks."""
     box = _around(inside, 1)
     parts, count = ndimage.label(inside[box])
@@ -239,13 +238,13 @@ def _parts(inside: NDArray[np.bool_]) -> int:
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
     body = parts == sizes.argmax()
-    # What is cut by the border goes on beyond it, and a single slice has no depth across.
+    # An object that meets the border continues beyond it; a single slice has no depth across.
     padded = np.pad(body, [(NECK, NECK) if n > 1 else (0, 0) for n in inside.shape], mode="edge")
     del parts, body
     cores, count = ndimage.label(_deeper_than_neck(padded))
     if count < 2:
         return 1
-    # So many parts at most are large; as bytes they need a quarter of the memory.
+    # Only so many parts can be large; numbered as bytes they need a quarter of the memory.
     sizes = np.bincount(cores.ravel(), minlength=count + 1)
     sizes[0] = 0
     order = np.argsort(-sizes, kind="stable")[: min(count, MAX_PARTS)]
@@ -253,7 +252,7 @@ def _parts(inside: NDArray[np.bool_]) -> int:
     name[order] = np.arange(1, len(order) + 1)
     reach = name[cores]
     del cores
-    # A core stands for what is within its reach, not for the little that is left of it.
+    # Grow the cores back to the parts that they are left of.
     for _ in range(NECK + 1):
         grown = ndimage.maximum_filter(reach, 3)
         np.copyto(reach, grown, where=(reach == 0) & padded)
@@ -262,7 +261,7 @@ def _parts(inside: NDArray[np.bool_]) -> int:
 
 
 def _deeper_than_neck(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Voxels of a mask with nothing else within `NECK` voxels; beyond the array the mask goes on."""
+    """Voxels of a mask with no other voxel within `NECK` voxels; beyond the array the mask continues."""
     reach = [NECK if n > 1 else 0 for n in mask.shape]
     deep = mask.copy()
     offsets = np.indices([2 * r + 1 for r in reach]).reshape(3, -1).T - reach

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
 from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
+from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
 
 Floats = NDArray[np.float64]
@@ -158,10 +159,10 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     """
     if psi.shape != geometry.shape:
         raise InputError(f"psi of shape {psi.shape} given, the grid's {geometry.shape} expected")
-    ranges = _inside_ranges(psi)
-    if ranges is None:
+    box = bounding_box(psi < 0)
+    if box is None:
         raise EmptyResultError("no voxel is inside: there is no surface", hint="the object vanished; start larger")
-    block, positions = _closed_block(psi, ranges, NODE_MARGIN * min(geometry.spacing))
+    block, positions = _closed_block(psi, box, NODE_MARGIN * min(geometry.spacing))
     nodes, faces, _, _ = marching_cubes(block, level=0.0)
     zyx = np.stack([np.interp(nodes[:, a], np.arange(len(positions[a])), positions[a]) for a in range(3)], axis=1)
     zyx, faces = _merge_cap_edges(zyx, faces, geometry.shape)
@@ -172,35 +173,23 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     return Surface(geometry.index_to_world(zyx), np.ascontiguousarray(faces, dtype=np.int32))
 
 
-def _inside_ranges(psi: NDArray[np.float32]) -> list[tuple[int, int]] | None:
-    """First and one past the last inside voxel along z, y, x; None when there is none."""
-    inside = psi < 0
-    ranges = []
-    for axis in range(3):
-        hit = np.flatnonzero(inside.any(axis=tuple(a for a in range(3) if a != axis)))
-        if not len(hit):
-            return None
-        ranges.append((int(hit[0]), int(hit[-1]) + 1))
-    return ranges
-
-
 def _closed_block(
-    psi: NDArray[np.float32], ranges: list[tuple[int, int]], margin: float
+    psi: NDArray[np.float32], inside: Box, margin: float
 ) -> tuple[NDArray[np.float32], list[Floats]]:
-    """The part of psi that has the surface, closed by caps, and the index position of its layers along each axis."""
-    box = tuple(slice(max(a - 1, 0), min(b + 1, n)) for (a, b), n in zip(ranges, psi.shape, strict=True))
+    """Psi around the box of the inside voxels, closed by caps, and the index position of its layers along each axis."""
+    box = widened(inside, psi.shape, (1, 1, 1))
     block = psi[box].astype(np.float32, order="C")
     if not np.isfinite(block).all():
         raise InputError("psi has NaN or infinite values around the object, finite distances expected")
     near = np.abs(block) < margin
     block[near] = np.where(block[near] < 0, -margin, margin)
     positions = []
-    for axis, ((first, stop), n) in enumerate(zip(ranges, psi.shape, strict=True)):
+    for axis, (covered, n) in enumerate(zip(inside, psi.shape, strict=True)):
         position = np.arange(box[axis].start, box[axis].stop, dtype=np.float64)
-        if first == 0:
+        if covered.start == 0:
             block = np.concatenate([*_cap(block, axis, 0), block], axis=axis)
             position = np.concatenate([[-0.5, -0.5], position])
-        if stop == n:
+        if covered.stop == n:
             block = np.concatenate([block, *_cap(block, axis, -1)[::-1]], axis=axis)
             position = np.concatenate([position, [n - 0.5, n - 0.5]])
         positions.append(position)

@@ -13,10 +13,10 @@ START = "ball:9,-7,6,10"
 #: Descent and momentum, the pair that the README shows.
 FLOWS = ("gradient", "constant-density")
 MAX_STEPS = 250
-#: The fastest place sets the step, for both flows: with the limiter of the defaults descent hops over many of the traps
-#: that the demo is about.
+#: The largest speed sets the time step, for both flows: with the default percentile descent jumps over many of the
+#: local minima that the demo is about.
 PERCENTILE = 100.0
-#: The image's own grid alone: on a coarser one, where noise is averaged, there are few traps to show.
+#: The image's own grid alone: on a coarser one, where noise is averaged, there are few local minima.
 LEVELS = 1
 
 

@@ -40,20 +40,20 @@ def synth(
     from accelsurf.report.outputs import refuse_existing, write_bytes
 
     folder = required(output, "-o DIR, the output folder,")
-    chosen = recipes.load_recipe(recipe)
+    used = recipes.load_recipe(recipe)
     if seed is not None:
-        chosen = chosen.changed(seed=seed)
+        used = used.changed(seed=seed)
     paths = {
-        "image": folder / f"{chosen.name}.nii.gz",
-        "labels": folder / f"{chosen.name}_truth.nii.gz",
-        "facts": folder / f"{chosen.name}.json",
+        "image": folder / f"{used.name}.nii.gz",
+        "labels": folder / f"{used.name}_truth.nii.gz",
+        "facts": folder / f"{used.name}.json",
     }
     refuse_existing(paths, overwrite)
-    phantom = recipes.make(chosen)
+    phantom = recipes.make(used)
     io.write(phantom.image, paths["image"])
     io.write_labels(phantom.truth, paths["labels"])
     facts = {
-        "recipe": chosen.model_dump(mode="json"),
+        "recipe": used.model_dump(mode="json"),
         "volume_mm3": phantom.volume_mm3,
         "area_mm2": phantom.area_mm2,
         "truth_voxels": int(phantom.truth.array.sum()),

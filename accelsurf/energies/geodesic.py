@@ -10,7 +10,8 @@ from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front, slope_at_front
 from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.errors import InputError
-from accelsurf.grid.spacing import gaussian_smoothed, largest_spacing
+from accelsurf.grid.geometry import axis_steps
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.levelset import LevelSet, dot
 
 #: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that
@@ -97,7 +98,7 @@ def edge_indicator(
     >>> bool(phi[0, 4, 12] < 0.1), bool(phi[0, 4, 2] > 0.99)
     (True, True)
     """
-    gradient = gradient_magnitude(image, spacing, largest_spacing(image.shape, spacing) if scale is None else scale)
+    gradient = gradient_magnitude(image, spacing, max(axis_steps(image.shape, spacing)) if scale is None else scale)
     return edge_indicator_of(gradient, edge_contrast(gradient) if contrast is None else float(contrast))
 
 
@@ -112,7 +113,7 @@ def gradient_magnitude(image: np.ndarray, spacing: Sequence[float], scale: float
     Centred differences of the smoothed image, and not a filter of the Gaussian's derivative: that is wrong where the
     Gaussian is narrower than a voxel, as it is across thick slices. An axis with one slice has no slope.
     """
-    smooth = gaussian_smoothed(image, spacing, scale)
+    smooth = gaussian_mm(np.asarray(image, np.float32), spacing, scale)
     total = np.zeros(image.shape, np.float32)
     for axis, n in enumerate(image.shape):
         if n > 1:

@@ -10,6 +10,7 @@ from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import check_shape
 from accelsurf.energies.interface import Interface
 from accelsurf.energies.protocol import Energy
+from accelsurf.grid.slabs import runs
 from accelsurf.kernels import windows
 from accelsurf.levelset import BandChange, LevelSet
 
@@ -19,8 +20,6 @@ TENT = math.sqrt(6.0 / 5.0)
 MAX_REACH, MIN_REACH = 4, 2
 #: A window with no more than this part on one side of the surface does not count.
 MIN_PART = 1e-6
-#: Voxels of the whole volume that are summed at once, for the sake of memory.
-SLAB = 1 << 20
 
 
 class LocalRegion(Energy):
@@ -88,8 +87,8 @@ class LocalRegion(Energy):
         self._nodes, self._reach = windows.Nodes(*sizes, *distances, *before), reach
         count = math.prod(sizes)
         self._total = np.zeros((2, count))
-        for begin in range(0, self._image.size, SLAB):
-            cells = np.arange(begin, min(begin + SLAB, self._image.size))
+        for some in runs(self._image.size):
+            cells = np.arange(some.start, some.stop)
             self._scatter(surface, cells, np.ones(cells.size), self._total)
         self._windows = np.stack([self._smooth(surface, field.reshape(sizes)) for field in self._total])
         n, total = self._windows

@@ -8,11 +8,11 @@ import numpy as np
 
 from accelsurf.energies.region_field import RegionField
 from accelsurf.errors import UsageError
+from accelsurf.grid.slabs import runs
 
 #: Width of the soft edge unless given: this part of the image's range, but at most this part of the window, so that
 #: its middle is sure.
 SOFT_RANGE, SOFT_WINDOW = 0.1, 0.25
-_SLAB = 1 << 20
 
 
 class Threshold(RegionField):
@@ -74,8 +74,7 @@ def threshold_field(image: np.ndarray, low: float, high: float, soft: float) -> 
     """
     values = np.ascontiguousarray(image, np.float32).reshape(-1)
     out = np.empty(values.size, np.float32)
-    for begin in range(0, values.size, _SLAB):
-        fraction = slice(begin, begin + _SLAB)
+    for fraction in runs(values.size):
         share = np.ones(values[fraction].size, np.float32)
         if low > -math.inf:
             share *= 0.5 + 0.5 * np.tanh((values[fraction] - np.float32(low)) / np.float32(soft))

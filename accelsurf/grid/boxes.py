@@ -1,30 +1,81 @@
-"""Boxes of voxels: their first voxels, wider ones, which of them meet, what two share."""
+"""Boxes of voxels: around a mask, made larger, and where two of them overlap."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.geometry import Box
-
+#: Voxels of a box within a grid, (z, y, x).
+Box = tuple[slice, slice, slice]
+#: First voxel of a box, (z, y, x).
 Corner = tuple[int, int, int]
 
 
+def bounding_box(mask: NDArray[np.bool_], margin: int = 0) -> Box | None:
+    """Return the smallest box with all voxels of a mask; None when the mask is empty.
+
+    Parameters
+    ----------
+    mask : ndarray (nz, ny, nx) of bool
+    margin : int, optional
+        Voxels added to either side of each axis, as far as the grid goes.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 5, 6), bool)
+    >>> mask[1:3, 2, 4:] = True
+    >>> bounding_box(mask)
+    (slice(1, 3, None), slice(2, 3, None), slice(4, 6, None))
+    >>> bounding_box(mask, 1)
+    (slice(0, 4, None), slice(1, 4, None), slice(3, 6, None))
+    """
+    shape, box = mask.shape, []
+    for axis in range(3):
+        occupied = np.flatnonzero(mask.any(axis=tuple(other for other in range(3) if other != axis)))
+        if not occupied.size:
+            return None
+        box.append(slice(int(occupied[0]), int(occupied[-1]) + 1))
+        mask = mask[(slice(None),) * axis + (box[-1],)]  # the other axes need this range only
+    return widened((box[0], box[1], box[2]), shape, (margin, margin, margin))
+
+
+def whole_box(shape: Sequence[int]) -> Box:
+    """Return the box of all voxels of a grid.
+
+    Examples
+    --------
+    >>> whole_box((4, 5, 6))
+    (slice(0, 4, None), slice(0, 5, None), slice(0, 6, None))
+    """
+    return slice(0, shape[0]), slice(0, shape[1]), slice(0, shape[2])
+
+
 def corner_of(box: Box) -> Corner:
-    """First voxel of a box."""
+    """Return the first voxel of a box."""
     return box[0].start, box[1].start, box[2].start
 
 
-def widened(box: Box, shape: tuple[int, int, int], room: tuple[int, int, int]) -> Box:
-    """A box with so many voxels more to either side of each axis, as far as the grid goes."""
-    a, b, c = (
-        slice(max(s.start - m, 0), min(s.stop + m, n)) for s, n, m in zip(box, shape, room, strict=True)
-    )
-    return a, b, c
+def widened(box: Box, shape: Sequence[int], margin: Sequence[int]) -> Box:
+    """Return a box with ``margin`` (z, y, x) more voxels on either side, as far as a grid of ``shape`` goes.
+
+    Examples
+    --------
+    >>> widened((slice(1, 3), slice(0, 4), slice(5, 6)), (4, 5, 6), (1, 2, 0))
+    (slice(0, 4, None), slice(0, 5, None), slice(5, 6, None))
+    """
+    z, y, x = (slice(max(s.start - m, 0), min(s.stop + m, n)) for s, n, m in zip(box, shape, margin, strict=True))
+    return z, y, x
 
 
 def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[int]]:
-    """For each of some boxes, given by their first voxels (n, 3) and those after their last, which others it meets.
+    """Return for each of some boxes the numbers of the others that it overlaps.
+
+    Parameters
+    ----------
+    low, high : ndarray (n, 3) of int
+        First voxel of each box, and the one after its last.
 
     Examples
     --------
@@ -33,16 +84,14 @@ def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[in
     """
     out = []
     for i in range(len(low)):
-        meets = ((low < high[i]) & (high > low[i])).all(axis=1)
-        meets[i] = False
-        out.append([int(j) for j in np.flatnonzero(meets)])
+        overlap = ((low < high[i]) & (high > low[i])).all(axis=1)
+        overlap[i] = False
+        out.append([int(j) for j in np.flatnonzero(overlap)])
     return out
 
 
-def shared(
-    corner: Corner, shape: tuple[int, ...], other: Corner, other_shape: tuple[int, ...]
-) -> tuple[Box, Box]:
-    """Voxels that two boxes that meet share, as each counts them.
+def shared(corner: Corner, shape: Sequence[int], other: Corner, other_shape: Sequence[int]) -> tuple[Box, Box]:
+    """Return the voxels that two overlapping boxes share, counted from the first voxel of each.
 
     Examples
     --------

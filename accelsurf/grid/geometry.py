@@ -8,6 +8,7 @@ D (columns: world directions of the x, y, z index axes), spacing s and origin o:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -22,11 +23,9 @@ ORTHONORMAL_TOLERANCE = 1e-4
 """Largest accepted entry of |D^T D - 1|: float32 headers stay below 1e-6, a shear of 0.01 degree does not."""
 
 Floats = NDArray[np.float64]
-#: Voxels of a part of a grid, (z, y, x).
-Box = tuple[slice, slice, slice]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Geometry:
     """Where a grid of voxels lies in the world.
 
@@ -79,6 +78,12 @@ class Geometry:
         object.__setattr__(self, "origin", _three(self.origin, "origin (x, y, z)"))
         object.__setattr__(self, "direction", _checked_direction(self.direction))
 
+    def __repr__(self) -> str:
+        direction = ""
+        if not np.array_equal(self.direction, np.eye(3)):
+            direction = f", direction={self.direction.round(6).tolist()}"
+        return f"Geometry(shape={self.shape}, spacing={self.spacing}, origin={self.origin}{direction})"
+
     @property
     def size(self) -> tuple[int, int, int]:
         """Number of voxels along (x, y, z), as ITK's ``GetSize``."""
@@ -97,11 +102,8 @@ class Geometry:
 
     @property
     def steps(self) -> tuple[float, ...]:
-        """Spacing along the axes with more than one voxel, mm; of a single voxel, all three.
-
-        Nothing happens along an axis of one voxel: its spacing is a thickness, not a step.
-        """
-        return tuple(h for n, h in zip(self.shape, self.spacing, strict=True) if n > 1) or self.spacing
+        """Spacing along the axes with more than one voxel, mm; see `axis_steps`."""
+        return axis_steps(self.shape, self.spacing)
 
     @property
     def voxel_volume(self) -> float:
@@ -215,6 +217,20 @@ class Geometry:
     def _axes_agree(self, other: Geometry, tolerance: float) -> bool:
         # Along an axis of one voxel the corners say nothing about spacing or direction: compare one step as well.
         return float(np.linalg.norm(self._index_matrix - other._index_matrix, axis=0).max()) <= tolerance
+
+
+def axis_steps(shape: Sequence[int], spacing: Sequence[float]) -> tuple[float, ...]:
+    """Return the spacings along the axes with more than one voxel, mm; of a single voxel, all three.
+
+    Nothing happens along an axis of one voxel: its spacing is a thickness, not a step.
+
+    Examples
+    --------
+    >>> axis_steps((1, 20, 30), (5.0, 1.0, 0.5))
+    (1.0, 0.5)
+    """
+    every = tuple(float(h) for h in spacing)
+    return tuple(h for n, h in zip(shape, every, strict=True) if n > 1) or every
 
 
 def orthonormal_deviation(matrix: ArrayLike) -> float:

@@ -11,17 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid import thumbnail
 from accelsurf.grid.geometry import Geometry
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Volume:
     """Voxel values on a grid.
 
     Parameters
     ----------
     array : ndarray, shape (nz, ny, nx)
-        Real numbers or booleans. Kept as it is, not copied; accelsurf never writes into it.
+        Real numbers or booleans. Not copied; accelsurf never writes into it.
     geometry : Geometry
         The grid, of the same shape.
     metadata : dict of str to str, optional
@@ -56,6 +57,14 @@ class Volume:
             )
         if array.shape != self.geometry.shape:
             raise InputError(f"an array of shape {array.shape} given, the grid's {self.geometry.shape} expected")
+
+    def __repr__(self) -> str:
+        source = f", source={str(self.source)!r}" if self.source is not None else ""
+        return f"Volume({self.array.dtype} array, {self.geometry!r}{source})"
+
+    def _repr_html_(self) -> str:
+        """The middle slice and the repr, for notebooks."""
+        return thumbnail.as_html(repr(self), self.array, self.geometry)
 
     @classmethod
     def from_array(
@@ -103,7 +112,7 @@ class Volume:
         if flat and len(steps) == 2:
             steps = (1.0, *steps)
         frame = np.eye(3) if direction is None else np.asarray(direction)
-        # Geometry checks every one of them and says which is wrong; the casts only tell the type checker so.
+        # Geometry checks every one of them and says which is wrong; the casts are for the type checker only.
         geometry = Geometry(values.shape, steps, tuple(origin), frame)  # type: ignore[arg-type]
         return cls(values, geometry)
 
@@ -147,7 +156,7 @@ def check_image(volume: Volume) -> None:
     if low == high:
         raise InputError(
             f"the image is constant: every voxel is {low}",
-            hint="there is nothing to tell object from background; is this the right file?",
+            hint="object and background have the same value; is this the right file?",
         )
 
 

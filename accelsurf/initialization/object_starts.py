@@ -1,6 +1,6 @@
-"""First surfaces of several objects: a label map with their ids, or a table of balls, in the words of ``--objects``.
+"""First surfaces of several objects: a label map with their ids, or a table of balls, as ``--objects`` takes them.
 
-Each object is given on its own small grid, a box of the volume's voxels, so that many of them cost what their boxes do.
+Each object has its own small grid, a box of the volume's voxels, so that memory grows with the boxes only.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from scipy import ndimage
 from accelsurf import io
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.boxes import Corner, corner_of, meeting, shared, widened
+from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io.files import naming
 
 #: Largest id that a label map can hold.
-LARGEST_ID = 2**32 - 1
+MAX_ID = 2**32 - 1
 #: Columns of a table: world mm (LPS), or voxel indices with the radius in voxels of the smallest spacing.
-WORLD, VOXELS = ("id", "x", "y", "z", "r"), ("id", "x_vox", "y_vox", "z_vox", "r_vox")
-_FORM = f"columns {','.join(WORLD)} in world mm (LPS), or {','.join(VOXELS)}"
+WORLD_COLUMNS, VOXEL_COLUMNS = ("id", "x", "y", "z", "r"), ("id", "x_vox", "y_vox", "z_vox", "r_vox")
+_FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS), or {','.join(VOXEL_COLUMNS)}"
 
 
 class ObjectStart(NamedTuple):
@@ -37,7 +38,7 @@ class ObjectStart(NamedTuple):
     psi: NDArray[np.float32]
 
 
-def read(objects: str | Volume | NDArray[Any], geometry: Geometry, room: int) -> list[ObjectStart]:
+def read(objects: str | Volume | NDArray[Any], geometry: Geometry, margin: int) -> list[ObjectStart]:
     """First surfaces in order of their ids; they do not overlap.
 
     Parameters
@@ -47,8 +48,8 @@ def read(objects: str | Volume | NDArray[Any], geometry: Geometry, room: int) ->
         label map itself.
     geometry : Geometry
         The image's grid.
-    room : int
-        Voxels that each object is given beyond its box, where the grid has them.
+    margin : int
+        Voxels around each object's bounding box, where the grid has them.
 
     Returns
     -------
@@ -57,31 +58,31 @@ def read(objects: str | Volume | NDArray[Any], geometry: Geometry, room: int) ->
     Raises
     ------
     UsageError
-        When the ids asked for are none.
+        When the ids asked for cannot be parsed.
     InputError
-        When a file cannot be read, a label is no whole number or beyond `LARGEST_ID`, there is no object, a ball has no
-        voxel centre inside, or an object is inside of others altogether; GeometryError when a label map lies on another
+        When a file cannot be read, a label is no whole number or beyond `MAX_ID`, there is no object, a ball has no
+        voxel centre inside, or an object lies entirely within others; GeometryError when a label map lies on another
         grid.
     """
     if isinstance(objects, str) and objects.lower().endswith(".csv"):
-        return _apart(_balls(objects, geometry, room), objects, geometry)
+        return _separated(_balls(objects, geometry, margin), objects, geometry)
     name, labels = _labels(objects, geometry)
     found = np.unique(labels[labels > 0])
     if found.size == 0:
         raise InputError(f"objects {name}: no voxel has a label above 0", "give each object's first voxels its id")
-    if int(found[-1]) > LARGEST_ID:
-        raise InputError(f"objects {name}: id {found[-1]} was given, expected at most {LARGEST_ID}", "renumber them")
+    if int(found[-1]) > MAX_ID:
+        raise InputError(f"objects {name}: id {found[-1]} was given, expected at most {MAX_ID}", "renumber them")
     places = np.where(labels > 0, np.searchsorted(found, labels) + 1, 0).astype(np.int32)
     half, out = np.float32(0.5 * min(geometry.steps)), []
     for place, (own, box) in enumerate(zip(found, ndimage.find_objects(places), strict=True), start=1):
-        grown = widened(box, geometry.shape, (room, room, room))
+        grown = widened(box, geometry.shape, (margin, margin, margin))
         psi = np.where(places[grown] == place, -half, half)
         out.append(ObjectStart(int(own), corner_of(grown), psi))
     return out
 
 
 def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[str, NDArray[np.integer]]:
-    """What the label map is called, and its values, 0 where an id is not wanted."""
+    """Name of the label map, and its values: 0 where an id was not asked for."""
     ids: tuple[tuple[int, int], ...] = ()
     name = "label map"
     if isinstance(objects, str):
@@ -113,38 +114,38 @@ def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[s
     return name, labels
 
 
-def _balls(file: str, geometry: Geometry, room: int) -> list[ObjectStart]:
-    """Balls of a table, those of one id united, in order of their ids."""
+def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
+    """Balls of a table, one start for all balls of an id, in order of their ids."""
     rows: dict[int, list[tuple[float, float, float, float]]] = {}
-    for own, *numbers in _rows(file, geometry):
+    for own, *numbers in _read_table(file, geometry):
         rows.setdefault(int(own), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_FORM}")
-    return [_ball(file, own, rows[own], geometry, room) for own in sorted(rows)]
+    return [_ball(file, own, rows[own], geometry, margin) for own in sorted(rows)]
 
 
-def _rows(file: str, geometry: Geometry) -> list[tuple[float, ...]]:
+def _read_table(file: str, geometry: Geometry) -> list[tuple[float, ...]]:
     """Rows (id, z, y, x, r) of a table: voxel indices, and r in mm."""
     with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
         try:
             table = csv.DictReader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
             columns = tuple(name.strip() for name in table.fieldnames or ())
-            vox = set(VOXELS) <= set(columns)
-            if not vox and not set(WORLD) <= set(columns):
+            vox = set(VOXEL_COLUMNS) <= set(columns)
+            if not vox and not set(WORLD_COLUMNS) <= set(columns):
                 given = ",".join(columns) or "no line"
                 raise InputError(f"{given} was given as the first line, expected {_FORM}", "as in id,x,y,z,r")
             table.fieldnames = list(columns)
-            return [_row(line, table.line_num, vox, geometry) for line in table]
+            return [_read_line(line, table.line_num, vox, geometry) for line in table]
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
 
 
-def _row(line: dict[str, Any], number: int, vox: bool, geometry: Geometry) -> tuple[float, ...]:
+def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry) -> tuple[float, ...]:
     try:
-        own, x, y, z, r = (float(line[name]) for name in (VOXELS if vox else WORLD))
+        own, x, y, z, r = (float(line[name]) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS))
     except (TypeError, ValueError):
         own = x = y = z = r = math.nan
-    if not all(math.isfinite(v) for v in (own, x, y, z, r)) or own != int(own) or not 1 <= own <= LARGEST_ID:
+    if not all(math.isfinite(v) for v in (own, x, y, z, r)) or own != int(own) or not 1 <= own <= MAX_ID:
         given = ",".join(str(value) for value in line.values() if isinstance(value, str))
         raise InputError(
             f"line {number}: {given} was given, expected a whole number from 1 on and four numbers", f"{_FORM}"
@@ -156,32 +157,29 @@ def _row(line: dict[str, Any], number: int, vox: bool, geometry: Geometry) -> tu
 
 
 def _ball(
-    file: str, own: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, room: int
+    file: str, own: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
 ) -> ObjectStart:
     """The union of balls, each of the voxel index (z, y, x) of its centre and its radius in mm."""
-    table, h = np.array(balls), np.array(geometry.spacing)
-    reach = table[:, 3:] / h
-    low = np.floor((table[:, :3] - reach).min(axis=0)).astype(int)
-    high = np.ceil((table[:, :3] + reach).max(axis=0)).astype(int) + 1
+    table = np.array(balls)
+    radius = table[:, 3:] / geometry.spacing
+    low = np.floor((table[:, :3] - radius).min(axis=0)).astype(int)
+    high = np.ceil((table[:, :3] + radius).max(axis=0)).astype(int) + 1
     n = np.array(geometry.shape)
     begin, end = np.clip(low, 0, n), np.clip(high, 0, n)
     if (begin >= end).any():
         raise InputError(f"{file}: ball {own} lies outside of the volume", _FORM)
     a, b, c = (slice(int(i), int(j)) for i, j in zip(begin, end, strict=True))
-    box = widened((a, b, c), geometry.shape, (room, room, room))
+    box = widened((a, b, c), geometry.shape, (margin, margin, margin))
     psi = np.full(tuple(s.stop - s.start for s in box), np.inf, np.float32)
-    axes = [np.arange(s.start, s.stop, dtype=float) for s in box]
-    for z, y, x, r in balls:
-        dz, dy, dx = ((axis - c) * step for axis, c, step in zip(axes, (z, y, x), h, strict=True))
-        one = np.sqrt(dz[:, None, None] ** 2 + dy[None, :, None] ** 2 + dx[None, None, :] ** 2) - r
-        np.minimum(psi, one, out=psi, casting="same_kind")
+    for *centre, r in balls:
+        np.minimum(psi, ball_distance(box, geometry.spacing, centre, r), out=psi)
     if not (psi < 0).any():
         raise InputError(f"{file}: no voxel centre is inside ball {own}", "a larger r, or is the unit the right one?")
     return ObjectStart(own, corner_of(box), psi)
 
 
-def _apart(objects: list[ObjectStart], name: str, geometry: Geometry) -> list[ObjectStart]:
-    """Starts that overlap, with what two hold given to the one that is deeper there, at a tie to the lowest id."""
+def _separated(objects: list[ObjectStart], name: str, geometry: Geometry) -> list[ObjectStart]:
+    """Starts without overlap: a voxel of two goes to the one that is deeper there, at a tie to the lower id."""
     out = [one._replace(psi=one.psi.copy()) for one in objects]
     low = np.array([one.corner for one in objects])
     for i, near in enumerate(meeting(low, low + np.array([one.psi.shape for one in objects]))):
@@ -189,13 +187,13 @@ def _apart(objects: list[ObjectStart], name: str, geometry: Geometry) -> list[Ob
             one, other = objects[i], objects[j]
             both = shared(one.corner, one.psi.shape, other.corner, other.psi.shape)
             mine, theirs = one.psi[both[0]], other.psi[both[1]]
-            held = out[i].psi[both[0]]
-            np.maximum(held, 0.5 * (mine - theirs), out=held)
-            # Just outside of the boundary where both are equally deep.
-            held[(mine == theirs) & (mine < 0)] = -1e-3 if i < j else 1e-3
+            separated = out[i].psi[both[0]]
+            np.maximum(separated, 0.5 * (mine - theirs), out=separated)
+            # Just off the boundary where both are equally deep.
+            separated[(mine == theirs) & (mine < 0)] = -1e-3 if i < j else 1e-3
     for one in out:
         if not (one.psi < 0).any():
             raise InputError(
-                f"objects {name}: other objects take all of object {one.id}", "move them apart, or give smaller ones"
+                f"objects {name}: all of object {one.id} lies within others", "move them apart, or give smaller ones"
             )
     return out

@@ -1,4 +1,4 @@
-"""Sets of voxels that a start can be: the largest part of a threshold, Otsu's, and what grows from a seed."""
+"""Masks that a start can be: the largest component, Otsu's threshold, and a region grown from a seed."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 from skimage.graph import MCP_Geometric
 
+from accelsurf.grid.boxes import widened
 from accelsurf.grid.geometry import Geometry
 
-#: How unlike the seed a value is that doubles the length of a way through it: this many spreads of the seed's
-#: neighbours, but at least this part of the range of the image's middle 99 percent.
-SPREADS, MIN_RANGE = 3.0, 0.1
+#: A path through a voxel counts twice its length when the value differs from the seed's by this many standard
+#: deviations of the seed's neighbours, but at least by this fraction of the range of the image's middle 99 percent.
+SEED_DEVIATIONS, MIN_RANGE_FRACTION = 3.0, 0.1
 
 
 def otsu_level(values: NDArray[Any]) -> float:
-    """Otsu's threshold, where it has a choice in the middle between the means of the two classes.
+    """Otsu's threshold, placed in the middle between the means of the two classes.
 
-    At the optimum it lies there anyway; between classes that are far apart any value is one, and the usual choice, the
-    first of them, is hardly above the lower class.
+    At a unique optimum it lies there anyway. Between classes that are far apart every value is optimal, and the usual
+    choice, the smallest, lies just above the lower class.
 
     Examples
     --------
@@ -47,7 +48,7 @@ def otsu(values: NDArray[Any], dark: bool = False) -> NDArray[np.bool_]:
 
 
 def largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Largest 6-connected part of a mask; of parts of the same size that with the first voxel.
+    """Largest 6-connected component of a mask; of components of the same size the one with the first voxel.
 
     Examples
     --------
@@ -62,15 +63,15 @@ def largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(parts == sizes.argmax())
 
 
-def grown(
+def grow_region(
     values: NDArray[Any], geometry: Geometry, centre: tuple[float, float, float], radius: float
 ) -> NDArray[np.bool_]:
-    """Voxels within ``radius`` of a seed on ways through values like its own.
+    """Voxels within a geodesic distance ``radius`` of a seed, where values like the seed's make paths short.
 
-    A mm through value I counts as 1 + ((I - m)/s)^2 mm, m being the median of the seed's neighbours and s their spread
-    times `SPREADS`: in a region like the seed's that is a ball, at its edge it stops. Ways go from voxel to voxel over
-    the 26 neighbours, the cheapest found by marching; they are up to an eighth (with thick slices a fifth) longer than
-    straight ones.
+    A mm through value I counts as 1 + ((I - m)/s)^2 mm, m being the median of the seed's neighbours and s their
+    standard deviation (from the median absolute deviation) times `SEED_DEVIATIONS`: in a region like the seed's that
+    gives a ball, which stops at the region's edge. The shortest paths go from voxel to voxel over the 26 neighbours
+    (Dijkstra); they are up to an eighth (with thick slices a fifth) longer than straight ones.
 
     Parameters
     ----------
@@ -87,17 +88,18 @@ def grown(
         Empty when the seed is outside.
     """
     out = np.zeros(values.shape, np.bool_)
-    seed = tuple(int(np.floor(c + 0.5)) for c in centre)
-    if any(not 0 <= i < n for i, n in zip(seed, values.shape, strict=True)):
+    z, y, x = (int(np.floor(c + 0.5)) for c in centre)
+    if any(not 0 <= i < n for i, n in zip((z, y, x), values.shape, strict=True)):
         return out
-    reach = [int(np.ceil(radius / h)) + 1 for h in geometry.spacing]
-    box = tuple(slice(max(i - r, 0), i + r + 1) for i, r in zip(seed, reach, strict=True))
-    near = values[tuple(slice(max(i - 1, 0), i + 2) for i in seed)].astype(np.float64)
+    voxel = (slice(z, z + 1), slice(y, y + 1), slice(x, x + 1))
+    box = widened(voxel, values.shape, [int(np.ceil(radius / h)) + 1 for h in geometry.spacing])
+    near = values[widened(voxel, values.shape, (1, 1, 1))].astype(np.float64)
     middle = float(np.median(near))
     low, high = np.percentile(values, (0.5, 99.5))
-    spread = max(SPREADS * 1.4826 * float(np.median(np.abs(near - middle))), MIN_RANGE * float(high - low), 1e-30)
+    deviation = 1.4826 * float(np.median(np.abs(near - middle)))
+    spread = max(SEED_DEVIATIONS * deviation, MIN_RANGE_FRACTION * float(high - low), 1e-30)
     cost = 1.0 + ((values[box].astype(np.float64) - middle) / spread) ** 2
     march = MCP_Geometric(cost, sampling=geometry.spacing)
-    length, _ = march.find_costs([[i - s.start for i, s in zip(seed, box, strict=True)]])
+    length, _ = march.find_costs([[i - s.start for i, s in zip((z, y, x), box, strict=True)]])
     out[box] = length <= radius
     return out

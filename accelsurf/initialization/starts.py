@@ -1,14 +1,14 @@
-"""First surfaces: balls, boxes, seeds, label maps, thresholds, meshes, in the words of ``--start``.
+"""First surfaces: balls, boxes, seeds, label maps, thresholds, meshes, written as ``--start`` takes them.
 
 A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS). With the suffix ``vox`` they are voxel
 indices (x, y, z; 0 is the centre of the first voxel), and a radius is in voxels of the smallest spacing.
-Each start becomes a function psi on the grid, negative inside; several are united by their minimum.
+Each start becomes a function psi on the grid, negative inside; the minimum of several is their union.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.slabs import slabs
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import region_growing
 from accelsurf.io import meshes
@@ -33,15 +36,13 @@ KINDS: dict[str, str] = {
     "mesh": "mesh:FILE",
     "center": "center",
 }
-SLAB_VOXELS = 2**20
-"""Voxels worked on at once, so that coordinates never need a whole volume."""
 
 
 class Start(NamedTuple):
     """A start, parsed: its ``kind``, its ``numbers`` and whether these are voxel indices, or its ``file``.
 
-    ``word`` is what follows the kind or the file: ``dark``, ``otsu``, ``ras``; ``ids`` are the labels wanted,
-    as ranges.
+    ``word`` is what follows the kind or the file: ``dark``, ``otsu``, ``ras``; ``ids`` are the labels asked for, as
+    ranges.
     """
 
     kind: str
@@ -104,7 +105,7 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
     if not file:
         raise UsageError(f"start {text!r}: no file named", f"write {KINDS[kind]}")
     if kind == "mesh":
-        # A name may have an @ of its own.
+        # The file name itself may have an @.
         return Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
     if not at:
         return Start(kind, file=rest)
@@ -217,17 +218,17 @@ def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], 
 def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
     kind = parse(text).kind
     if kind == "label":
-        return f"start {text!r}: no voxel of the label map is meant", "give a map and labels that it has"
+        return f"start {text!r}: the label map has no voxel of these labels", "give a map and labels that it has"
     if kind == "mesh":
         return f"start {text!r}: no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
     if kind in ("threshold", "largest", "otsu"):
         return f"start {text!r}: no voxel lies between these values", "thresholds are in the image's own units"
     corner = geometry.index_to_world(np.array([[0, 0, 0], [n - 1 for n in geometry.shape]]))
     low, high = corner.min(axis=0), corner.max(axis=0)
-    reach = "; ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    ranges = "; ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return (
         f"start {text!r}: no voxel centre is inside it",
-        f"the volume's corners span {reach} mm (world, LPS); the suffix vox takes voxel indices",
+        f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices",
     )
 
 
@@ -239,7 +240,8 @@ def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> 
     if start.kind == "seed":
         z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])
         radius = start.numbers[3] * (min(geometry.steps) if start.vox else 1.0)
-        return _from_mask(region_growing.grown(values, geometry, (float(z), float(y), float(x)), radius), geometry)
+        mask = region_growing.grow_region(values, geometry, (float(z), float(y), float(x)), radius)
+        return _from_mask(mask, geometry)
     if start.kind in ("threshold", "largest", "otsu"):
         if start.numbers:
             mask = (values >= start.numbers[0]) & (values <= start.numbers[1])
@@ -279,36 +281,9 @@ def _from_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float3
     return np.where(mask, -half, half)
 
 
-def _slabs(geometry: Geometry) -> Iterator[tuple[slice, NDArray, NDArray, NDArray]]:
-    """Index coordinates (z, y, x) of a few planes at a time, broadcastable."""
-    nz, ny, nx = geometry.shape
-    step = max(1, SLAB_VOXELS // (ny * nx))
-    y, x = np.arange(ny, dtype=float)[None, :, None], np.arange(nx, dtype=float)[None, None, :]
-    for first in range(0, nz, step):
-        planes = slice(first, min(first + step, nz))
-        yield planes, np.arange(planes.start, planes.stop, dtype=float)[:, None, None], y, x
-
-
-def _evaluate(geometry: Geometry, function: Callable[[NDArray, NDArray, NDArray], NDArray]) -> NDArray[np.float32]:
-    psi = np.empty(geometry.shape, np.float32)
-    for planes, z, y, x in _slabs(geometry):
-        psi[planes] = function(z, y, x)
-    return psi
-
-
 def _ball(geometry: Geometry, centre_xyz: Sequence[float], radius: float) -> NDArray[np.float32]:
-    cx, cy, cz = centre_xyz
-    hz, hy, hx = geometry.spacing
-
-    def distance(z: NDArray, y: NDArray, x: NDArray) -> NDArray:
-        # Squares of one axis in double precision, their sums over the volume in single: half the time.
-        squares = [((c * h) ** 2).astype(np.float32) for c, h in ((z - cz, hz), (y - cy, hy), (x - cx, hx))]
-        found = (squares[0] + squares[1]) + squares[2]
-        np.sqrt(found, out=found)
-        found -= np.float32(radius)
-        return found
-
-    return _evaluate(geometry, distance)
+    # Whole volumes: sums of squares in single precision take half the time.
+    return ball_distance(whole_box(geometry.shape), geometry.spacing, centre_xyz[::-1], radius, np.float32)
 
 
 def _box(geometry: Geometry, start: Start) -> NDArray[np.float32]:
@@ -316,7 +291,10 @@ def _box(geometry: Geometry, start: Start) -> NDArray[np.float32]:
     scale = np.array(geometry.spacing_xyz) if start.vox else np.ones(3)
     middle, half = 0.5 * (low + high), 0.5 * (high - low) * scale
 
-    def distance(z: NDArray, y: NDArray, x: NDArray) -> NDArray:
+    nz, ny, nx = (np.arange(n, dtype=float) for n in geometry.shape)
+    psi = np.empty(geometry.shape, np.float32)
+    for planes in slabs(geometry.shape):
+        z, y, x = nz[planes, None, None], ny[:, None], nx
         if start.vox:
             offsets = [(c - m) * s for c, m, s in zip((x, y, z), middle, scale, strict=True)]
         else:
@@ -324,6 +302,5 @@ def _box(geometry: Geometry, start: Start) -> NDArray[np.float32]:
             offsets = [world[..., axis] - middle[axis] for axis in range(3)]
         q = [np.abs(o) - a for o, a in zip(offsets, half, strict=True)]
         outside = np.sqrt(sum(np.maximum(a, 0.0) ** 2 for a in q))
-        return np.asarray(outside + np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0.0))
-
-    return _evaluate(geometry, distance)
+        psi[planes] = outside + np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0.0)
+    return psi

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.grid.spacing import counted_spacings
+from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels import differences, march, motion, region, transport
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
@@ -89,7 +89,7 @@ class LevelSet:
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
-        spacings = counted_spacings(self.shape, spacing) or (1.0,)
+        spacings = axis_steps(self.shape, spacing)
         # Nothing happens along an axis of one voxel: for the kernels it is as fine as the others, and the thickness
         # of the slice only scales volumes and areas.
         own = [float(h) if n > 1 else min(spacings) for n, h in zip(self.shape, spacing, strict=True)]
@@ -147,7 +147,7 @@ class LevelSet:
     def spacings(self) -> tuple[float, ...]:
         """Spacing (mm) along each axis with more than one slice, in the order z, y, x."""
         grid = self.grid
-        return counted_spacings(self.shape, (grid.hz, grid.hy, grid.hx))
+        return axis_steps(self.shape, (grid.hz, grid.hy, grid.hx))
 
     @property
     def smallest_spacing(self) -> float:

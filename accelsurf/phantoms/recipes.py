@@ -6,8 +6,8 @@ volume is the world's origin (0, 0, 0).
 
 The image is plain: background + contrast where a voxel's centre lies inside the object; then Gaussian blur in mm,
 a smooth multiplicative bias field, and Gaussian noise for each voxel, in this order. With ``antialias`` the voxels that
-the surface passes hold the part of them that lies inside (4 x 4 x 4 sample points): only then does the image tell
-where in the voxel the surface is. The truth label is that of the voxel's centre in both cases.
+the surface passes have the value of their volume fraction inside (4 x 4 x 4 sample points): only then does the image
+show where in the voxel the surface is. The truth label is that of the voxel's centre in both cases.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.slabs import slabs
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms.solids import SOLIDS, Solid
 
@@ -41,10 +42,7 @@ Count = Annotated[int, Field(strict=True, ge=1)]
 Seed = Annotated[int, Field(strict=True, ge=0)]
 
 MAX_VOXELS = 2**30
-"""Largest phantom: beyond it image, truth and their making need more than 10 GB."""
-
-SLAB_VOXELS = 2**20
-"""Voxels worked on at once, so that the float64 distances never need a whole volume."""
+"""Largest phantom: beyond it image, truth and temporary arrays need more than 10 GB."""
 
 
 class Recipe(BaseModel):
@@ -69,7 +67,7 @@ class Recipe(BaseModel):
     background, contrast : float
         Value outside, and what is added inside; 0 and 1.
     antialias : bool
-        Whether voxels that the surface passes hold the part that lies inside; false.
+        Whether voxels that the surface passes have the value of their volume fraction inside; false.
     blur : float
         Standard deviation of the Gaussian blur, mm; 0.
     bias : float
@@ -196,21 +194,21 @@ def make(recipe: Recipe) -> Phantom:
     geometry, solid = recipe.geometry, recipe.solid
     truth = np.empty(geometry.shape, dtype=np.uint8)
     image = np.empty(geometry.shape, dtype=np.float32)
-    for part, points in _slabs(recipe):
+    for planes, points in _voxel_centres(recipe):
         distance = solid.distance(*points)
-        truth[part] = distance < 0.0
-        image[part] = truth[part]
+        truth[planes] = distance < 0.0
+        image[planes] = truth[planes]
         if recipe.antialias:
-            _antialias(image[part], distance, points, recipe)
+            _antialias(image[planes], distance, points, recipe)
     if not truth.any():
         raise UsageError(
             f"{recipe.name}: no voxel centre lies inside the object", hint="move it by center, or make it larger"
         )
     image *= recipe.contrast
     image += recipe.background
-    _degrade(image, recipe)
-    half_extent = np.array(recipe.shape) * np.array(recipe.spacing) / 2
-    whole = bool((np.abs(recipe.center) + np.array(solid.reach) <= half_extent * (1 + 1e-9)).all())
+    image = _degraded(image, recipe)
+    half_volume = np.array(recipe.shape) * np.array(recipe.spacing) / 2
+    whole = bool((np.abs(recipe.center) + np.array(solid.half_extent) <= half_volume * (1 + 1e-9)).all())
     return Phantom(
         image=Volume(image, geometry),
         truth=Volume(truth, geometry),
@@ -232,8 +230,8 @@ def signed_distance(recipe: Recipe) -> NDArray[np.float32]:
     """
     nx, ny, nz = recipe.shape
     psi = np.empty((nz, ny, nx), dtype=np.float32)
-    for part, points in _slabs(recipe):
-        psi[part] = recipe.solid.distance(*points)
+    for planes, points in _voxel_centres(recipe):
+        psi[planes] = recipe.solid.distance(*points)
     return psi
 
 
@@ -260,20 +258,18 @@ def distance_at(recipe: Recipe, xyz: ArrayLike) -> Floats:
     return recipe.solid.distance(local[..., 0], local[..., 1], local[..., 2])
 
 
-def _slabs(recipe: Recipe) -> Iterator[tuple[slice, tuple[Floats, Floats, Floats]]]:
+def _voxel_centres(recipe: Recipe) -> Iterator[tuple[slice, tuple[Floats, Floats, Floats]]]:
     """Runs of slices, and their voxel centres relative to the object's middle, as arrays that broadcast to them."""
     x, y, z = (
         (np.arange(n, dtype=np.float64) - (n - 1) / 2) * h - c
         for n, h, c in zip(recipe.shape, recipe.spacing, recipe.center, strict=True)
     )
-    step = max(1, SLAB_VOXELS // (len(x) * len(y)))
-    for first in range(0, len(z), step):
-        part = slice(first, first + step)
-        yield part, (x.reshape(1, 1, -1), y.reshape(1, -1, 1), z[part].reshape(-1, 1, 1))
+    for planes in slabs((len(z), len(y), len(x))):
+        yield planes, (x.reshape(1, 1, -1), y.reshape(1, -1, 1), z[planes].reshape(-1, 1, 1))
 
 
 def _antialias(image: NDArray[np.float32], distance: Floats, points: tuple[Floats, ...], recipe: Recipe) -> None:
-    """Where the surface may pass, write the part of the voxel that lies inside: of 4 x 4 x 4 points."""
+    """Where the surface may pass, write the volume fraction of the voxel inside, from 4 x 4 x 4 sample points."""
     spacing = np.array(recipe.spacing)
     k, j, i = np.nonzero(np.abs(distance) < np.linalg.norm(spacing) / 2)
     offsets = (np.indices((4, 4, 4)).reshape(3, -1) - 1.5) / 4 * spacing[:, np.newaxis]
@@ -282,11 +278,10 @@ def _antialias(image: NDArray[np.float32], distance: Floats, points: tuple[Float
     image[k, j, i] = (recipe.solid.distance(*samples) < 0.0).mean(axis=1)
 
 
-def _degrade(image: NDArray[np.float32], recipe: Recipe) -> None:
-    """Blur, bias, noise: in place."""
+def _degraded(image: NDArray[np.float32], recipe: Recipe) -> NDArray[np.float32]:
+    """The image with blur, bias and noise; the array given may be overwritten."""
     if recipe.blur:
-        sigma = [recipe.blur / h for h in reversed(recipe.spacing)]
-        gaussian_filter(image, sigma, output=image, mode="nearest")
+        image = gaussian_mm(image, recipe.spacing[::-1], recipe.blur)
     if recipe.bias:
         # Its own stream: the same noise with and without a bias field.
         phases = np.random.Generator(np.random.PCG64([recipe.seed, 1])).uniform(0.0, 2.0 * math.pi, 3)
@@ -298,6 +293,7 @@ def _degrade(image: NDArray[np.float32], recipe: Recipe) -> None:
     if recipe.noise:
         random = np.random.Generator(np.random.PCG64(recipe.seed))
         image += np.float32(recipe.noise) * random.standard_normal(image.shape, dtype=np.float32)
+    return image
 
 
 def recipe_folder() -> Path:

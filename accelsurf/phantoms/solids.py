@@ -27,7 +27,7 @@ class Solid(ABC):
 
     @property
     @abstractmethod
-    def reach(self) -> Triple:
+    def half_extent(self) -> Triple:
         """Half the edge lengths (x, y, z), mm, of the smallest box around the object."""
 
     @property
@@ -52,8 +52,8 @@ class Ball(Solid):
         return np.sqrt(x * x + y * y + z * z) - self.radius
 
     @property
-    def reach(self) -> Triple:
-        """See `Solid.reach`."""
+    def half_extent(self) -> Triple:
+        """See `Solid.half_extent`."""
         return self.radius, self.radius, self.radius
 
     @property
@@ -68,7 +68,7 @@ class Ball(Solid):
 
 
 @dataclass(frozen=True)
-class Box(Solid):
+class Cuboid(Solid):
     """Edges of lengths ``sides`` (x, y, z)."""
 
     sides: Triple
@@ -81,8 +81,8 @@ class Box(Solid):
         return inside + np.sqrt(qx * qx + qy * qy + qz * qz)
 
     @property
-    def reach(self) -> Triple:
-        """See `Solid.reach`."""
+    def half_extent(self) -> Triple:
+        """See `Solid.half_extent`."""
         return self.sides[0] / 2, self.sides[1] / 2, self.sides[2] / 2
 
     @property
@@ -115,8 +115,8 @@ class Torus(Solid):
         return np.hypot(np.sqrt(x * x + y * y) - self.ring_radius, z) - self.tube_radius
 
     @property
-    def reach(self) -> Triple:
-        """See `Solid.reach`."""
+    def half_extent(self) -> Triple:
+        """See `Solid.half_extent`."""
         outer = self.ring_radius + self.tube_radius
         return outer, outer, self.tube_radius
 
@@ -143,8 +143,8 @@ class TwoBalls(Solid):
         return Ball(self.radius).distance(np.abs(x) - self.radius - self.gap / 2, y, z)
 
     @property
-    def reach(self) -> Triple:
-        """See `Solid.reach`."""
+    def half_extent(self) -> Triple:
+        """See `Solid.half_extent`."""
         return 2 * self.radius + self.gap / 2, self.radius, self.radius
 
     @property
@@ -214,8 +214,8 @@ class Vessel(Solid):
         return nearest
 
     @property
-    def reach(self) -> Triple:
-        """See `Solid.reach`."""
+    def half_extent(self) -> Triple:
+        """See `Solid.half_extent`."""
         high = np.max([np.maximum(p + a, q + b) for p, q, a, b in self._tubes], axis=0)
         return float(high[0]), float(high[1]), float(high[2])
 
@@ -237,15 +237,15 @@ def _round_cone(x: Floats, y: Floats, z: Floats, axis: Floats, first: float, las
     return np.hypot(s - centre, q) - (first - centre * sine)
 
 
-def cube(side: float) -> Box:
-    """A box with equal sides."""
-    return Box((side, side, side))
+def cube(side: float) -> Cuboid:
+    """A cuboid with equal sides."""
+    return Cuboid((side, side, side))
 
 
 SOLIDS: dict[str, Callable[..., Solid]] = {
     "ball": Ball,
     "cube": cube,
-    "box": Box,
+    "box": Cuboid,
     "torus": Torus,
     "two-balls": TwoBalls,
     "vessel": Vessel,

@@ -42,24 +42,20 @@ def build(
     outputs: Sequence[Mapping[str, str]] = (),
     warnings: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Put the report of a run together. Every key is always there; what is not known is null.
+    """Put the report of a run together. It always has every key; unknown values are null.
 
     Parameters
     ----------
-    status : {"ok", "failed", "interrupted"}
-        How the run ended.
-    exit_code : int
-        What the command returns.
+    status, exit_code : {"ok", "failed", "interrupted"}, int
+        How the run ended, and what the command returns.
     argv : sequence of str, optional
         The command line.
     config : RunConfig, optional
         Settings of the run; None when they were not valid.
-    source : mapping, optional
-        The input, from `file_entries.describe_input`.
-    result : Result, optional
-        What came out; None when nothing did.
-    error : mapping, optional
-        From `describe_error`.
+    source, error : mapping, optional
+        The input, from `file_entries.describe_input`; what went wrong, from `describe_error`.
+    result : Result or ObjectsResult, optional
+        None when the run failed before there was one.
     seconds : mapping of str to float, optional
         Durations by part of the run, as in `TIMED`; the result's are used for parts not named here.
     outputs : sequence of mapping, optional
@@ -72,10 +68,9 @@ def build(
     dict
         Ready for `to_json`.
     """
-    found: Mapping[str, float] = {}
     if result is not None:
-        config, found = result.config, result.seconds  # the result's settings have the seed that was drawn
-    spent = {**found, **(seconds or {})}
+        config = result.config  # with the seed that was drawn
+        seconds, warnings = {**result.seconds, **(seconds or {})}, [*result.warnings, *warnings]
     return {
         "schema_version": SCHEMA_VERSION,
         "status": status,
@@ -88,9 +83,9 @@ def build(
         "seed": config.seed if config is not None else None,
         "threads": config.threads if config is not None else None,
         **describe_result(result),
-        "seconds": {part: spent.get(part) for part in TIMED},
+        "seconds": {part: (seconds or {}).get(part) for part in TIMED},
         "peak_rss_mb": peak_rss_mb(),
-        "warnings": [*(result.warnings if result is not None else ()), *warnings],
+        "warnings": list(warnings),
         "outputs": [dict(output) for output in outputs],
     }
 

@@ -1,7 +1,7 @@
-"""A picture of a triangle mesh, in numpy alone: no window, no graphics driver, the same pixels everywhere.
+"""Rasterizes a triangle mesh with numpy alone: no window, no graphics driver, the same pixels everywhere.
 
-Each triangle is covered with points less than a pixel apart, which go into a depth buffer (orthographic view).
-Marching-cubes meshes have triangles of a few pixels, so this is as sharp as drawing them and much simpler.
+Each triangle is sampled at points less than a pixel apart, which go into a depth buffer (orthographic view). The
+triangles of marching cubes cover a few pixels, so this is as sharp as filling them and much simpler.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ Floats = NDArray[np.float64]
 
 #: Direction from the object to the viewer in LPS: from the front, the patient's left and above.
 VIEW = (0.55, -0.90, 0.50)
-_SAMPLES_AT_ONCE = 2_000_000
-#: Depths are told apart to this part of their range.
-_DEEPEST = 2**30
+_BATCH_SAMPLES = 2_000_000
+#: Depths are quantized to so many steps over their range.
+_DEPTH_STEPS = 2**30
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def render(
     view: tuple[float, float, float] = VIEW,
     box: ArrayLike | None = None,
 ) -> Picture:
-    """Draw a mesh with shading, orthographic. Triangles that face away are left out: the mesh should be closed.
+    """Draw a mesh with shading, orthographic. Triangles that face away are not drawn: the mesh should be closed.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def render(
     view : tuple of float, optional
         Direction from the object to the viewer; not vertical.
     box : array_like, shape (k, 3), optional
-        Points that the picture has to show, in mm; the vertices unless given. The same box gives several meshes the
-        same scale.
+        Points that the picture has to show, mm; the vertices by default. The same points give several meshes the same
+        scale.
 
     Examples
     --------
@@ -77,14 +77,14 @@ def render(
     triangles = np.asarray(faces, dtype=np.intp).reshape(-1, 3)
     frame = _frame(view)
     shown = (points if box is None else np.asarray(box, dtype=np.float64)) @ frame.T
-    fine = 2 * size  # drawn twice as fine and averaged, which smooths the edges
+    fine = 2 * size  # drawn at twice the resolution and averaged, which smooths the edges
     if not len(shown):
         return Picture(np.zeros((size, size, 4), np.float32), 1.0, frame[:2].T.copy())
     low, high = shown[:, :2].min(0), shown[:, :2].max(0)
     scale = 0.94 * fine / max(float((high - low).max()), 1e-9)
-    seen = points @ frame.T
-    seen[:, :2] = (seen[:, :2] - (low + high) / 2) * scale + fine / 2
-    depth, normals = _fill(seen, triangles, _vertex_normals(points, triangles) @ frame.T, fine)
+    projected = points @ frame.T
+    projected[:, :2] = (projected[:, :2] - (low + high) / 2) * scale + fine / 2
+    depth, normals = _fill(projected, triangles, _vertex_normals(points, triangles) @ frame.T, fine)
     pixels = _shade(depth, normals, np.asarray(color), scale)
     pixels = _halve(pixels[::-1])
     return Picture(pixels.astype(np.float32), 2.0 / scale, frame[:2].T.copy())
@@ -108,64 +108,64 @@ def _vertex_normals(points: Floats, triangles: NDArray[np.intp]) -> Floats:
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
 
-def _fill(seen: Floats, triangles: NDArray[np.intp], normals: Floats, fine: int) -> tuple[Floats, Floats]:
+def _fill(projected: Floats, triangles: NDArray[np.intp], normals: Floats, fine: int) -> tuple[Floats, Floats]:
     """Depth buffer (-inf where empty) and the normal at each pixel, both flat."""
-    corners = seen[triangles]
+    corners = projected[triangles]
     side, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     front = side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0] > 0  # the rest face away, behind these
     triangles, corners = triangles[front], corners[front]
     edges = np.abs(corners[:, [1, 2, 0], :2] - corners[:, :, :2]).max(axis=(1, 2), initial=0.0)
     levels = np.clip(np.ceil(edges * 1.1), 1, None).astype(np.intp)
-    low, high = seen[:, 2].min(), seen[:, 2].max()
-    depths = _Depths(low, (high - low) / _DEEPEST or 1.0)
+    low, high = projected[:, 2].min(), projected[:, 2].max()
+    depths = _Depths(low, (high - low) / _DEPTH_STEPS or 1.0)
     # Per pixel the depth of the nearest point, and in the lower half of the bits which point that is.
     nearest = np.full(fine * fine, -1, np.int64)
-    drawn, parts = 0, []
+    count, batches = 0, []
     for level in np.unique(levels):
-        weights = _middles(int(level))
+        weights = _subtriangle_centres(int(level))
         members = np.flatnonzero(levels == level)
-        chunk = max(1, _SAMPLES_AT_ONCE // len(weights))
+        chunk = max(1, _BATCH_SAMPLES // len(weights))
         for first in range(0, len(members), chunk):
             some = members[first : first + chunk]
-            _splat(nearest, (weights @ corners[some]).reshape(-1, 3), depths, drawn, fine)
-            parts.append((drawn, weights, triangles[some]))
-            drawn += len(some) * len(weights)
-    depth, turned = np.full(fine * fine, -np.inf), np.zeros((fine * fine, 3))
+            _rasterize_points(nearest, (weights @ corners[some]).reshape(-1, 3), depths, count, fine)
+            batches.append((count, weights, triangles[some]))
+            count += len(some) * len(weights)
+    depth, normal = np.full(fine * fine, -np.inf), np.zeros((fine * fine, 3))
     depth[nearest >= 0] = depths.mm(nearest[nearest >= 0] >> 32)
     point = np.where(nearest >= 0, nearest & 0xFFFFFFFF, -1)
-    for begin, weights, some in parts:
+    for begin, weights, some in batches:
         at = np.flatnonzero((point >= begin) & (point < begin + len(some) * len(weights)))
         which, sample = np.divmod(point[at] - begin, len(weights))
-        turned[at] = np.einsum("pi,pic->pc", weights[sample], normals[some[which]])
-    return depth, turned
+        normal[at] = np.einsum("pi,pic->pc", weights[sample], normals[some[which]])
+    return depth, normal
 
 
 class _Depths(NamedTuple):
-    """Depths as whole numbers 0 .. `_DEEPEST`."""
+    """Depths as whole numbers 0 .. `_DEPTH_STEPS`."""
 
     low: float
     step: float
 
     def whole(self, mm: Floats) -> NDArray[np.int64]:
-        return np.asarray(np.clip((mm - self.low) / self.step, 0, _DEEPEST), np.int64)
+        return np.asarray(np.clip((mm - self.low) / self.step, 0, _DEPTH_STEPS), np.int64)
 
     def mm(self, whole: NDArray[np.int64]) -> Floats:
         return np.asarray(self.low + self.step * whole, np.float64)
 
 
-def _middles(level: int) -> Floats:
-    """Weights of the middles of the `level`^2 triangles that a triangle is divided into, (n, 3)."""
+def _subtriangle_centres(level: int) -> Floats:
+    """Barycentric coordinates (n, 3) of the centres of the `level`^2 triangles that a triangle is divided into."""
     i, j, up = (a.ravel() for a in np.meshgrid(np.arange(level), np.arange(level), (1, 2), indexing="ij"))
-    keep = i + j + up <= level
-    a, b = (3 * i + up)[keep], (3 * j + up)[keep]
+    valid = i + j + up <= level
+    a, b = (3 * i + up)[valid], (3 * j + up)[valid]
     return np.stack([a, b, 3 * level - a - b], axis=1) / (3.0 * level)
 
 
-def _splat(nearest: NDArray[np.int64], points: Floats, depths: _Depths, drawn: int, fine: int) -> None:
-    """Draw points, numbered from ``drawn`` on, into ``nearest``."""
+def _rasterize_points(nearest: NDArray[np.int64], points: Floats, depths: _Depths, first: int, fine: int) -> None:
+    """Enter points, numbered from ``first`` on, into the depth buffer ``nearest``."""
     column, row = points[:, 0].astype(np.intp), points[:, 1].astype(np.intp)
     inside = np.flatnonzero((column >= 0) & (column < fine) & (row >= 0) & (row < fine))
-    key = (depths.whole(points[inside, 2]) << 32) + drawn + inside
+    key = (depths.whole(points[inside, 2]) << 32) + first + inside
     np.maximum.at(nearest, row[inside] * fine + column[inside], key)
 
 
@@ -185,7 +185,7 @@ def _shade(depth: Floats, normals: Floats, color: Floats, scale: float) -> Float
 
 
 def _rims(depth: Floats, covered: NDArray[np.bool_], scale: float) -> Floats:
-    """Factor that darkens pixels lying well behind a neighbour, so that parts in front stand out."""
+    """Factor that darkens pixels lying well behind a neighbour, so that what is in front stands out."""
     z = np.where(covered, depth, depth[covered].min() if covered.any() else 0.0) * scale  # in pixels
     front = z.copy()
     for axis in (0, 1):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord, Stop
-from accelsurf.grid.geometry import Box
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.region import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject

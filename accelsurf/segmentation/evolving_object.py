@@ -18,8 +18,7 @@ from accelsurf.evolution.records import Step, Stop
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import Flow
-from accelsurf.grid.boxes import Corner, corner_of, shared, widened
-from accelsurf.grid.geometry import Box
+from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields

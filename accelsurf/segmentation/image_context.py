@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelsurf.energies import gaussian_of
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.errors import UsageError
-from accelsurf.grid.geometry import Box
+from accelsurf.grid.boxes import Box
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.settings.energy_terms import HALF, Values
 from accelsurf.settings.run_config import RunConfig

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.geometry import Box
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.pyramid import Level, restrict
 
 

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError
-from accelsurf.grid.geometry import Box, Geometry
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.initialization import starts
 from accelsurf.segmentation.image_context import ImageContext, Mask, Scale
@@ -253,18 +254,14 @@ def in_mm(length: float | str, geometry: Geometry) -> float:
     """
     if not isinstance(length, str):
         return length
-    return float(length.removesuffix("vox")) * min(
-        h for n, h in zip(geometry.shape, geometry.spacing, strict=True) if n > 1
-    )
+    return float(length.removesuffix("vox")) * min(geometry.steps)
 
 
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
     """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
     image = volume.as_float32()
     if sigma > 0:
-        axes = zip(volume.geometry.shape, volume.geometry.spacing, strict=True)
-        widths = [sigma / h if n > 1 else 0.0 for n, h in axes]
-        image = ndimage.gaussian_filter(image, widths, output=np.float32)
+        image = gaussian_mm(image, volume.geometry.spacing, sigma, border="reflect")
     return image
 
 

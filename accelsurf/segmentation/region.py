@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.geometry import Box, Geometry
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
 
 

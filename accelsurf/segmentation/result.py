@@ -18,7 +18,8 @@ from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.geometry import Box, Geometry
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.settings.run_config import RunConfig

@@ -61,13 +61,13 @@ def choose_levels(
         terms = energy_expression.parse(config.energy)
         if psi is None or not has_name or any(term.name == "geodesic" for term in terms):
             return pyramid.levels(shape, spacing, 1)
-        grids = pyramid.levels(shape, spacing, fewest=pyramid.AUTO_FEWEST)
-        return grids[: pyramid.resolved(grids, psi)]
+        grids = pyramid.levels(shape, spacing, min_voxels=pyramid.AUTO_MIN_VOXELS)
+        return grids[: pyramid.count_resolved_levels(grids, psi)]
     grids = pyramid.levels(shape, spacing, wanted)
     if len(grids) < wanted:
         raise UsageError(
             f"levels: {wanted} was given, expected at most {len(grids)} for this image",
-            f"the coarsest grid has at least {pyramid.FEWEST} voxels along an axis that is halved",
+            f"the coarsest grid has at least {pyramid.MIN_VOXELS} voxels along an axis that is halved",
         )
     return grids
 

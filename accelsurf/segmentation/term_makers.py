@@ -28,7 +28,7 @@ from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
-from accelsurf.grid.spacing import largest_spacing
+from accelsurf.grid.geometry import axis_steps
 from accelsurf.segmentation.image_context import TermInputs
 
 #: R of local-region unless given, voxels of the largest spacing.
@@ -49,7 +49,7 @@ def local_region(inputs: TermInputs) -> Made:
     """Two regions, each with its mean in a window."""
     context = inputs.context
     # Of the image's own grid, on every level.
-    radius = inputs.number("R", WINDOW_VOXELS * largest_spacing(context.images[0].shape, context.spacing))
+    radius = inputs.number("R", WINDOW_VOXELS * max(axis_steps(context.images[0].shape, context.spacing)))
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
     return LocalRegion(inputs.image, radius, inputs.alpha, epsilon), {"R": radius, "epsilon": epsilon}
 
@@ -103,7 +103,7 @@ def geodesic(inputs: TermInputs) -> Made:
     scale = inputs.settings.get("scale", config.edge_scale)
     contrast = inputs.settings.get("contrast", config.edge_contrast)
     balloon = inputs.number("balloon", config.balloon)
-    scale = largest_spacing(image.shape, spacing) if isinstance(scale, str) else float(scale)
+    scale = max(axis_steps(image.shape, spacing)) if isinstance(scale, str) else float(scale)
     gradient = gradient_magnitude(image, spacing, scale)
     contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
     used = {"scale": scale, "contrast": contrast, "balloon": balloon}

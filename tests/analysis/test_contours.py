@@ -125,12 +125,14 @@ def test_csv_has_a_row_for_each_point_and_closes(ring, tmp_path):
     ring.write(tmp_path / "a.csv")
     ring.write(tmp_path / "ras.csv", "ras")
     rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
-    assert list(rows[0]) == ["contour", "x_mm", "y_mm", "z_mm"]
+    assert list(rows[0]) == ["contour", "x_lps_mm", "y_lps_mm", "z_lps_mm"]
     for number, loop in enumerate(ring.loops):
-        points = [[float(row[f"{a}_mm"]) for a in "xyz"] for row in rows if row["contour"] == str(number)]
+        points = [[float(row[f"{a}_lps_mm"]) for a in "xyz"] for row in rows if row["contour"] == str(number)]
         np.testing.assert_allclose(points, np.vstack([loop, loop[:1]]), atol=1e-6)
-    first = (tmp_path / "ras.csv").read_text().splitlines()[1].split(",")
-    assert float(first[1]) == -float(rows[0]["x_mm"]) and float(first[3]) == float(rows[0]["z_mm"])
+    first = next(csv.DictReader((tmp_path / "ras.csv").read_text().splitlines()))
+    assert float(first["x_ras_mm"]) == -float(rows[0]["x_lps_mm"])
+    assert float(first["y_ras_mm"]) == -float(rows[0]["y_lps_mm"])
+    assert float(first["z_ras_mm"]) == float(rows[0]["z_lps_mm"])
 
 
 def test_files_are_whole_or_not_there(ring, tmp_path):

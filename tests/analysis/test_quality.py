@@ -7,9 +7,10 @@ from accelsurf import cli, io
 from accelsurf.analysis.quality import assess
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
-from tests.report.test_document import row
+from tests.support.records import step_record
 
 SHAPE, SPACING = (40, 44, 48), (1.5, 1.0, 0.8)
 DONE = Stop("converged", 9, 1.0, "done")
@@ -27,7 +28,8 @@ def look(mask, image, history=(), stop=DONE):
 def test_a_clean_ball_raises_no_doubt():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
-    found = look(mask, mask + np.random.default_rng(1).normal(0, 0.05, SHAPE), [row(0, volume_mm3=5.0), row(1)])
+    history = [step_record(0, volume_mm3=5.0), step_record(1)]
+    found = look(mask, mask + np.random.default_rng(1).normal(0, 0.05, SHAPE), history)
     assert found.warnings == () and found.parts_beyond_necks == 1 and not found.leaked
     assert found.border_fraction == 0 and found.contrast == pytest.approx(1, abs=0.05)
     assert found.no_edge_fraction < 0.02 and found.growth == 2
@@ -75,7 +77,7 @@ def test_two_balls_on_a_thin_bridge_are_two_parts():
 def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
-    history = [row(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
+    history = [step_record(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
     found = look(mask, mask * 1.0, history, Stop("max-steps", 60, 6.0, "not converged"))
     assert found.late_growth == pytest.approx(40 / 218) and any("growth: " in words for words in found.warnings)
     assert look(mask, mask * 1.0, history).warnings == ()
@@ -125,11 +127,11 @@ def test_nothing_left_and_one_slice():
 @pytest.mark.parametrize("shape", [(12, 14, 9), (1, 20, 13)])
 def test_gradients_of_some_voxels_are_those_of_all(shape):
     from accelsurf.analysis.quality import _gradients
-    from accelsurf.energies.geodesic import gradient_magnitude, smoothed
+    from accelsurf.energies.geodesic import gradient_magnitude
 
     image = np.random.default_rng(1).normal(size=shape).astype(np.float32)
     some = np.arange(0, image.size, 3)
-    got = _gradients(smoothed(image, SPACING, 1.2), SPACING, some)
+    got = _gradients(gaussian_mm(image, SPACING, 1.2), SPACING, some)
     np.testing.assert_allclose(got, gradient_magnitude(image, SPACING, 1.2).ravel()[some], rtol=1e-5, atol=1e-6)
 
 
@@ -141,19 +143,20 @@ def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
     scan = (r < 9) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
     half = (r < 9) | ((r < 15) & (x > 0))
     whole = look(half, scan)
-    monkeypatch.setattr(quality, "ENOUGH", 1 << 12)
+    monkeypatch.setattr(quality, "GRADIENT_SAMPLES", 1 << 12)
     assert look(half, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.03)
 
 
 def test_slabs_make_no_difference(monkeypatch):
     from accelsurf.analysis import quality
+    from accelsurf.grid import slabs
 
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     scan = mask + np.random.default_rng(1).normal(0, 0.3, SHAPE)
     whole = look(mask, scan)
-    monkeypatch.setattr(quality, "SLAB", 1)
-    monkeypatch.setattr(quality, "HALOS", 1)
+    monkeypatch.setattr(slabs, "SLAB_VOXELS", 1)
+    monkeypatch.setattr(quality, "MIN_SLAB_HALOS", 1)
     assert look(mask, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.01)
 
 

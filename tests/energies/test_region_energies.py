@@ -1,8 +1,7 @@
-"""Local regions, likelihoods and thresholds: forces are derivatives of values; moving sums against slow references."""
+"""Local regions, likelihoods and thresholds: forces are derivatives of values; updated sums against slow references."""
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
 from accelsurf.analysis.metrics import dice
 from accelsurf.energies import (
@@ -21,28 +20,21 @@ from accelsurf.energies import (
 )
 from accelsurf.energies.threshold import threshold_field
 from accelsurf.errors import InputError, UsageError
-from accelsurf.flows import ConstantDensity, StepInput, StepLimits
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.api import segment
 from tests.support import reference
+from tests.support.gradient_check import (
+    GRIDS,
+    assert_derivative,
+    coordinates,
+    derivative_and_work,
+    smooth_field,
+    value,
+    value_after_steps,
+)
 
-GRIDS = {
-    "3D": ((40, 44, 42), (1.0, 0.9, 1.1)),
-    "thick slices": ((26, 44, 48), (2.0, 1.0, 0.9)),
-    "one slice": ((1, 96, 100), (3.0, 0.5, 0.45)),
-}
-
-
-def coordinates(grid):
-    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(*GRIDS[grid], strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"))
-
-
-def smooth_field(grid, seed, width=5.0):
-    shape, spacing = GRIDS[grid]
-    field = gaussian_filter(np.random.default_rng(seed).normal(size=shape), [width / h for h in spacing], mode="wrap")
-    return field / np.abs(field).max()
-
+#: Perturbation of the surface, mm.
+STEP = 0.3
 
 def image(grid):
     """A soft ball with a drift of brightness across it, between about -1 and 2."""
@@ -75,26 +67,6 @@ ENERGIES = {
 }
 
 
-def value(energy, psi, grid):
-    surface = LevelSet(psi, GRIDS[grid][1], 4.0)
-    energy.start(surface)
-    fraction, area = surface.fraction_and_area()
-    return energy.value(surface, fraction, area), surface, area
-
-
-def works(energy, grid, seed, step=0.3):
-    """Of a smooth outward perturbation eta: dU measured by differences, and f eta dA (n,)."""
-    z, y, x = coordinates(grid)
-    psi = np.sqrt(z**2 + y**2 + x**2) - 13.0 - smooth_field(grid, 7)
-    eta = 0.6 + smooth_field(grid, seed)
-    distance = value(energy, psi, grid)[1].psi.copy()
-    up, down = (value(energy, distance - sign * step * eta, grid)[0] for sign in (1, -1))
-    _, surface, area = value(energy, distance, grid)
-    front = surface.front()
-    force = energy.force(surface, front, surface.curvature(front))
-    return (up - down) / (2 * step), force * eta.ravel()[surface.band.cells] * area
-
-
 class Wrong(WeightedSum):
     """Any energy with the sign of its force turned."""
 
@@ -106,18 +78,14 @@ class Wrong(WeightedSum):
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("name", ENERGIES)
 def test_the_force_is_the_derivative_of_the_discrete_energy(name, grid, seed):
-    measured, work = works(ENERGIES[name](grid), grid, seed)
-    print(f"\n{name} {grid}: off by {(measured - work.sum()) / np.abs(work).sum():+.3%}")
     # Histograms of few voxels are rough, and so is the field of their logarithms; so are windows of few nodes.
     rough = "histogram" in name or name == "local"
-    assert abs(measured - work.sum()) <= (0.03 if rough else 0.02) * np.abs(work).sum()
-    # Far from cancelling, so that a wrong sign or factor could not pass.
-    assert abs(work.sum()) > 0.2 * np.abs(work).sum()
+    assert_derivative(ENERGIES[name](grid), grid, seed, STEP, tolerance=0.03 if rough else 0.02)
 
 
 @pytest.mark.parametrize("name", ENERGIES)
 def test_the_wrong_sign_is_no_derivative(name):
-    measured, work = works(Wrong([(1.0, ENERGIES[name]("3D"))]), "3D", 2)
+    measured, work = derivative_and_work(Wrong([(1.0, ENERGIES[name]("3D"))]), "3D", 2, STEP)
     assert abs(measured - work.sum()) > 0.4 * np.abs(work).sum()
 
 
@@ -162,33 +130,15 @@ def test_nodes_lie_alike_on_both_sides_of_the_middle(n, radius):
 
 
 @pytest.mark.parametrize("name", ["local", "gauss", "histogram", "histogram, fixed"])
-def test_what_is_kept_up_to_date_equals_what_is_summed_afresh(name):
+def test_updated_sums_equal_those_summed_afresh(name):
     grid = "3D"
     energy = ENERGIES[name](grid)
     z, y, x = coordinates(grid)
     surface = LevelSet(np.sqrt(z**2 + y**2 + (x - 3) ** 2) - 6, GRIDS[grid][1])
-    energy.start(surface)
-    flow = ConstantDensity()
-    flow.start(surface)
     before = (surface.psi < 0).sum()
-    for _ in range(25):
-        fraction, area = surface.fraction_and_area()
-        energy.value(surface, fraction, area)
-        front = surface.front()
-        curvature = surface.curvature(front)
-        move = flow.move(
-            StepInput(surface, front, energy.force(surface, front, curvature), curvature, area, 0.0), StepLimits(0.5)
-        )
-        surface.advance(move.speed, move.dt)
-        surface.remove_small()
-        change = surface.redistance(flow.fields)
-        flow.set_fields(change.fields)
-        energy.follow(surface, change)
-    fraction, area = surface.fraction_and_area()
-    kept = energy.value(surface, fraction, area)
+    updated, afresh = value_after_steps(energy, surface)
     assert (surface.psi < 0).sum() > 1.3 * before  # it did move
-    energy.start(surface)
-    assert kept == pytest.approx(energy.value(surface, fraction, area), rel=1e-9)
+    assert updated == pytest.approx(afresh, rel=1e-9)
 
 
 def test_a_local_region_finds_what_one_pair_of_means_cannot():
@@ -216,7 +166,7 @@ def test_likelihood_tells_regions_of_one_mean_by_their_variance():
 
 
 def test_likelihood_learns_from_foreground_and_background():
-    """The start is in the wrong object; what is learned decides. Values are reported in the image's own unit."""
+    """The start is in the wrong object; what is learned decides. Values are told in the image's own unit."""
     z, y, x = np.indices((30, 30, 60)).astype(float)
     balls = [(x - c) ** 2 + (y - 15) ** 2 + (z - 15) ** 2 < 9**2 for c in (15, 44)]
     scan = 100.0 + 50.0 * balls[0] + 120.0 * balls[1] + np.random.default_rng(1).normal(0, 5, balls[0].shape)

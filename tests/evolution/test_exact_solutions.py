@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from accelsurf.energies import Energy, RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
-from accelsurf.flows import ConstantDensity, Gradient, StepInput, StepLimits, StepPlan
+from accelsurf.flows import ConstantDensity, Gradient, StepLimits
 from accelsurf.levelset import LevelSet
 from tests.support import exact
 from tests.support.exact import Case
@@ -37,30 +37,8 @@ from tests.support.follow import (
     steps,
     surface_points,
 )
-
-
-class BentWrongly(ConstantDensity):
-    """The 1/2 beta^2 H term with the sign that the paper prints for surfaces (after f and beta are turned inward)."""
-
-    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        return super().move(now._replace(curvature=-now.curvature), limits)
-
-
-class AsPrinted(ConstantDensity):
-    """The paper's printed pair for surfaces: psi_t = -beta |grad psi| and + div(1/2 beta^2 n)."""
-
-    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        move = super().move(now, limits)
-        return move._replace(speed=-move.speed)
-
-
-class DescentAsPrinted(Gradient):
-    """The paper's printed gradient flow: psi_t = -f |grad psi|."""
-
-    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        move = super().move(now, limits)
-        return move._replace(speed=-move.speed)
-
+from tests.support.shapes import spheroid
+from tests.support.wrong_flows import AsPrinted, BentWrongly, DescentAsPrinted
 
 # ------------------------------------------------------------------------------------------- the references agree
 
@@ -180,12 +158,6 @@ def axis_point(points: np.ndarray, axis: int, h: float) -> float:
     off2 = (np.delete(points, axis, axis=1) ** 2).sum(axis=1)
     near = (off2 < (4 * h) ** 2) & (points[:, axis] > 0)
     return float(np.polynomial.polynomial.polyfit(off2[near], points[near, axis], 2)[0])
-
-
-def spheroid(on: Lattice) -> LevelSet:
-    """Half axes 1 along z and 0.8 along y and x; the function is no distance, so the first march is tested too."""
-    z, y, x = on.points
-    return LevelSet(np.sqrt((x**2 + y**2) / 0.64 + z**2) - 1.0, on.spacing)
 
 
 @pytest.mark.parametrize("k", [2.0, 3.0])

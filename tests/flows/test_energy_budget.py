@@ -14,8 +14,9 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, Noise, StepLimits
 from accelsurf.levelset import LevelSet
-from tests.evolution.test_exact_solutions import BentWrongly, spheroid
 from tests.support.follow import lattice
+from tests.support.shapes import spheroid
+from tests.support.wrong_flows import BentWrongly
 
 
 def run(

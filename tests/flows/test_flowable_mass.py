@@ -14,12 +14,13 @@ from scipy.integrate import solve_ivp
 from scipy.special import sph_harm_y
 
 from accelsurf.energies import Energy, RegionField
-from accelsurf.evolution.loop import Evolution, StepRecord
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import FlowableMass, StepInput, StepLimits, StepPlan
 from accelsurf.levelset import LevelSet
-from tests.evolution.test_exact_solutions import spheroid
 from tests.support import exact
 from tests.support.follow import WIDTH, Lattice, energy_of, follow, lattice, surface_points
+from tests.support.shapes import spheroid
 
 AXES = np.array((0.6, 0.8, 1.0))  # z, y, x
 #: Half axes (x, y, z) of case I, from another solver run; eight digits.

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid import pyramid
-from accelsurf.grid.pyramid import levels, prolong, resolved, restrict, smallest_depth
+from accelsurf.grid import pyramid, slabs
+from accelsurf.grid.pyramid import count_resolved_levels, levels, min_component_depth, prolong, restrict
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import transfer_fields
 
@@ -45,7 +45,7 @@ def test_a_single_slice_stays_and_its_thickness_does_not_count():
 
 @pytest.mark.parametrize("grid", GRIDS)
 def test_means_of_a_linear_image_are_its_values_at_the_centres(grid):
-    grids = levels(*GRIDS[grid], fewest=4)
+    grids = levels(*GRIDS[grid], min_voxels=4)
     assert len(grids) >= 3
     image = sum((axis + 1) * p for axis, p in enumerate(positions(grids[0], grids))).astype(np.float32)
     for fine, coarse in zip(grids, grids[1:], strict=False):
@@ -135,16 +135,16 @@ def test_depth_is_that_of_the_thinnest_part():
     z, y, x = np.indices((40, 40, 40)) - 19
     big = np.sqrt(z**2 + y**2 + x**2) - 8.2
     small = np.sqrt((z - 15) ** 2 + (y - 15) ** 2 + x**2) - 2.2
-    assert 8 < smallest_depth(big) <= 9
-    assert smallest_depth(np.minimum(big, small)) <= 3
-    assert smallest_depth(np.ones((4, 4, 4))) == 0 and smallest_depth(-np.ones((4, 4, 4))) == 0
+    assert 8 < min_component_depth(big) <= 9
+    assert min_component_depth(np.minimum(big, small)) <= 3
+    assert min_component_depth(np.ones((4, 4, 4))) == 0 and min_component_depth(-np.ones((4, 4, 4))) == 0
 
 
 def test_levels_that_resolve_a_start():
     grids = levels((96, 96, 96), (1.0, 1.0, 1.0))
     assert len(grids) == 4
     for radius, count in ((5.0, 1), (6.0, 2), (10.0, 2), (12.0, 3), (20.0, 3), (40.0, 4)):
-        assert resolved(grids, ball(grids[0], grids, (47.5,) * 3, radius)) == count
+        assert count_resolved_levels(grids, ball(grids[0], grids, (47.5,) * 3, radius)) == count
 
 
 def test_the_weights_of_the_interpolation_reproduce_cubics_far_from_the_border():
@@ -160,5 +160,5 @@ def test_slabs_make_no_difference(monkeypatch):
     fine, coarse = levels((33, 30, 27), (1.0, 1.1, 1.2), 2)
     psi = np.random.default_rng(5).normal(size=coarse.shape).astype(np.float32)
     whole = prolong(psi, coarse, fine)
-    monkeypatch.setattr(pyramid, "SLAB_VOXELS", 2 * 30 * 27)
+    monkeypatch.setattr(slabs, "SLAB_VOXELS", 2 * 30 * 27)
     assert np.array_equal(prolong(psi, coarse, fine), whole)

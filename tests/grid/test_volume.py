@@ -69,7 +69,11 @@ def test_the_advice_for_values_that_are_not_finite_works():
     array = np.arange(24.0).reshape(2, 3, 4)
     array[0, 0, :3] = np.nan, np.inf, -np.inf
     volume = Volume(array, GRID)
-    check_image(volume.with_array(np.nan_to_num(volume.array, posinf=0, neginf=0)))
+    with pytest.raises(InputError, match="not finite"):
+        check_image(volume)
+    better = volume.with_array(np.nan_to_num(volume.array, posinf=0, neginf=0))
+    check_image(better)
+    np.testing.assert_array_equal(better.as_float32().ravel(), [0, 0, 0, *range(3, 24)])
 
 
 def test_values_beyond_float32_are_refused():
@@ -87,8 +91,12 @@ def test_a_constant_image_is_refused(dtype):
 
 def test_an_image_of_two_values_is_an_image():
     array = np.zeros((2, 3, 4), bool)
+    with pytest.raises(InputError, match="constant"):
+        check_image(Volume(array, GRID))
     array[0, 0, 0] = True
-    check_image(Volume(array, GRID))
+    image = Volume(array, GRID)
+    check_image(image)
+    assert image.as_float32().sum() == 1.0
 
 
 @pytest.mark.parametrize(
@@ -135,3 +143,18 @@ def test_another_array_on_the_same_grid_keeps_the_header_and_not_the_source(tmp_
     assert volume.metadata == {"key": "value"}
     with pytest.raises(InputError, match="shape"):
         volume.with_array(np.zeros((4, 3, 2)))
+
+
+def test_repr_is_one_short_line(tmp_path):
+    volume = Volume(np.zeros((2, 3, 4), np.float32), GRID, source=tmp_path / "scan.nii")
+    text = repr(volume)
+    assert "\n" not in text and "float32" in text and f"shape={GRID.shape}" in text and "scan.nii" in text
+    assert len(repr(Volume.from_array(np.zeros((50, 60, 70))))) < 120
+
+
+def test_repr_of_a_geometry_names_a_direction_only_when_it_has_one():
+    assert repr(Geometry((5, 4, 3), (2, 1, 0.5))) == (
+        "Geometry(shape=(5, 4, 3), spacing=(2.0, 1.0, 0.5), origin=(0.0, 0.0, 0.0))"
+    )
+    flipped = np.diag([-1.0, -1.0, 1.0])
+    assert repr(Geometry((5, 4, 3), (2, 1, 0.5), direction=flipped)).endswith(f"direction={flipped.tolist()})")

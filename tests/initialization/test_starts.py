@@ -200,7 +200,7 @@ def test_label_ids(tmp_path):
     for ids, want in (("3", [3]), ("2,7-9", [2, 7, 8, 9])):
         psi = starts.build([f"label:{path}@{ids}"], volume)
         np.testing.assert_array_equal(psi < 0, np.isin(labels, want))
-    with pytest.raises(InputError, match="no voxel of the label map"):
+    with pytest.raises(InputError, match="the label map has no voxel of these labels"):
         starts.build([f"label:{path}@999"], volume)
 
 

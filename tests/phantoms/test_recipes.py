@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.special import erf
 
 from accelsurf.errors import AccelsurfError, InputError, UsageError
+from accelsurf.grid import slabs
 from accelsurf.phantoms import recipes
 from accelsurf.phantoms.recipes import (
     Recipe,
@@ -21,7 +22,7 @@ from accelsurf.phantoms.recipes import (
     recipe_names,
     signed_distance,
 )
-from accelsurf.phantoms.solids import Ball, Box, Torus, TwoBalls, Vessel
+from accelsurf.phantoms.solids import Ball, Cuboid, Torus, TwoBalls, Vessel
 
 SHIPPED = "ball ball_anisotropic ball_small box cube cube_noisy cube_oblique disc torus two_balls vessel".split()
 
@@ -55,7 +56,7 @@ def surface_points(kind: str) -> np.ndarray:
     ("kind", "solid"),
     [
         ("ball", Ball(5.0)),
-        ("box", Box((8.0, 6.0, 10.0))),
+        ("box", Cuboid((8.0, 6.0, 10.0))),
         ("torus", Torus(7.0, 2.5)),
         ("two-balls", TwoBalls(5.0, gap=2.0)),
     ],
@@ -63,7 +64,7 @@ def surface_points(kind: str) -> np.ndarray:
 def test_signed_distance_is_the_distance_to_the_surface(kind: str, solid: Ball) -> None:
     points = surface_points(kind)
     assert np.abs(solid.distance(*points.T)).max() < 1e-12
-    np.testing.assert_allclose(np.abs(points).max(axis=0), solid.reach, rtol=1e-3)
+    np.testing.assert_allclose(np.abs(points).max(axis=0), solid.half_extent, rtol=1e-3)
     where = np.random.default_rng(0).uniform(-14, 14, (4000, 3))
     brute = cKDTree(points).query(where)[0]
     signed = solid.distance(*where.T)
@@ -139,7 +140,7 @@ def test_antialiased_image_holds_the_exact_volume(parameters: dict, spacing: tup
     phantom = make(recipe)
     measured = phantom.image.array.sum(dtype=np.float64) * recipe.geometry.voxel_volume
     # A flat face lies up to half a sample from where the samples say it is: a quarter voxel for both faces.
-    sides = 2 * np.array(recipe.solid.reach)
+    sides = 2 * np.array(recipe.solid.half_extent)
     flat = float((np.array(spacing) / 4 / sides).sum())
     tolerance = flat if parameters["kind"] in ("cube", "box") else 0.002 * max(spacing) ** 2
     assert phantom.volume_mm3 == recipe.solid.volume
@@ -167,7 +168,7 @@ def test_exact_area_is_the_growth_of_the_volume() -> None:
         (Ball(5.0), Ball(5.0 + step), Ball(5.0 - step)),
         (Torus(7.0, 2.5), Torus(7.0, 2.5 + step), Torus(7.0, 2.5 - step)),
         (TwoBalls(5.0), TwoBalls(5.0 + step), TwoBalls(5.0 - step)),
-        (Box((4, 5, 6)), Box(tuple(s + 2 * step for s in (4, 5, 6))), Box(tuple(s - 2 * step for s in (4, 5, 6)))),
+        (Cuboid((4, 5, 6)), *(Cuboid(tuple(s + 2 * d for s in (4, 5, 6))) for d in (step, -step))),
     ):
         assert (grown.volume - shrunk.volume) / (2 * step) == pytest.approx(solid.area, rel=1e-6)
 
@@ -274,7 +275,7 @@ def test_middle_of_the_volume_is_the_worlds_origin() -> None:
 def test_slabs_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = load_recipe("ball_anisotropic").changed(noise=0.1)
     whole, psi = make(recipe), signed_distance(recipe)
-    monkeypatch.setattr(recipes, "SLAB_VOXELS", 5000)
+    monkeypatch.setattr(slabs, "SLAB_VOXELS", 5000)
     pieces = make(recipe)
     np.testing.assert_array_equal(pieces.image.array, whole.image.array)
     np.testing.assert_array_equal(pieces.truth.array, whole.truth.array)

@@ -24,6 +24,7 @@ from accelsurf.report.preview_content import PreviewContent
 from accelsurf.report.rasterizer import render
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.trace_columns import TRACE_COLUMNS
+from tests.support.records import step_record
 
 KEYS = {
     *("schema_version", "status", "exit_code", "error", "versions", "argv", "config", "input", "seed", "threads"),
@@ -32,23 +33,11 @@ KEYS = {
 }
 
 
-def row(step, **changes):
-    values = {
-        **dict(step=step, level=0, t=0.1 * step, dt=0.1, cfl_dt=0.1),
-        **dict(potential=100.0 / (step + 1), kinetic=1.0 + step, volume_mm3=10.0),
-        **dict(area_mm2=5.0, speed=1.0, motion_voxels=0.5, limited_fraction=0.05, diffusion=2.0, band_cells=99),
-        **dict(restarted=False, removed_components=0, seconds=0.01, cells_visited=500, clamped_fraction=0.0),
-        **dict(mass_potential=0.0, weight=4.0, friction_work=0.5, smoothing_work=0.25, noise_work=0.0),
-        **dict(mass=3.0, mass_correction=0.001),
-    }
-    return StepRecord(**{**values, **changes})
-
-
 def finished(**changes):
     values = dict(
         config=RunConfig(seed=4, threads=2),
         energy="chan-vese",
-        history=[row(0), row(1), row(2, kinetic=0.25)],
+        history=[step_record(0), step_record(1), step_record(2, kinetic=0.25)],
         stop=Stop("converged", 2, 0.2, "it moved no more"),
         levels=[LevelSummary(Level(0, (1, 1, 1), (5, 4, 3), (2.0, 1.0, 0.5)), 2, "converged")],
         seconds={"start": 0.1, "evolve": 2.0},
@@ -140,7 +129,8 @@ def test_describe_output_has_the_checksum_of_the_file(tmp_path):
 
 def test_trace_has_the_columns_of_a_row_in_order_and_loses_no_digit():
     assert (*TRACE_COLUMNS, "extra") == StepRecord._fields
-    rows = [row(0, potential=1 / 3, restarted=True), row(1, dt=np.float64(1e-17), band_cells=np.int64(7))]
+    last = step_record(1, dt=np.float64(1e-17), band_cells=np.int64(7))
+    rows = [step_record(0, potential=1 / 3, restarted=True), last]
     text = tables.trace_csv(rows)
     read = list(csv.DictReader(io.StringIO(text)))
     assert tuple(read[0]) == tuple(TRACE_COLUMNS)
@@ -160,7 +150,7 @@ def ball(shape=(12, 16, 20), spacing=(2.0, 1.0, 1.0), direction=None, radius=6.0
 
 
 def scene(psi, geometry, **changes):
-    rows = [row(i, restarted=i == 3) for i in range(8)]
+    rows = [step_record(i, restarted=i == 3) for i in range(8)]
     surface = extract(psi, geometry) if (psi < 0).any() else None
     values = dict(image=(psi < 0).astype(np.float32), psi=psi, geometry=geometry, history=rows, surface=surface)
     return PreviewContent(**{**values, "title": "a ball", **changes})
@@ -203,7 +193,7 @@ def test_preview_of_an_empty_result(reason):
 
 def test_preview_of_one_slice_and_of_a_gradient_flow():
     psi, geometry = ball(shape=(1, 16, 20))
-    rows = [row(i, kinetic=0.0) for i in range(3)]
+    rows = [step_record(i, kinetic=0.0) for i in range(3)]
     picture = pixels(preview.preview_png(scene(psi, geometry, history=rows)))
     assert share_of(picture, canvas.ORANGE) > 1e-4
     assert share_of(picture, canvas.VERMILION) == 0.0
@@ -211,7 +201,9 @@ def test_preview_of_one_slice_and_of_a_gradient_flow():
 
 def test_preview_without_a_single_step_and_of_a_constant_slice():
     psi, geometry = ball()
-    preview.preview_png(scene(psi, geometry, history=[], image=np.zeros_like(psi)))
+    picture = pixels(preview.preview_png(scene(psi, geometry, history=[], image=np.zeros_like(psi))))
+    assert share_of(picture[: len(picture) // 2], canvas.ORANGE) > 1e-3  # the contours
+    assert share_of(picture[len(picture) // 2 :], canvas.BLUE) < 1e-3  # no curve of the energy, only its axis' label
 
 
 def test_comparison_has_a_column_for_each_run_and_the_reference():

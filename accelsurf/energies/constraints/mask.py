@@ -9,7 +9,7 @@ from scipy import ndimage
 from accelsurf.energies.constraints.constrained import ConstrainedEnergy
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.energies.protocol import Energy
-from accelsurf.grid.spacing import smallest_spacing
+from accelsurf.grid.geometry import axis_steps
 from accelsurf.levelset import LevelSet
 
 #: The surface touches the boundary of the mask when it is this close, voxels of the smallest spacing.
@@ -53,7 +53,7 @@ def mask_distance(mask: NDArray[np.bool_], spacing: tuple[float, float, float]) 
     >>> mask_distance(np.array([[[False, True, True, False]]]), (1.0, 1.0, 2.0))
     array([[[ 1., -1., -1.,  1.]]], dtype=float32)
     """
-    half = np.float32(0.5 * smallest_spacing(mask.shape, spacing))
+    half = np.float32(0.5 * min(axis_steps(mask.shape, spacing)))
     distance = np.where(
         mask,
         half - ndimage.distance_transform_edt(mask, spacing) if not mask.all() else -1e6,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.flows import Flow
 from accelsurf.grid import pyramid
+from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
 
@@ -119,11 +120,10 @@ class Frame:
         """The frame of a run that has ended, of its last ``row`` and psi (nz, ny, nx) on the image's grid."""
         grid = pyramid.levels(geometry.shape, geometry.spacing, 1)[0]
         inside = psi < 0
-        if not inside.any() or inside.all():
+        box = bounding_box(inside, 2)
+        if box is None or inside.all():
             return cls(row, grid, (0, 0, 0), 1, np.zeros((0, 0, 0), np.float32))
-        ends = [np.flatnonzero(inside.any(axis=tuple(b for b in range(3) if b != a)))[[0, -1]] for a in range(3)]
-        box = [(max(int(a) - 2, 0), min(int(b) + 3, n)) for (a, b), n in zip(ends, psi.shape, strict=True)]
-        return cls(row, grid, (box[0][0], box[1][0], box[2][0]), 1, psi[tuple(slice(a, b) for a, b in box)].copy())
+        return cls(row, grid, corner_of(box), 1, psi[box].copy())
 
     @property
     def has_surface(self) -> bool:
