@@ -333,7 +333,7 @@ def diffusion_reach(surface: LevelSet) -> float:
 
 
 def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
-    """The paper's free gain: the largest D (mm2 per unit time) that costs no shorter step, within a mixing length.
+    """The paper's free gain: the largest D (mm2 per unit time) that does not shorten the step, within a mixing length.
 
     The first bound is what `diffuse` reaches in ``dt``; the second, MIXING x h x ``speed``, keeps a step that
     another bound has made short from being overdamped.
