@@ -122,10 +122,10 @@ class ImageContext:
             part._training, part._learned = self._training._replace(box=(z, y, x), inside=start), {}
         return part
 
-    def with_channels(self, images: Sequence[Image]) -> ImageContext:
-        """The same context for energies on another grid, where the channels after the first are ``images``."""
+    def on(self, box: Box) -> ImageContext:
+        """The same context for energies on a box of the image's own grid."""
         part = copy.copy(self)
-        part.others = lambda shape, spacing: list(images)
+        part.others = lambda shape, spacing: [np.ascontiguousarray(image[box]) for image in self.images[1:]]
         return part
 
     def once(self, make: Callable[..., Found], channel: int, *args: Any) -> Found:

@@ -91,8 +91,7 @@ class Moving:
         surface = LevelSet(psi, spacing, half_width(config), self.workers, overwrite=True)
         fields = None if before is None else moved(self.flow.fields, before.surface, at, surface, self.corner)
         image = np.ascontiguousarray(prepared.image[box])
-        further = [np.ascontiguousarray(channel[box]) for channel in self.context.images[1:]]
-        energy, self.terms = make_energy(config, image, spacing, self.context.with_channels(further))
+        energy, self.terms = make_energy(config, image, spacing, self.context.on(box))
         if fence is not None:
             energy = MaskConstraint(energy, fence)
         self.energy = NonOverlap(energy, self.corner)

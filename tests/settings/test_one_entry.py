@@ -19,15 +19,13 @@ from accelsurf.energies import ImageEnergy, sample_at_front
 from accelsurf.errors import UsageError
 from accelsurf.flows import Gradient
 from accelsurf.grid.volume import Volume
-from accelsurf.report import document
 from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.several import segment_objects
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.energy_terms import TERMS, Number, TermSpec, examples
 from accelsurf.settings.flow_specs import FLOWS, FlowSpec
 from accelsurf.settings.messages import expected
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.trace_columns import TRACE_COLUMNS, TraceColumn
+from accelsurf.settings.trace_columns import TRACE_COLUMNS, TraceColumn, row_values
 from docs.reference.generate import pages
 
 
@@ -165,13 +163,18 @@ def test_a_run_its_report_trace_and_progress(toys, tmp_path, capsys):
     assert [row["toy_cells"] for row in events if row["event"] == "step"] == [float(row["toy_cells"]) for row in rows]
 
 
-def test_several_objects(toys):
+def test_several_objects(toys, tmp_path):
     starts = np.zeros(volume().array.shape, np.uint8)
     starts[7:10, 9:12, 11:14] = 3
-    result = segment_objects(volume(), starts, energy=ENERGY, max_steps=4)
-    assert result.objects[3].terms[0]["strength"] == 2.0
-    text = document.objects_trace_csv({3: result.objects[3].history})
-    assert [row["toy_cells"][-3:] for row in csv.DictReader(streams.StringIO(text))] == [".25"] * 5
+    io.write(volume(), tmp_path / "ball.nii.gz")
+    io.write_labels(volume().with_array(starts), tmp_path / "starts.nii.gz")
+    words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path, "--objects", tmp_path / "starts.nii.gz"]
+    assert cli.run([str(word) for word in (*words, "--energy", ENERGY, "--max-steps", 4)]) == 0
+    report = json.loads((tmp_path / "ball_report.json").read_text())
+    assert report["objects"][0]["terms"][0] == {"term": "toy", "weight": 1.0, "strength": 2.0}
+    rows = list(csv.DictReader(streams.StringIO((tmp_path / "ball_trace.csv").read_text())))
+    assert [float(row["toy_cells"]) for row in rows] == [int(row["band_cells"]) + 0.25 for row in rows]
+    assert len(rows) == 5 and rows[0]["object"] == "3"
 
 
 # --------------------------------------------------------------------------------------------- viewer and documents
@@ -202,8 +205,8 @@ def test_a_column_that_came_later_is_empty_in_a_record_that_was_made_before():
     result = segment(volume(), start=START, max_steps=2)
     assert all(row.extra == () for row in result.history)
     with registered():
-        rows = list(csv.DictReader(streams.StringIO(document.trace_csv(result.history))))
-    assert [row["toy_cells"] for row in rows] == ["", "", ""]
+        rows = [row_values(row) for row in result.history]
+    assert [row["toy_cells"] for row in rows] == [None, None, None]
 
 
 def test_a_name_is_taken_once(toys):
