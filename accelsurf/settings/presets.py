@@ -78,7 +78,7 @@ PRESETS: dict[str, Preset] = {
         },
     ),
     "ct-organ": Preset(
-        "Organs of uniform values in CT (liver, spleen): balls of more than 5 mm well inside, in its bright and dark parts.",
+        "Uniform organs in CT (liver, spleen): balls of more than 5 mm well inside, in its bright and dim parts.",
         {"energy": "threshold:learned,learned", "presmooth": 2.0, "smoothness": 2.0},
         {
             "energy": _LEARNED + ". With presmooth it lies one to two millimetres within the edge to fat and lung: "
