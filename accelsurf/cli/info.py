@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, get_args
+from collections.abc import Mapping
+from typing import Annotated, Any, get_args
 
 from cyclopts import Parameter
 
@@ -15,22 +16,40 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
     as_json
         Print JSON, with the schema of the configuration.
     """
+    from accelsurf.report.document import to_json
+    from accelsurf.settings.presets import PRESETS
+    from accelsurf.settings.run_config import RunConfig
+
+    known = _known()
+    if as_json:
+        presets = {name: preset._asdict() for name, preset in PRESETS.items()}
+        print(to_json({**known, "presets": presets, "config_schema": RunConfig.json_schema()}))
+        return 0
+    for title, value in known.items():
+        if isinstance(value, dict):
+            print(title.replace("_", " ") + ":")
+            _print_table(value)
+        else:
+            print(f"{title.replace('_', ' ')}: {', '.join(value)}")
+    _print_presets()
+    _print_settings()
+    return 0
+
+
+def _known() -> dict[str, Any]:
+    """Names by kind: lists of them, or dicts with what each means."""
     from accelsurf import io
     from accelsurf.cli import EXIT_CODES
     from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts
     from accelsurf.phantoms import recipes
-    from accelsurf.report.document import to_json
-    from accelsurf.report.environment import versions
-    from accelsurf.settings.catalogue import help_of
+    from accelsurf.report.document import versions
     from accelsurf.settings.energy_terms import TERMS, image_terms
     from accelsurf.settings.fields import MeshFormat
     from accelsurf.settings.flow_specs import FLOWS
-    from accelsurf.settings.presets import PRESETS
-    from accelsurf.settings.run_config import RunConfig
     from accelsurf.settings.trace_columns import TRACE_COLUMNS
 
-    facts = {
+    return {
         "versions": versions(),
         "energies": list(image_terms()),
         "flows": list(FLOWS),
@@ -47,31 +66,31 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
             name: column.help + (f" ({column.unit})" if column.unit else "") for name, column in TRACE_COLUMNS.items()
         },
         "exit_codes": {str(code): meaning for code, meaning in EXIT_CODES.items()},
-        "presets": {name: preset._asdict() for name, preset in PRESETS.items()},
-        "config_schema": RunConfig.json_schema(),
     }
-    if as_json:
-        print(to_json(facts))
-        return 0
-    for title, value in facts.items():
-        if title in ("config_schema", "presets"):
-            continue
-        if isinstance(value, dict):
-            print(title.replace("_", " ") + ":")
-            width = max(map(len, value))
-            for key, entry in value.items():
-                print(f"  {key:{width}}  {entry}")
-        else:
-            print(f"{title.replace('_', ' ')}: {', '.join(value)}")
+
+
+def _print_table(entries: Mapping[str, Any]) -> None:
+    width = max(map(len, entries))
+    for key, entry in entries.items():
+        print(f"  {key:{width}}  {entry}")
+
+
+def _print_presets() -> None:
+    from accelsurf.settings.catalogue import as_typed
+    from accelsurf.settings.presets import PRESETS
+
     print("\nPresets (--preset NAME; options beside it win):")
     for name, preset in PRESETS.items():
         print(f"\n  {name}: {preset.summary}")
         for key, value in preset.settings.items():
-            shown = ",".join(value) if isinstance(value, tuple) else value
-            print(f"    {key} = {shown}: {preset.reasons[key]}")
+            print(f"    {key} = {as_typed(value)}: {preset.reasons[key]}")
         for volume, outcome in preset.tried.items():
             print(f"    tried on {volume}: {outcome}")
+
+
+def _print_settings() -> None:
+    from accelsurf.settings.catalogue import help_of
+    from accelsurf.settings.fields import SettingFields
+
     print("\nSettings (accelsurf segment --help has their defaults):")
-    for key in RunConfig.model_fields:
-        print(f"  {key:12}  {help_of(key)}")
-    return 0
+    _print_table({key: help_of(key) for key in SettingFields.model_fields})

@@ -10,7 +10,7 @@ from cyclopts import Group, Parameter
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import toml
-from accelsurf.settings.catalogue import entry, help_of, is_switch
+from accelsurf.settings.catalogue import default_shown, entry, help_of, is_switch
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
@@ -31,7 +31,7 @@ def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = Tru
     comes from.
     """
     members: list[tuple[str, Any, Any]] = []
-    for key, field in RunConfig.model_fields.items():
+    for key in RunConfig.model_fields:
         said = entry(key)
         if key in leave_out or (said.group is SettingGroup.FILES and not with_files):
             continue
@@ -40,7 +40,7 @@ def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = Tru
             name="--" + key.replace("_", "-"),
             help=help_of(key),
             group=GROUPS[said.group],
-            show_default=shown(field.default),
+            show_default=default_shown(key) or False,
             metavar=said.metavar or key.upper(),
             negative_iterable=(),
         )
@@ -48,17 +48,6 @@ def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = Tru
     # Cyclopts looks into a class only when its module is not the standard library's, where it would be put here.
     made = make_dataclass(name, members, frozen=True, namespace={"__module__": __name__})
     return Parameter(name="*")(made)
-
-
-def shown(value: Any) -> str | bool:
-    """Return a default as it would be typed; nothing for a field that has none."""
-    if value is None:
-        return False
-    if value == ():
-        return "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return ",".join(value) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 Settings = _settings("Settings")

@@ -98,7 +98,8 @@ def view(
 
 
 _OPEN_TO_OTHERS = (
-    "warning: --host {}: who reaches this machine and has the address may steer and download; nothing is encrypted"
+    "warning: --host {}: whoever reaches this machine and has the address can change the run and download files; "
+    "nothing is encrypted"
 )
 
 

@@ -31,6 +31,28 @@ def default_of(key: str) -> Any:
     return SettingFields.model_fields[key].default
 
 
+def as_typed(value: Any) -> str:
+    """A value as it would be typed; empty for None.
+
+    Examples
+    --------
+    >>> as_typed(0.5), as_typed(("ply", "stl")), as_typed(False), as_typed(())
+    ('0.5', 'ply,stl', 'no', 'none')
+    """
+    if value is None:
+        return ""
+    if value == ():
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ",".join(value) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def default_shown(key: str) -> str:
+    """The default of a setting as it would be typed; empty where it has none."""
+    return as_typed(default_of(key))
+
+
 def is_switch(key: str) -> bool:
     """Whether a setting is true or false."""
     return SettingFields.model_fields[key].annotation is bool

@@ -1,6 +1,6 @@
 """Changes of a run while it runs: settings, and balls added to or taken from the surface, each before a given step.
 
-A run that a person steered is the same run again when its edits are given to it: viewer, command line and Python apply
+A run that a person changed by hand is repeated when its edits are given to it: viewer, command line and Python apply
 them in one place, `accelsurf.segmentation.run.Run`.
 """
 

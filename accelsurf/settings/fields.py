@@ -96,8 +96,8 @@ class SettingFields(BaseModel):
     )
     objects: str | None = setting(
         None,
-        "Several objects at once, in place of --start: label map of first voxels on the image's grid, each "
-        "object its id (FILE@2,5-9: these only), or table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
+        "Several objects at once, in place of --start: a label map on the image's grid with the first voxels of each "
+        "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
         "id,x_vox,y_vox,z_vox,r_vox. They never overlap.",
         entry=SettingEntry(RUN, metavar="FILE"),
     )
@@ -114,7 +114,8 @@ class SettingFields(BaseModel):
     )
     foreground: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
         (),
-        "Voxels of the object that likelihood learns from, written as a start; several are united.",
+        "Voxels of the object that likelihood and learned thresholds learn from, written as a start; several are "
+        "united.",
         entry=SettingEntry(RUN, metavar="WHERE", scope="term", repeated=True, fixed=True),
     )
     background: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
@@ -282,8 +283,8 @@ class SettingFields(BaseModel):
     )
     levels: Annotated[int, Field(ge=1)] | Literal["auto"] = setting(
         "auto",
-        "Grids to run on, coarsest first, each with half the voxels along an axis of the next; 1 is the "
-        "image's own grid alone. auto takes as many as resolve image and start.",
+        "Number of grids to run on, coarsest first; each has half the voxels of the next along an axis. 1 is the "
+        "image's own grid alone; auto is as many as resolve image and start.",
         entry=SettingEntry(RUN, metavar="N|auto", fixed=True),
     )
     percentile: float = setting(

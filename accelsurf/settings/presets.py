@@ -48,30 +48,28 @@ _OBLIQUE = "T1 brain at 1 mm, oblique, skull-stripped (nii2meshCPP; FSL FAST)"
 
 PRESETS: dict[str, Preset] = {
     "ct-bone": Preset(
-        "Bone in CT, calibrated in HU. Its own start is all above 226 HU; --start largest:226, or ball:... for "
-        "one bone.",
+        "Bone in CT, calibrated in HU. Unless a start is given, it is all above 226 HU; --start largest:226, or "
+        "ball:... for one bone.",
         {"start": ("threshold:226,",), "energy": "threshold:226,", "presmooth": 0.0, "smoothness": 0.2},
         {
             "start": "all above the bound of the energy",
             "energy": "226 HU is the customary lower bound of bone: soft tissue with contrast agent ends at about 150, "
-            "compact bone begins at 300. Spongy bone below it is left out; metal is taken in",
+            "compact bone begins at 300. Spongy bone below it is left out; metal is included",
             "presmooth": "none: thin walls are a voxel wide",
-            "smoothness": "0.2 mm: takes single voxels of noise, keeps what is thicker than half a millimetre",
+            "smoothness": "0.2 mm: removes single voxels of noise, keeps what is thicker than half a millimetre",
         },
         {
             _HEAD: "no reference; one surface of the skull, converged in 40 steps",
-            _ABDOMEN: "Dice 0.49 against all bones: spongy bone is left out, the table and calcium are taken in",
+            _ABDOMEN: "Dice 0.49 against all bones: spongy bone is left out, the table and calcium are included",
         },
     ),
     "ct-vessel": Preset(
         "Vessels with contrast agent in CT: balls well inside the lumen.",
         {"energy": "threshold:half:50,learned", "presmooth": 0.5, "smoothness": 0.5},
         {
-            "energy": "from half-way between soft tissue (50 HU) and the mean in the start, as lumens are "
-            "measured (full "
-            "width at half maximum), to 2.5 standard deviations above that mean: bone and plaque are brighter. "
-            "Learned, as "
-            "contrast differs with phase and dose",
+            "energy": "from half-way between soft tissue (50 HU) and the mean in the start, as lumens are measured "
+            "(full width at half maximum), to 2.5 standard deviations above that mean: bone and plaque are brighter. "
+            "Learned, as contrast differs with phase and dose",
             "presmooth": "0.5 mm: a fraction of what CT resolves",
             "smoothness": "0.5 mm: keeps tubes down to a radius of 0.5 mm, closes thin bridges to bone",
         },
@@ -80,20 +78,20 @@ PRESETS: dict[str, Preset] = {
         },
     ),
     "ct-organ": Preset(
-        "Organs of even values in CT (liver, spleen): balls of more than 5 mm well inside, in all of its brightnesses.",
+        "Uniform organs in CT (liver, spleen): balls of more than 5 mm well inside, in its bright and dim parts.",
         {"energy": "threshold:learned,learned", "presmooth": 2.0, "smoothness": 2.0},
         {
             "energy": _LEARNED + ". With presmooth it lies one to two millimetres within the edge to fat and lung: "
             "small organs come out small (Dice 0.75 for a ball of 15 mm radius; with --presmooth 1 it is 0.88)",
-            "presmooth": "2 mm: the noise of a CT is 15 to 20 HU for a voxel, and alike over a millimetre or two; "
+            "presmooth": "2 mm: the noise of a CT is 15 to 20 HU for a voxel, and correlated over a millimetre or two; "
             "muscle is some 30 HU from liver: means over more than that are needed to tell them apart",
             "smoothness": "2 mm: the force is at most 1, so the surface does not get through holes of a radius below "
-            "twice this, about the thickness of a slice. Balls smaller than that vanish, sharper corners are cut",
+            "twice this, about the thickness of a slice. Balls smaller than that vanish, sharper corners are rounded",
         },
         {
             _ABDOMEN: "liver from three balls Dice 0.91, spleen from one 0.90; as much with either length at 3 mm. "
             "With either at 1 mm the liver leaks (0.71), with smoothness at 1 mm the spleen too (0.32). The stomach, "
-            "which is not even, fails (0.11). Otherwise phantoms",
+            "which is not uniform, fails (0.11). Otherwise phantoms",
         },
     ),
     "mr-brain": Preset(

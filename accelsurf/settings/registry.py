@@ -52,7 +52,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return len(self._entries)
 
     def register(self, entry: Entry) -> Registration:
-        """Add an entry; register it before the command line is imported if its help is to name it.
+        """Add an entry; add it before a command is first called, so that the help of its options names it.
 
         Parameters
         ----------

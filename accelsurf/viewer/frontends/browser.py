@@ -1,7 +1,7 @@
 """The scene in a page: a session steered from a browser on this machine, served by trame.
 
 The page shows pictures of the same scene as the window, drawn here, and sends requests, which `steering` checks. It
-loads nothing from elsewhere. Whoever has the token of the address may steer; nobody else is answered.
+loads nothing from elsewhere. Whoever has the token of the address can change the run; nobody else is answered.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Page:
     ----------
     steering : Steering
     token : str
-        Who has it may steer.
+        Whoever has it can change the run.
     address : str
         What to open, token and all; empty before the page is served.
 

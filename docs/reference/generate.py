@@ -1,0 +1,167 @@
+"""Write the reference pages from the registries of accelsurf: ``python -m docs.reference.generate``.
+
+Run it from the root of the repository after a setting, term, flow, trace column, preset or exit code has changed;
+``tests/settings/test_reference.py`` fails until then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from accelsurf.cli import EXIT_CODES
+from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
+from accelsurf.settings.energy_terms import TERMS, TermSpec
+from accelsurf.settings.entry import SettingGroup
+from accelsurf.settings.fields import SettingFields
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.messages import expected
+from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.trace_columns import TRACE_COLUMNS
+from docs.reference.report_keys import REPORT_KEYS
+
+HERE = Path(__file__).parent
+MADE = "<!-- Written by `python -m docs.reference.generate`; changes by hand are lost. -->"
+
+
+def pages() -> dict[str, str]:
+    """Return the text of each page by the name of its file."""
+    made = {
+        "settings.md": _settings(),
+        "energy-terms.md": _terms(),
+        "flows.md": _flows(),
+        "presets.md": _presets(),
+        "trace.md": _trace(),
+        "report.md": _report(),
+        "exit-codes.md": _exit_codes(),
+    }
+    titles = {name: text.splitlines()[0].removeprefix("# ") for name, text in made.items()}
+    index = ["# Reference", "", *(f"* [{title}]({name})" for name, title in titles.items())]
+    return {name: _page(lines) for name, lines in {"README.md": "\n".join(index), **made}.items()}
+
+
+def main() -> None:
+    """Write the pages beside this file."""
+    for name, text in pages().items():
+        (HERE / name).write_text(text, encoding="utf-8")
+        print(HERE.name + "/" + name)
+
+
+def _page(text: str) -> str:
+    title, _, rest = text.partition("\n")
+    return f"{title}\n\n{MADE}\n\n{rest.strip()}\n"
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    lines = [header, ["---"] * len(header), *rows]
+    return ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines] + [""]
+
+
+def _code(words: Iterable[str]) -> str:
+    return ", ".join(f"`{word}`" for word in words)
+
+
+def _settings() -> str:
+    lines = [
+        "# Settings",
+        "",
+        "Each setting is an option of `accelsurf segment` (`max_steps` is `--max-steps`), a key of a TOML file and an",
+        "argument of `accelsurf.segment`. `accelsurf info --json` has them as a JSON schema.",
+        "",
+    ]
+    for group in SettingGroup:
+        lines += [f"## {group}", ""]
+        for key in SettingFields.model_fields:
+            if entry(key).group is group:
+                lines += _setting(key)
+    return "\n".join(lines)
+
+
+def _setting(key: str) -> list[str]:
+    said, default = entry(key), default_shown(key)
+    facts = [("Option", f"`--{key.replace('_', '-')}`"), ("Values", expected(key).replace("*", "\\*"))]
+    facts += [("Default", f"`{default}`" if default else "not set")]
+    if said.unit:
+        facts.append(("Unit", said.unit))
+    if acts_on(key):
+        facts.append(("Acts on", _code(acts_on(key))))
+    if said.repeated:
+        facts.append(("Repeated", "the option may be given several times"))
+    facts.append(("While a run runs", "fixed" if said.fixed else "can change by an edit"))
+    return [f"### {key}", "", help_of(key), "", *_table(("", ""), facts)]
+
+
+def _terms() -> str:
+    lines = [
+        "# Energy terms",
+        "",
+        "An energy is a sum of terms with weights, as in `local-region:R=8 + 0.3*geodesic`. What stands after the",
+        "colon are settings of the term, as `key=value`, or values alone in the order of the tables.",
+        "",
+    ]
+    for name, spec in TERMS.items():
+        lines += [f"## {name}", "", f"{spec.help[0].upper()}{spec.help[1:]}.", "", *_term(spec)]
+    return "\n".join(lines)
+
+
+def _term(spec: TermSpec) -> list[str]:
+    lines = []
+    if spec.settings:
+        rows = [(f"`{key}`", kind.expected, kind.help) for key, kind in spec.settings.items()]
+        lines += _table(("Setting", "Values", "Meaning"), rows)
+    if uses := (*spec.uses, *spec.uses_to_learn):
+        lines.append(f"* Uses the settings {_code(uses)} of the run.")
+    seen = {"first": "the first", "mean": "the mean over all", "sum": "the sum over all"}[spec.channels]
+    if spec.sees_image:
+        lines.append(f"* Of an image of several channels it takes {seen}.")
+    else:
+        lines.append("* It does not see the image: it needs a term beside it that does.")
+    lines.append(f"* Its weight is {'any number other than 0' if spec.signed else 'a number greater than 0'}.")
+    return [*lines, ""]
+
+
+def _flows() -> str:
+    rows = [(f"`{name}`", spec.help, _code(spec.uses), str(spec.half_width)) for name, spec in FLOWS.items()]
+    header = ("Flow", "What it is", "Its settings", "Half width of the band (voxels)")
+    return "\n".join(["# Flows", "", "How the surface moves: `--flow NAME`.", "", *_table(header, rows)])
+
+
+def _presets() -> str:
+    lines = ["# Presets", "", "Settings for a kind of scan: `--preset NAME`. Settings given beside it win.", ""]
+    for name, preset in PRESETS.items():
+        rows = [(f"`{key}`", f"`{as_typed(value)}`", preset.reasons[key]) for key, value in preset.settings.items()]
+        lines += [f"## {name}", "", preset.summary, "", *_table(("Setting", "Value", "Why"), rows), "Tried on:", ""]
+        lines += [*(f"* {volume}: {outcome}" for volume, outcome in preset.tried.items()), ""]
+    return "\n".join(lines)
+
+
+def _trace() -> str:
+    rows = [(f"`{name}`", column.unit or "none", column.help) for name, column in TRACE_COLUMNS.items()]
+    lines = [
+        "# Trace",
+        "",
+        "`NAME_trace.csv` has a line for each step: the state at its beginning, then what the step did. Of several",
+        "objects the lines stand one object after the other, after a column `object`.",
+        "",
+    ]
+    return "\n".join([*lines, *_table(("Column", "Unit", "Meaning"), rows)])
+
+
+def _report() -> str:
+    lines = [
+        "# Report",
+        "",
+        "`NAME_report.json` is written for each run, also for one that fails. Every key is always there; what is not",
+        "known is null.",
+        "",
+    ]
+    return "\n".join([*lines, *_table(("Key", "Meaning"), [(f"`{key}`", text) for key, text in REPORT_KEYS.items()])])
+
+
+def _exit_codes() -> str:
+    rows = [(str(code), meaning) for code, meaning in EXIT_CODES.items()]
+    return "\n".join(["# Exit codes", "", *_table(("Code", "Meaning"), rows)])
+
+
+if __name__ == "__main__":
+    main()

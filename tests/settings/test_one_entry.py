@@ -1,0 +1,234 @@
+"""One entry adds a term, a flow or a trace column: registered in this file, each is found wherever one can look.
+
+Run as a program this file is the command line of accelsurf with the entries: ``python test_one_entry.py segment ...``.
+"""
+
+import csv
+import io as streams
+import json
+import os
+import subprocess
+import sys
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+from accelsurf import cli, io
+from accelsurf.energies import ImageEnergy, sample_at_front
+from accelsurf.errors import UsageError
+from accelsurf.flows import Gradient
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.api import segment
+from accelsurf.settings.catalogue import help_of
+from accelsurf.settings.energy_terms import TERMS, Number, TermSpec, examples
+from accelsurf.settings.flow_specs import FLOWS, FlowSpec
+from accelsurf.settings.messages import expected
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.trace_columns import TRACE_COLUMNS, TraceColumn, row_values
+from docs.reference.generate import pages
+
+
+class Brighter(ImageEnergy):
+    """U = strength int_inside (1/2 - I), so f = strength (1/2 - I)."""
+
+    def __init__(self, image, strength, alpha):
+        super().__init__(image, alpha)
+        self.strength = strength
+
+    def value(self, surface, fraction, area):
+        sums = self.sums.inside(surface, fraction)
+        return self.strength * (0.5 * sums.voxels - sums.total) * surface.voxel_volume + self.alpha * float(area.sum())
+
+    def force(self, surface, front, curvature):
+        bright = sample_at_front(self.sums.image, surface, front)
+        force = np.where(front, self.strength * (0.5 - bright), 0.0)
+        return (force + self.alpha * curvature).astype(np.float32)
+
+
+def make_brighter(inputs):
+    strength = inputs.number("strength", inputs.config.balance)
+    return Brighter(inputs.image, strength, inputs.alpha), {"strength": strength}
+
+
+TERM = TermSpec(
+    "toy",
+    "a toy that wants bright voxels",
+    make_brighter,
+    {"strength": Number(0.0, 9.0, low_too=False, help="how much it wants them")},
+    uses=("balance",),
+    example="toy:strength=2",
+)
+FLOW = FlowSpec("toy-flow", "a toy that descends", lambda config: Gradient(config.blend), uses=("blend",))
+COLUMN = TraceColumn(
+    "toy_cells", "cells", "a toy that counts the band", lambda surface, energy, flow: surface.size + 0.25
+)
+
+
+def registered():
+    stack = ExitStack()
+    for registry, entry in ((TERMS, TERM), (FLOWS, FLOW), (TRACE_COLUMNS, COLUMN)):
+        stack.enter_context(registry.register(entry))
+    return stack
+
+
+@pytest.fixture
+def toys():
+    with registered():
+        yield
+    assert "toy" not in TERMS and "toy-flow" not in FLOWS and "toy_cells" not in TRACE_COLUMNS
+
+
+def volume():
+    z, y, x = np.indices((16, 20, 24))
+    ball = (z - 8) ** 2 + (y - 10) ** 2 + (x - 12) ** 2 < 5**2
+    return Volume.from_array((100.0 * ball).astype(np.float32))
+
+
+ENERGY, START = "toy:strength=2 + 0.1*area", "ball:12,10,8,3vox"
+
+
+def program(*words, **environment):
+    """Output of the command line with the entries, in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, __file__, *map(str, words)], capture_output=True, text=True, timeout=120,
+        env={**os.environ, "COLUMNS": "500", "PYTHONPATH": os.pathsep.join(sys.path), **environment},
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+# ------------------------------------------------------------------------------------------------------- settings
+
+
+def test_configuration_and_toml(toys, tmp_path):
+    config = RunConfig(energy=ENERGY, flow="toy-flow", blend=0.3)
+    path = tmp_path / "run.toml"
+    path.write_text(config.to_toml())
+    assert RunConfig.from_toml(path) == config
+    path.write_text('energy = [{term = "toy", strength = 2}, {term = "area", weight = 0.1}]\n')
+    assert RunConfig.from_toml(path).energy == ENERGY
+
+
+def test_what_it_does_not_take_is_refused_in_the_usual_words(toys):
+    with pytest.raises(UsageError, match="a number above 0 and at most 9 for strength of toy"):
+        RunConfig(energy="toy:strength=10")
+    with pytest.raises(UsageError, match="geodesic, toy"):
+        RunConfig(energy="area")
+    with pytest.raises(UsageError, match="sobolev, momentum or toy-flow"):
+        RunConfig(flow="toy-flo")
+
+
+def test_its_settings_of_the_run_mean_something_to_it(toys):
+    assert RunConfig(energy="toy", balance=2, epsilon=1).unused() == ["epsilon"]
+    assert RunConfig(flow="toy-flow", blend=0.5, diffusion=1).unused() == ["diffusion"]
+
+
+def test_help_schema_and_messages(toys):
+    assert help_of("energy").endswith("toy: a toy that wants bright voxels.")
+    properties = RunConfig.json_schema()["properties"]
+    assert properties["flow"]["enum"][-1] == "toy-flow" and "toy that wants" in properties["energy"]["description"]
+    assert expected("flow").endswith("or toy-flow")
+
+
+# --------------------------------------------------------------------------------------------------- command line
+
+
+def test_help_of_the_command():
+    shown = program("segment", "--help")
+    assert "toy: a toy that wants bright voxels" in shown and "toy-flow: a toy that descends" in shown
+
+
+def test_info(toys, capsys):
+    assert cli.run(["info"]) == 0
+    shown = capsys.readouterr().out
+    assert "a toy that wants bright voxels (settings: strength)" in shown and "momentum, toy-flow" in shown
+    assert "a toy that counts the band (cells)" in shown
+    assert cli.run(["info", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert "toy" in facts["energies"] and "toy" in facts["energy_terms"] and "toy-flow" in facts["flows"]
+    assert "toy_cells" in facts["trace_columns"]
+
+
+def test_a_run_its_report_trace_and_progress(toys, tmp_path, capsys):
+    io.write(volume(), tmp_path / "ball.nii.gz")
+    words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path, "--energy", ENERGY, "--flow", "toy-flow"]
+    assert cli.run([str(word) for word in (*words, "--start", START, "--progress", "json")]) == 0
+    report = json.loads((tmp_path / "ball_report.json").read_text())
+    assert report["energy"]["terms"][0] == {"term": "toy", "weight": 1.0, "strength": 2.0}
+    assert report["config"]["flow"] == "toy-flow" and report["stop"]["reason"] == "converged"
+    rows = list(csv.DictReader(streams.StringIO((tmp_path / "ball_trace.csv").read_text())))
+    assert [float(row["toy_cells"]) for row in rows] == [int(row["band_cells"]) + 0.25 for row in rows]
+    events = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert [row["toy_cells"] for row in events if row["event"] == "step"] == [float(row["toy_cells"]) for row in rows]
+
+
+def test_several_objects(toys, tmp_path):
+    starts = np.zeros(volume().array.shape, np.uint8)
+    starts[7:10, 9:12, 11:14] = 3
+    io.write(volume(), tmp_path / "ball.nii.gz")
+    io.write_labels(volume().with_array(starts), tmp_path / "starts.nii.gz")
+    words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path, "--objects", tmp_path / "starts.nii.gz"]
+    assert cli.run([str(word) for word in (*words, "--energy", ENERGY, "--max-steps", 4)]) == 0
+    report = json.loads((tmp_path / "ball_report.json").read_text())
+    assert report["objects"][0]["terms"][0] == {"term": "toy", "weight": 1.0, "strength": 2.0}
+    rows = list(csv.DictReader(streams.StringIO((tmp_path / "ball_trace.csv").read_text())))
+    assert [float(row["toy_cells"]) for row in rows] == [int(row["band_cells"]) + 0.25 for row in rows]
+    assert len(rows) == 5 and rows[0]["object"] == "3"
+
+
+# --------------------------------------------------------------------------------------------- viewer and documents
+
+
+def test_lists_of_the_viewer():
+    pytest.importorskip("PySide6")
+    shown = program("panel", QT_QPA_PLATFORM="offscreen").split()
+    assert "toy:strength=2" in shown and "toy-flow" in shown
+
+
+def test_lists_of_the_page(toys):
+    assert "toy:strength=2" in examples() and "toy-flow" in list(FLOWS)
+
+
+def test_reference_pages(toys):
+    made = pages()
+    assert "## toy\n" in made["energy-terms.md"] and "how much it wants them" in made["energy-terms.md"]
+    assert "| `toy-flow` | a toy that descends | `blend` | 3 |" in made["flows.md"]
+    assert "| `toy_cells` | cells | a toy that counts the band |" in made["trace.md"]
+    assert "| Acts on | `chan-vese`, `toy` |" in made["settings.md"]
+
+
+# ----------------------------------------------------------------------------------------------------------- registry
+
+
+def test_a_column_that_came_later_is_empty_in_a_record_that_was_made_before():
+    result = segment(volume(), start=START, max_steps=2)
+    assert all(row.extra == () for row in result.history)
+    with registered():
+        rows = [row_values(row) for row in result.history]
+    assert [row["toy_cells"] for row in rows] == [None, None, None]
+
+
+def test_a_name_is_taken_once(toys):
+    with pytest.raises(ValueError, match="there is a term toy already"):
+        TERMS.register(TERM)
+
+
+def _panel():
+    from PySide6.QtWidgets import QApplication
+
+    from accelsurf.viewer.frontends.controls import Panel
+
+    application = QApplication([])
+    panel = Panel(volume().geometry)
+    for choice in panel.choices.values():
+        print(*(choice.itemText(place) for place in range(choice.count())), sep="\n")
+    del panel, application
+
+
+if __name__ == "__main__":
+    with registered():
+        if sys.argv[1] == "panel":
+            _panel()
+        else:
+            sys.exit(cli.run(sys.argv[1:]))

@@ -1,0 +1,27 @@
+"""The reference pages say what the registries say."""
+
+import numpy as np
+import pytest
+
+from accelsurf.segmentation.api import segment
+from docs.reference.generate import HERE, pages
+from docs.reference.report_keys import REPORT_KEYS
+
+
+@pytest.mark.parametrize("name", list(pages()))
+def test_the_committed_page_is_current(name):
+    written = (HERE / name).read_text(encoding="utf-8")
+    assert written == pages()[name], "run python -m docs.reference.generate"
+
+
+def test_no_page_is_left_over():
+    assert {path.name for path in HERE.glob("*.md")} == set(pages())
+
+
+def test_every_key_of_a_report_is_explained():
+    image = np.zeros((10, 12, 14), np.float32)
+    image[3:7, 4:8, 5:9] = 1
+    report = segment(image, start="ball:6,6,5,3vox", max_steps=2).report
+    nested = ("energy", "resolved_settings")
+    keys = {f"{key}.{inner}" for key in nested for inner in report[key]} | set(report) - {"energy"}
+    assert set(REPORT_KEYS) == keys
