@@ -156,7 +156,7 @@ CORNERS = "0 0 0\n9 0 0\n0 9 0\n0 0 9\n"
         ),
         ("a.ply", PLY.format(n=4, m=4) + CORNERS + "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 -3\n", "name points -3 to 3"),
         ("a.ply", PLY.format(n=4, m=3) + CORNERS + "3 0 2 1\n3 0 1 3\n3 0 3 2\n", "3 triangles with 3 open edges"),
-        ("a.ply", PLY.format(n=10**12, m=4) + CORNERS, "cannot be read as a mesh|open edges"),
+        ("a.ply", PLY.format(n=10**12, m=4) + CORNERS, "cannot be read as a mesh|open edges|no triangle"),
         (
             "a.ply",
             PLY.format(n=4, m=4) + "0 0 nan\n" + CORNERS[6:] + "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n",
