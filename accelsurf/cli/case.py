@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.cli import INTERRUPTED, objects
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
+from accelsurf.io.files import write_bytes
 from accelsurf.report import document, outputs, preview
-from accelsurf.report.outputs import make_writable, refuse_existing, tells_of_failure, write_bytes
+from accelsurf.report.outputs import make_writable, refuse_existing, tells_of_failure
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:

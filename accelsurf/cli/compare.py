@@ -123,8 +123,8 @@ def conclude(
     from accelsurf.cli import INTERRUPTED
     from accelsurf.cli.case import scene
     from accelsurf.cli.progress import table
+    from accelsurf.io.files import write_bytes
     from accelsurf.report import document, preview
-    from accelsurf.report.outputs import write_bytes
 
     runs: list[dict[str, Any]] = []
     rows: list[tuple[str, ...]] = []

@@ -15,8 +15,8 @@ from accelsurf.errors import (
     NotConvergedError,
     OutputError,
 )
+from accelsurf.io.files import write_bytes
 from accelsurf.report import document, preview
-from accelsurf.report.outputs import write_bytes
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Case

@@ -33,9 +33,10 @@ def synth(
         Replace outputs that exist.
     """
     from accelsurf import io
+    from accelsurf.io.files import write_bytes
     from accelsurf.phantoms import recipes
     from accelsurf.report.document import describe_output, to_json, versions
-    from accelsurf.report.outputs import refuse_existing, write_bytes
+    from accelsurf.report.outputs import refuse_existing
 
     folder = required(output, "-o DIR, the output folder,")
     chosen = recipes.load_recipe(recipe)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
 import shutil
 import tempfile
@@ -63,3 +65,33 @@ def staging(path: Path) -> Iterator[Path]:
         raise OutputError(
             f"{path}: cannot be written ({_last_words(error)})", hint="is there space on the disk?"
         ) from error
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file under a temporary name in the same folder, then rename it.
+
+    Raises
+    ------
+    OutputError
+        When the file cannot be written.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        draft.write_bytes(content)
+        os.replace(draft, path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})", "is the disk full?") from None
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file's bytes, hexadecimal, read piece by piece.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read.
+    """
+    with naming(Path(path)), Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import document, preview
 from accelsurf.settings.run_config import LabelFormat, RunConfig
@@ -141,24 +142,6 @@ def make_writable(folder: Path) -> None:
     except OSError as error:
         reason = error.strerror or str(error)
         raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name in the same folder, then rename it.
-
-    Raises
-    ------
-    OutputError
-        When the file cannot be written.
-    """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        draft.write_bytes(content)
-        os.replace(draft, path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})", "is the disk full?") from None
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def write_result(

@@ -10,6 +10,7 @@ import math
 import re
 import struct
 import zlib
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, PictureHeader, inflated_bytes
+from accelsurf.io.formats.deflate import inflated_bytes
+from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, PictureHeader
 
 _SAVE_PLAIN = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
 LARGEST_FILE = 0xFFFFFFFF
@@ -41,7 +43,53 @@ _MM = {
 Page = dict[int, tuple[Any, ...]]
 
 
-def parse(file: BinaryIO) -> PictureHeader:
+@dataclass(frozen=True)
+class TiffHeader(PictureHeader):
+    """What the directories of a TIFF claim, and whether the file keeps it.
+
+    Attributes
+    ----------
+    unpacked_bytes : int
+        Bytes of all rows when unpacked.
+    strips : tuple of (int, int)
+        Offset and length of the strips or tiles.
+    packing : int
+        Compression, by its number.
+    """
+
+    unpacked_bytes: int
+    strips: tuple[tuple[int, int], ...]
+    packing: int
+
+    def check_complete(self) -> None:
+        """Refuse a TIFF whose strips are not all there.
+
+        Raises
+        ------
+        InputError
+            With what is missing.
+        """
+        size, present = self.data.stat().st_size, 0
+        with self.data.open("rb") as file:
+            for offset, length in self.strips:
+                if offset + length > size or length == 0:
+                    raise InputError(
+                        f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
+                        hint=TRUNCATED_HINT,
+                    )
+                if self.packing in _DEFLATE:
+                    file.seek(offset)
+                    present += inflated_bytes(zlib.decompressobj(), file.read(length))
+                else:
+                    present += length
+        if self.packing in (1, *_DEFLATE) and present < self.unpacked_bytes:
+            raise InputError(
+                f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {present}",
+                hint=TRUNCATED_HINT,
+            )
+
+
+def parse(path: Path) -> TiffHeader:
     """Read the directories of a TIFF (also BigTIFF): a page is a slice.
 
     Raises
@@ -50,7 +98,9 @@ def parse(file: BinaryIO) -> PictureHeader:
         When it is none, is damaged, its pages differ, or it is of a sort that ITK does not read faithfully.
     """
     try:
-        pages = [page for page in _pages(file) if not page.get(_SUBFILE, (0,))[0] & 1]  # thumbnails are marked by 1
+        with path.open("rb") as file:
+            found = _pages(file)
+        pages = [page for page in found if not page.get(_SUBFILE, (0,))[0] & 1]  # thumbnails are marked by 1
         if not pages:
             raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
         first = _sort(pages[0])
@@ -69,35 +119,7 @@ def parse(file: BinaryIO) -> PictureHeader:
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
     unpacked = len(pages) * height * ((width * bits + 7) // 8)
     pixel = 4 if _TILES in pages[0] or bits == 1 else bits // 8  # those ITK reads as colours with opacity
-    return PictureHeader((len(pages), height, width), spacing, unpacked, pixel, strips, packing)
-
-
-def check_complete(path: Path, header: PictureHeader) -> None:
-    """Refuse a TIFF whose strips are not all there.
-
-    Raises
-    ------
-    InputError
-        With what is missing.
-    """
-    size, present = path.stat().st_size, 0
-    with path.open("rb") as file:
-        for offset, length in header.strips:
-            if offset + length > size or length == 0:
-                raise InputError(
-                    f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
-                    hint=TRUNCATED_HINT,
-                )
-            if header.packing in _DEFLATE:
-                file.seek(offset)
-                present += inflated_bytes(zlib.decompressobj(), file.read(length))
-            else:
-                present += length
-    if header.packing in (1, *_DEFLATE) and present < header.unpacked_bytes:
-        raise InputError(
-            f"the header announces {header.unpacked_bytes} bytes of voxels, the file holds {present}",
-            hint=TRUNCATED_HINT,
-        )
+    return TiffHeader(path, (len(pages), height, width), spacing, pixel, unpacked, strips, packing)
 
 
 def _pages(file: BinaryIO) -> list[Page]:
