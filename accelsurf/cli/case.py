@@ -159,7 +159,7 @@ def _compute(case: Case, watcher: Watcher) -> None:
         case.warnings.append(note)
     labels = case.label_format(case.config)
     outputs.check(case.config, labels, case.volume.geometry)
-    if not raster.keeps(case.volume.geometry, f".{labels}"):
+    if not raster.preserves(case.volume.geometry, f".{labels}"):
         case.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     preview.load_meanwhile()
     with watcher.watch(case.name, case.config.max_steps):

@@ -1,4 +1,4 @@
-"""Files as such: errors that name them, and writing that leaves them whole or not at all."""
+"""Errors that name a file, and writing in which a file appears complete or not at all."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def naming(path: Path) -> Iterator[None]:
         ) from error
     except RuntimeError as error:
         raise InputError(
-            f"{path}: cannot be read as an image ({_last_words(error)})",
+            f"{path}: cannot be read as an image ({_itk_reason(error)})",
             hint="the file may be damaged: export it again",
         ) from error
     except MemoryError as error:
         raise InputError(f"{path}: does not fit into memory", hint="crop or downsample the image") from error
 
 
-def _last_words(error: RuntimeError) -> str:
-    """What happened, out of ITK's many lines of where."""
+def _itk_reason(error: RuntimeError) -> str:
+    """The reason alone, out of the many lines of an error of ITK."""
     text = " ".join(str(error).split())
-    for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls says it best
+    for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls is the cause
         text = text.rpartition(mark)[2] or text
     return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
 
@@ -63,7 +63,7 @@ def staging(path: Path) -> Iterator[Path]:
         ) from error
     except RuntimeError as error:
         raise OutputError(
-            f"{path}: cannot be written ({_last_words(error)})", hint="is there space on the disk?"
+            f"{path}: cannot be written ({_itk_reason(error)})", hint="is there space on the disk?"
         ) from error
 
 
@@ -75,14 +75,10 @@ def write_bytes(path: Path, content: bytes) -> None:
     OutputError
         When the file cannot be written.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with staging(path) as folder:
+        draft = folder / path.name
         draft.write_bytes(content)
         os.replace(draft, path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})", "is the disk full?") from None
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

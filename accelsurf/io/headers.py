@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.io.formats import nifti, nifti_grid, nrrd_metaimage, png, tiff
-from accelsurf.io.formats.raster import PictureHeader
+from accelsurf.io.formats.raster import RasterHeader
 from accelsurf.io.formats.raw_header import RawHeader
 
-Header = RawHeader | PictureHeader
+Header = RawHeader | RasterHeader
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class ImageFormat:
     parse : callable
         Reads the header of a file without its voxels; raises InputError or GeometryError.
     metadata_key : str
-        Where `Volume.metadata` keeps the header fields that place the grid; empty where none are kept.
+        Where `Volume.metadata` keeps the header fields that place the grid; empty where the format has none.
     put_grid : callable or None
         Puts them back into a file that was written.
     encode : callable or None

@@ -27,7 +27,7 @@ from accelsurf.io.headers import FORMATS, SUFFIXES, split_name
 from accelsurf.io.memory import available_memory, check_memory
 
 WARNING_KEY = "warning"
-"""Where `Volume.metadata` keeps what a person should hear about the file that was read; absent when all is well."""
+"""Where `Volume.metadata` keeps a warning about the file that was read; absent when there is none."""
 
 _HEADER_SAMPLE = 1 << 14  # bytes, more than any header written here has
 
@@ -46,7 +46,7 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Vo
     -------
     Volume
         Voxels in their own type (as float when the header scales them), on a grid in mm, LPS; ``metadata`` holds what
-        `write` needs to give the same header back, and under "warning" what a person should know about the file.
+        `write` needs to give the same header back, and under "warning" what the user should know about the file.
 
     Raises
     ------
@@ -69,14 +69,14 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Vo
         suffix = headers.input_suffix(path)
         header = headers.parse(path, suffix)
         available = available_memory() if memory_bytes is None else memory_bytes
-        if isinstance(header, raster.PictureHeader):
-            return _read_picture(path, suffix, header, available)
+        if isinstance(header, raster.RasterHeader):
+            return _read_raster(path, suffix, header, available)
         if isinstance(header, nifti.NiftiFile):
             nifti.check_single(header.nifti)
             if header.nifti.version == 2:
                 return read_nifti(path, header, available)[0]
         reader = itk.open_reader(path, FORMATS[suffix].itk_name)
-        itk.check_sort(reader)
+        itk.check_kind(reader)
         check_memory(reader.GetSize(), itk.voxel_bytes(reader), available)
         header.check_complete()
         image = itk.execute(reader)
@@ -112,7 +112,7 @@ def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> list[Volu
 
 
 def _metadata(header: RawHeader, geometry: Geometry) -> dict[str, str]:
-    """What a volume keeps of its header, with a warning when the header places it twice."""
+    """The metadata of a volume: fields of its header, and a warning when qform and sform disagree."""
     warning = header.nifti.grid.check_agreement(geometry) if isinstance(header, nifti.NiftiFile) else ""
     return header.metadata | ({WARNING_KEY: warning} if warning else {})
 
@@ -127,7 +127,7 @@ def read_labels(path: str | os.PathLike[str], *, memory_bytes: int | None = None
     """
     volume = read(path, memory_bytes=memory_bytes)
     with naming(Path(path)):
-        return Volume(_whole(volume.array), volume.geometry, volume.metadata, volume.source)
+        return Volume(_as_integers(volume.array), volume.geometry, volume.metadata, volume.source)
 
 
 def write(volume: Volume, path: str | os.PathLike[str]) -> None:
@@ -160,17 +160,17 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
     if suffix in raster.SUFFIXES:
         raster.check_writable(volume.array, suffix)
     with staging(path) as folder:
-        whole = folder / (stem + suffix)  # in lower case, as ITK insists on
-        draft = whole.with_name(stem + ".nii") if suffix == ".nii.gz" else whole
+        target = folder / (stem + suffix)  # in lower case, as ITK insists on
+        draft = target.with_name(stem + ".nii") if suffix == ".nii.gz" else target
         _save(volume, draft, suffix)
         _restore_grid(draft, suffix, volume)
         if suffix == ".nii.gz":
-            gzip_file(draft, whole)
+            gzip_file(draft, target)
             draft.unlink()
         for file in folder.iterdir():  # the data file of an .mhd first: a header never names what is not there
-            if file != whole:
+            if file != target:
                 os.replace(file, path.parent / file.name)
-        os.replace(whole, path)
+        os.replace(target, path)
 
 
 def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
@@ -183,7 +183,7 @@ def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     InputError
         When a value is not a whole number from 0 to 4294967295; else as `write`.
     """
-    values = _whole(volume.array)
+    values = _as_integers(volume.array)
     low, high = int(values.min()), int(values.max())
     if low < 0 or high > 2**32 - 1:
         raise InputError(f"labels from {low} to {high} given, 0 to {2**32 - 1} expected", hint="renumber the labels")
@@ -198,8 +198,8 @@ def label_type(largest: int) -> np.dtype[Any]:
     return np.dtype(np.uint8 if largest <= 255 else np.uint16 if largest <= 65535 else np.uint32)
 
 
-def _read_picture(path: Path, suffix: str, header: raster.PictureHeader, available: int) -> Volume:
-    """Read a PNG or TIFF. ITK opens it last: it prints about damaged ones."""
+def _read_raster(path: Path, suffix: str, header: raster.RasterHeader, available: int) -> Volume:
+    """Read a PNG or TIFF. ITK opens it last, because it prints messages about damaged files."""
     check_memory(header.shape[::-1], header.pixel_bytes, available)
     header.check_complete()
     image = itk.execute(itk.open_reader(path, FORMATS[suffix].itk_name))
@@ -251,7 +251,7 @@ def _restore_grid(path: Path, suffix: str, volume: Volume) -> None:
         form.put_grid(path, fields)
 
 
-def _whole(array: NDArray[Any]) -> NDArray[Any]:
+def _as_integers(array: NDArray[Any]) -> NDArray[Any]:
     """The same values in an integer type."""
     if array.dtype.kind in "ui":
         return array

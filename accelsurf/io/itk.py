@@ -77,23 +77,23 @@ def geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:
     return Geometry(image.GetSize()[2::-1], image.GetSpacing()[2::-1], image.GetOrigin()[:3], direction)
 
 
-def check_sort(reader: sitk.ImageFileReader) -> None:
+def check_kind(reader: sitk.ImageFileReader) -> None:
     """Refuse by name what is not a 3D image of real numbers (NIfTI was refused from its raw header already).
 
     Raises
     ------
     InputError
-        With the sort of image that it is.
+        With the kind of image that it is.
     """
     size, components = reader.GetSize(), reader.GetNumberOfComponents()
     text = " x ".join(map(str, size))
-    kind = sitk.GetPixelIDValueAsString(reader.GetPixelIDValue())
-    if "complex" in kind:
+    pixel = sitk.GetPixelIDValueAsString(reader.GetPixelIDValue())
+    if "complex" in pixel:
         raise InputError("a complex image given, one real number per voxel expected", hint="take the magnitude first")
     if components > 1:
-        sort = "colour (RGB) or vector" if components in (3, 4) and "unsigned" in kind else "vector"
+        kind = "colour (RGB) or vector" if components in (3, 4) and "unsigned" in pixel else "vector"
         raise InputError(
-            f"a {sort} image ({text}, {components} components per voxel) given, one number per voxel expected",
+            f"a {kind} image ({text}, {components} components per voxel) given, one number per voxel expected",
             hint="extract one channel, or the magnitude, first",
         )
     if len(size) < 3:

@@ -45,7 +45,7 @@ def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[n
     if ras:
         points = points * (-1.0, -1.0, 1.0)
     index = geometry.world_to_index(points)
-    return _filled(index, triangles, geometry.shape)
+    return _voxels_inside(index, triangles, geometry.shape)
 
 
 def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -128,10 +128,12 @@ def _closed(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.f
     return points, triangles
 
 
-def _filled(index: NDArray[np.float64], triangles: NDArray[np.int64], shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+def _voxels_inside(
+    index: NDArray[np.float64], triangles: NDArray[np.int64], shape: tuple[int, int, int]
+) -> NDArray[np.bool_]:
     """Scan lines along x through every row of voxels: inside after an odd number of crossings of the surface.
 
-    A row that meets an edge exactly is looked at a hair's breadth beside it.
+    A row that would meet an edge exactly is tested slightly beside it.
     """
     corners = index[triangles]
     # (z, y) of the corners, moved off the rows by irrational parts of a voxel.
@@ -140,8 +142,8 @@ def _filled(index: NDArray[np.float64], triangles: NDArray[np.int64], shape: tup
     high = np.minimum(np.floor(plane.max(axis=1)).astype(np.int64), np.array(shape[:2]) - 1)
     crossings = np.zeros((shape[0], shape[1], shape[2] + 1), np.int32)
     for begin in range(0, len(corners), TRIANGLES_AT_ONCE):
-        some = slice(begin, begin + TRIANGLES_AT_ONCE)
-        at = _crossings(plane[some], corners[some, :, 2], low[some], high[some])
+        batch = slice(begin, begin + TRIANGLES_AT_ONCE)
+        at = _crossings(plane[batch], corners[batch, :, 2], low[batch], high[batch])
         # The first voxel beyond the crossing.
         np.add.at(crossings, (at[0], at[1], np.clip(np.ceil(at[2]), 0, shape[2]).astype(np.int64)), 1)
     return np.asarray(np.cumsum(crossings, axis=2)[:, :, :-1] % 2 == 1)
@@ -150,7 +152,7 @@ def _filled(index: NDArray[np.float64], triangles: NDArray[np.int64], shape: tup
 def _crossings(
     plane: NDArray[np.float64], depth: NDArray[np.float64], low: NDArray[np.int64], high: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Rows (z, y) and places x where triangles cross them: their corners' (z, y), x, and the rows they may reach."""
+    """Rows (z, y) and places x where triangles cross them, from the corners' (z, y) and x and the rows they span."""
     wide = np.maximum(high - low + 1, 0)
     count = wide[:, 0] * wide[:, 1]
     t = np.repeat(np.arange(len(count)), count)

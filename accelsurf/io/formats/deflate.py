@@ -31,12 +31,12 @@ def inflate(file: BinaryIO, limit: int | None = None) -> Iterator[bytes]:
     InputError
         When the stream is damaged (its checksum counts), or ends early.
     """
-    stream, started = zlib.decompressobj(47), False  # 47: either kind, told by its first bytes
+    stream, started = zlib.decompressobj(47), False  # 47: either kind, recognized by its first bytes
     try:
         for chunk in _chunks(file, limit):
             while chunk:
                 if started and stream.eof:
-                    # Another member may follow the first; padding or anything else is not ours.
+                    # Another member may follow the first; padding or anything else is ignored.
                     if chunk[:2] != GZIP_START:
                         return
                     stream = zlib.decompressobj(47)

@@ -115,7 +115,7 @@ class NiftiGrid:
         """Refuse a sheared affine where the affine is what counts.
 
         With a qform of another kind beside it (a scanner qform and an atlas sform), the qform places the image and the
-        sform is only carried along.
+        sform is only given back on writing.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class NiftiGrid:
             )
 
     def check_agreement(self, geometry: Geometry) -> str:
-        """Compare the grid that was read with the header's own two statements.
+        """Compare the grid that was read with the two grids that the header states.
 
         Parameters
         ----------
@@ -151,18 +151,18 @@ class NiftiGrid:
         ------
         GeometryError
             When neither the qform nor the sform describes the grid that was read, e.g. when pixdim and the lengths of
-            the sform's axes disagree, so that no one can say how large a voxel is.
+            the sform's axes disagree, so that the size of a voxel is unknown.
         """
         sform = self.sform_geometry() if self._has_sform_grid else None
         qform = self.qform_geometry() if self.qform_code > 0 else None
-        said = [g for g in (sform, qform) if g is not None]
-        denied = said and not any(_near(g, geometry) for g in said)
+        stated = [g for g in (sform, qform) if g is not None]
+        contradicted = stated and not any(_near(g, geometry) for g in stated)
         # Voxel sizes alone as well: ITK measures by pixdim, and by the qform beside it, others by the sform.
         if sform and self._sform_counts:
-            denied = denied or not np.allclose(sform.spacing, geometry.spacing, rtol=1e-3, atol=0)
-        if denied:
+            contradicted = contradicted or not np.allclose(sform.spacing, geometry.spacing, rtol=1e-3, atol=0)
+        if contradicted:
             raise GeometryError(
-                f"the NIfTI header contradicts itself: {said[0].difference(geometry)} "
+                f"the NIfTI header contradicts itself: {stated[0].difference(geometry)} "
                 f"({'sform' if sform else 'qform'} against pixdim)",
                 hint="correct the header so that pixdim, qform and sform agree",
             )

@@ -1,7 +1,7 @@
 """NRRD and MetaImage: what their text headers claim, and the lines of an NRRD header that place the grid.
 
-ITK reads the voxels. It takes any unit for mm, and returns what happened to be in memory for some damaged headers, so
-these are read here first.
+ITK reads the voxels. It takes any unit for mm, and for some damaged headers it returns uninitialized memory. So the
+headers are read here first.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from accelsurf.io.formats.raw_header import Encoding, RawHeader
 NRRD_KEY = "nrrd_space"
 """Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
 
-_LARGEST_TEXT_HEADER = 1 << 20
+_MAX_HEADER_BYTES = 1 << 20
 
 _NRRD_BYTES = {
     **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
@@ -96,7 +96,7 @@ def parse_nrrd(path: Path) -> RawHeader:
 
 def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
     if dimension != 3:
-        return  # another sort of image: refused by its own name later
+        return  # another kind of image: refused by that name later
     if text := fields.get("space directions"):
         vectors = text.replace("(", " ").replace(")", " ").replace(",", " ")
         values = _numbers(vectors, "space directions", 9)
@@ -148,7 +148,7 @@ def parse_metaimage(path: Path) -> RawHeader:
     if _is_true(fields, "CompressedData"):
         encoding = "deflate"
         if skip != 0 or (stored is None and data == path):
-            # ITK then inflates nothing and returns whatever was in memory.
+            # ITK then decompresses nothing and returns uninitialized memory.
             raise InputError(
                 "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
                 hint="save the image again, e.g. uncompressed",
@@ -175,7 +175,7 @@ def _is_true(fields: dict[str, str], key: str) -> bool:
 def _header_lines(file: BinaryIO, last: Callable[[str], bool]) -> list[str]:
     """Lines of a text header up to and including the one that ends it (or the end of the file)."""
     lines: list[str] = []
-    while file.tell() < _LARGEST_TEXT_HEADER and (raw := file.readline(_LARGEST_TEXT_HEADER)):
+    while file.tell() < _MAX_HEADER_BYTES and (raw := file.readline(_MAX_HEADER_BYTES)):
         lines.append(raw.decode("utf-8", errors="replace").rstrip("\r\n"))
         if last(lines[-1]):
             break
@@ -227,13 +227,13 @@ def put_nrrd_space(path: Path, lines: str) -> None:
     """Replace the lines of an NRRD header that place the grid by others, in place."""
     head, gap, voxels = path.read_bytes().partition(b"\n\n")
     wanted = dict(line.split(": ", 1) for line in lines.splitlines())
-    kept = []
+    written = []
     for line in head.decode().splitlines():
         key = line.split(": ", 1)[0]
         if key == "space":
-            kept += [f"{k}: {wanted[k]}" for k in ("space", "space dimension") if k in wanted]
+            written += [f"{k}: {wanted[k]}" for k in ("space", "space dimension") if k in wanted]
         elif not key.startswith("space "):
-            kept.append(line)
+            written.append(line)
         elif key in wanted:
-            kept.append(f"{key}: {wanted[key]}")
-    path.write_bytes("\n".join(kept).encode() + gap + voxels)
+            written.append(f"{key}: {wanted[key]}")
+    path.write_bytes("\n".join(written).encode() + gap + voxels)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.io.formats.deflate import inflated_bytes
-from accelsurf.io.formats.raster import TRUNCATED_HINT, PictureHeader
+from accelsurf.io.formats.raster import TRUNCATED_HINT, RasterHeader
 
 _START = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
@@ -23,8 +23,8 @@ _CHUNK = 1 << 16
 
 
 @dataclass(frozen=True)
-class PngHeader(PictureHeader):
-    """What the header of a PNG claims, and whether the file keeps it.
+class PngHeader(RasterHeader):
+    """What the header of a PNG claims, and whether all of it is there.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ def parse(path: Path) -> PngHeader:
         raise InputError(
             "a grey PNG with transparency given, one without expected", hint="save it without the alpha channel"
         )
-    bits = depth * (_CHANNELS[color] if color != 3 else 1)  # a palette is looked up later
+    bits = depth * (_CHANNELS[color] if color != 3 else 1)  # a palette: the colours are looked up later
     unpacked = _row_bytes(width, height, bits, bool(interlaced))
     return PngHeader(path, (1, height, width), None, _CHANNELS[color] * (2 if depth == 16 else 1), unpacked)
 
@@ -104,7 +104,7 @@ def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
 
 
 def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
-    """A grey PNG of the one slice of an array, with the size of a pixel as ITK keeps it.
+    """A grey PNG of the one slice of an array, with the size of a pixel where ITK looks for it.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """What PNG and TIFF have in common: what a header claims, colour to grey, what these formats can hold.
 
-They keep the size of a pixel and no place in the world: a picture starts at the world's origin, along its axes.
+They keep the size of a pixel and no place in the world: an image starts at the world's origin, along its axes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TRUNCATED_HINT = "the file is truncated or damaged: copy or export it again"
 
 
 @dataclass(frozen=True)
-class PictureHeader(ABC):
+class RasterHeader(ABC):
     """What the header of a PNG or TIFF claims.
 
     Attributes
@@ -120,8 +120,8 @@ def check_writable(array: NDArray[Any], suffix: str) -> None:
         )
 
 
-def keeps(geometry: Geometry, suffix: str) -> bool:
-    """Whether a format gives the same grid back; those that are no PNG or TIFF do.
+def preserves(geometry: Geometry, suffix: str) -> bool:
+    """Whether a file gives the same grid back when it is read; all formats but PNG and TIFF do.
 
     Parameters
     ----------
@@ -130,11 +130,11 @@ def keeps(geometry: Geometry, suffix: str) -> bool:
     suffix : str
         Of the file.
     """
-    return suffix not in SUFFIXES or kept_grid(geometry, suffix).matches(geometry)
+    return suffix not in SUFFIXES or stored_grid(geometry, suffix).matches(geometry)
 
 
-def kept_grid(geometry: Geometry, suffix: str) -> Geometry:
-    """The grid that is read back from a PNG or TIFF: the size of a pixel is kept, and in a TIFF the distance of slices.
+def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
+    """The grid that is read back from a PNG or TIFF: its pixel size, and of a TIFF its slice distance.
 
     Parameters
     ----------
