@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -89,14 +92,27 @@ def _by_trimesh(content: bytes, suffix: str) -> tuple[NDArray[Any], NDArray[Any]
     """Points and triangles as the file has them; textures and materials, which are other files, are not looked for."""
     import trimesh
 
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
+    with warnings.catch_warnings(), np.errstate(all="ignore"), _silent(trimesh.util.log):
         warnings.simplefilter("ignore")
         # numpy stops reading a line of numbers at the first that is none, and only warns.
         warnings.filterwarnings("error", message="string or file could not be read to its end")
         mesh = trimesh.load_mesh(
             io.BytesIO(content), file_type=suffix[1:], process=False, validate=False, skip_materials=True
         )
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points of {points.shape[-1]} coordinates")
+    return points, triangles
+
+
+@contextmanager
+def _silent(logger: logging.Logger) -> Iterator[None]:
+    """Nothing logged for a moment: without a handler, Python prints warnings to the screen."""
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def _closed(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

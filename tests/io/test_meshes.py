@@ -1,6 +1,8 @@
 """Meshes of other programs: read in every encoding, checked, and refused in one line where they are damaged."""
 
 import struct
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -166,6 +168,7 @@ CORNERS = "0 0 0\n9 0 0\n0 9 0\n0 0 9\n"
         ("a.obj", "v 0 0 0\nv 9 0 0\nv 0 9 0\n", "no triangle"),
         ("a.obj", "v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 9\n", "cannot be read as a mesh|name points"),
         ("a.obj", "", "no triangle"),
+        ("a.obj", "v 0 0\nv 9 0\nv 0 9\nf 1 2 3\n", "points of 2 coordinates"),
         ("a.stl", "solid a\nendsolid a\n", "no triangle"),
         ("a.vtp", '<VTKFile type="UnstructuredGrid"/>', "VTKFile UnstructuredGrid given"),
         ("a.vtp", '<!DOCTYPE x [<!ENTITY a "aa">]><VTKFile type="PolyData">&a;</VTKFile>', "entities"),
@@ -182,3 +185,15 @@ def test_an_stl_that_claims_more_triangles_than_it_has(ball, tmp_path):
     struct.pack_into("<I", raw, 80, 2**32 - 1)
     (tmp_path / "a.stl").write_bytes(raw)
     refuse(tmp_path / "a.stl", "no triangle")
+
+
+def test_nothing_is_printed_about_damage(tmp_path):
+    """In a process of its own: pytest takes what is logged, which Python would print."""
+    corners = "vertex 0 0 0\nvertex 9 0 0\nvertex 0 9 0\n"
+    facet = f"facet normal x y z\nouter loop\n{corners}endloop\nendfacet\n"
+    (tmp_path / "a.stl").write_text(f"solid a\n{facet}endsolid a\n")
+    code = "import sys; from accelsurf.io import meshes; from accelsurf.errors import InputError\n"
+    code += "try: meshes.read(sys.argv[1])\nexcept InputError as error: print(error.kind)"
+    words = [sys.executable, "-c", code, str(tmp_path / "a.stl")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("input\n", "")
