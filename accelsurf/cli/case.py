@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from accelsurf.cli import INTERRUPTED
 from accelsurf.cli.outcome import shortcoming
 from accelsurf.errors import AccelsurfError
+from accelsurf.io.files import write_bytes
 from accelsurf.report import canvas, document, object_files, outputs
 from accelsurf.report.file_entries import describe_input, describe_output
 from accelsurf.settings.run_config import RunConfig
@@ -193,7 +194,7 @@ def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Res
         log.warnings.append(note)
     labels = place.label_format(config)
     outputs.check(config, labels, volume.geometry)
-    if not raster.keeps(volume.geometry, f".{labels}"):
+    if not raster.preserves(volume.geometry, f".{labels}"):
         log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     canvas.preload_library()
     result = evolve(place.name, volume, more, config, watcher)
@@ -265,4 +266,4 @@ def _write_report(
         outputs=log.outputs,
         warnings=[warning for warning in log.warnings if warning not in own],
     )
-    outputs.write_bytes(place.report_path, (document.to_json(contents) + "\n").encode())
+    write_bytes(place.report_path, (document.to_json(contents) + "\n").encode())

@@ -132,10 +132,11 @@ def conclude(
     """
     from accelsurf.cli import INTERRUPTED
     from accelsurf.cli.progress import table
+    from accelsurf.io.files import write_bytes
     from accelsurf.report import document, preview
     from accelsurf.report.environment import versions
     from accelsurf.report.file_entries import describe_output
-    from accelsurf.report.outputs import preview_content, write_bytes
+    from accelsurf.report.outputs import preview_content
 
     runs, rows, contents = [], [], {}
     for name, result in results.items():

@@ -33,11 +33,12 @@ def synth(
         Replace outputs that exist.
     """
     from accelsurf import io
+    from accelsurf.io.files import write_bytes
     from accelsurf.phantoms import recipes
     from accelsurf.report.document import to_json
     from accelsurf.report.environment import versions
     from accelsurf.report.file_entries import describe_output
-    from accelsurf.report.outputs import refuse_existing, write_bytes
+    from accelsurf.report.outputs import refuse_existing
 
     folder = required(output, "-o DIR, the output folder,")
     used = recipes.load_recipe(recipe)

@@ -168,62 +168,9 @@ class Flow(ABC):
         """Begin anew to look for the peak force."""
         self._peak_force = 0.0
 
-<<<<<<< HEAD
     def _peak_force_so_far(self, peak: float, surface: LevelSet) -> float:
         """Largest ``peak`` (voxels) so far: near the minimum forces fade, but the stiffness there stays."""
         # On another level voxels are others.
         voxel = surface.smallest_spacing
         self._peak_force, self._voxel = max(self._peak_force * self._voxel / voxel, peak), voxel
         return self._peak_force
-=======
-
-def diffusion_reach(surface: LevelSet) -> float:
-    """The largest amount D dt (mm2) that `diffuse` reaches in one step."""
-    return 0.5 * STAGES * (STAGES + 1) * diffusion_bound(surface)
-
-
-def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
-    """The paper's free gain: the largest D (mm2 per unit time) that does not shorten the step, within a mixing length.
-
-    The first bound is what `diffuse` reaches in ``dt``; the second, MIXING x h x ``speed``, keeps a step that
-    another bound has made short from being overdamped.
-    """
-    return min(diffusion_reach(surface) / dt, MIXING * smallest_spacing(surface) * speed)
-
-
-def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float) -> None:
-    """Diffuse an extended field (n,) along the surface in place, by ``amount`` = D dt (mm2).
-
-    Runge-Kutta-Legendre of first order (Meyer, Balsara, Aslam 2012): s explicit stages reach (s^2 + s)/2
-    times the amount of one, each a Laplacian and an extension; as few as ``amount`` asks for, at most `STAGES`.
-    """
-    bound = diffusion_bound(surface)
-    s = 1
-    while s < STAGES and 0.5 * (s * s + s) * bound < amount:
-        s += 1
-    share = 2.0 / (s * s + s) * amount
-    older, old = field, field
-    on = np.flatnonzero(front).astype(np.int32)
-    table = np.empty((on.size, 6), np.int32)
-    run = surface.workers.run
-    run(motion.neighbour_slots, on.size, surface.dense.slot, surface.grid, surface.band.cells, on, table)
-    for j in range(1, s + 1):
-        mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
-        new = np.empty_like(field)
-        weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
-        run(motion.diffusion_stage, on.size, on, table, surface.grid, old, older, weights, new)
-        surface.extend_outwards(new, front)
-        older, old = old, new
-    field[:] = old
-
-
-def smallest_spacing(surface: LevelSet) -> float:
-    """Smallest spacing (mm) among the axes with more than one slice."""
-    return min(h for n, h in axes_of(surface) if n > 1)
-
-
-def axes_of(surface: LevelSet) -> tuple[tuple[int, float], ...]:
-    """(voxels, spacing) of the axes z, y, x."""
-    g = surface.grid
-    return (g.nz, g.hz), (g.ny, g.hy), (g.nx, g.hx)
->>>>>>> wt-settings

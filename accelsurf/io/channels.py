@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import gzip
 import os
-import struct
-import tempfile
-from dataclasses import replace
 from pathlib import Path
 
-from accelsurf import io
+import SimpleITK as sitk
+
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.volume import Volume
+from accelsurf.io import headers, images, itk
+from accelsurf.io.files import naming
 from accelsurf.io.formats import nifti
+from accelsurf.io.formats.raw_header import RawHeader
+from accelsurf.io.memory import available_memory, check_memory
 
 #: More volumes along the fourth axis than this are a time series, not channels.
 MAX_CHANNELS = 16
-_DIM, _BITPIX, _OFFSET = 40, 72, 108
 
 
 def read(path: str | os.PathLike[str]) -> list[Volume]:
@@ -39,16 +39,14 @@ def read(path: str | os.PathLike[str]) -> list[Volume]:
         As `accelsurf.io.read`, and for more than `MAX_CHANNELS` channels.
     """
     path = Path(path)
-    suffix = io.split_name(path)[1]
-    if suffix in (".nii", ".nii.gz") and path.is_file():
-        blocks = _nifti_blocks(path)
-        return [io.read(path)] if blocks is None else blocks
-    if suffix in (".nrrd", ".mha", ".mhd") and path.is_file():
-        parts = io.components(path)
-        if len(parts) > 1:
-            _check_count(path, len(parts))
-            return parts
-    return [io.read(path)]
+    with naming(path):
+        suffix = headers.input_suffix(path)
+        header = headers.parse(path, suffix)
+        if isinstance(header, nifti.NiftiFile):
+            volumes = _nifti_volumes(path, header)
+        else:
+            volumes = _components(path, suffix, header) if isinstance(header, RawHeader) else []
+    return volumes or [images.read(path)]
 
 
 def read_further(paths: tuple[str, ...]) -> list[Volume]:
@@ -64,51 +62,30 @@ def read_further(paths: tuple[str, ...]) -> list[Volume]:
     return [volume for path in paths for volume in read(path)]
 
 
-def _check_count(path: Path, count: int) -> None:
+def _check_count(count: int) -> None:
     if count > MAX_CHANNELS:
         raise InputError(
-            f"{path}: {count} channels or time points, expected at most {MAX_CHANNELS}", "extract one of them first"
+            f"{count} channels or time points, expected at most {MAX_CHANNELS}", "extract one of them first"
         )
 
 
-def _nifti_blocks(path: Path) -> list[Volume] | None:
-    """The channels of a NIfTI file, which follow one another in it; None when it has one, or its header is no good.
-
-    Each is read as the file that it would be alone, with the same checks.
-    """
-    try:
-        with (gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb")) as file:
-            head = file.read(nifti.HEADER_BYTES + 4)
-            order = nifti.FIRST_BYTES.get(head[:4])
-            if order is None or len(head) < nifti.HEADER_BYTES:
-                return None
-            dim = struct.unpack_from(order + "8h", head, _DIM)
-            if not 4 <= dim[0] <= 5 or any(n < 1 for n in dim[1 : dim[0] + 1]):
-                return None
-            count = dim[4] * (dim[5] if dim[0] == 5 else 1)
-            if count == 1:
-                return None
-            _check_count(path, count)
-            (bits,) = struct.unpack_from(order + "h", head, _BITPIX)
-            (offset,) = struct.unpack_from(order + "f", head, _OFFSET)
-            alone = bytearray(head[: nifti.HEADER_BYTES] + bytes(4))
-            struct.pack_into(order + "8h", alone, _DIM, 3, *dim[1:4], 1, 1, 1, 1)
-            struct.pack_into(order + "f", alone, _OFFSET, nifti.HEADER_BYTES + 4.0)
-            struct.pack_into(order + "h", alone, 68, 0)  # no intent: it is no vector any more
-            size = dim[1] * dim[2] * dim[3] * max(bits, 0) // 8
-            file.seek(max(int(offset), nifti.HEADER_BYTES + 4))
-            return [_alone(path, bytes(alone), file.read(size)) for _ in range(count)]
-    except (OSError, EOFError, gzip.BadGzipFile):
-        # What is wrong with the file is told by the reader of ordinary images.
-        return None
+def _nifti_volumes(path: Path, header: nifti.NiftiFile) -> list[Volume]:
+    """The volumes of a NIfTI file, which follow one another in it; none for an ordinary image."""
+    if header.nifti.channels == 1 or len(header.nifti.size) > 5:
+        return []
+    _check_count(header.nifti.channels)
+    return images.read_nifti(path, header, available_memory())
 
 
-def _alone(path: Path, head: bytes, voxels: bytes) -> Volume:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "channel.nii"
-        file.write_bytes(head + voxels)
-        try:
-            volume = io.read(file)
-        except InputError as error:
-            raise type(error)(error.message.replace(str(file), str(path)), error.hint) from None
-    return replace(volume, source=path)
+def _components(path: Path, suffix: str, header: RawHeader) -> list[Volume]:
+    """The components of an NRRD or MetaImage of vectors; none for an ordinary image."""
+    reader = itk.open_reader(path, headers.FORMATS[suffix].itk_name)
+    count = reader.GetNumberOfComponents()
+    if count < 2 or reader.GetDimension() != 3 or "complex" in sitk.GetPixelIDValueAsString(reader.GetPixelIDValue()):
+        return []
+    _check_count(count)
+    check_memory(reader.GetSize(), 4 * count, available_memory())
+    header.check_complete()
+    image = itk.execute(reader)
+    parts = (sitk.VectorIndexSelectionCast(image, i) for i in range(count))
+    return [Volume(sitk.GetArrayFromImage(part), itk.geometry_of(part), {}, path) for part in parts]

@@ -1,7 +1,9 @@
-"""Files as such: errors that name them, and writing that leaves them whole or not at all."""
+"""Errors that name a file, and writing in which a file appears complete or not at all."""
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
 import shutil
 import tempfile
@@ -25,17 +27,17 @@ def naming(path: Path) -> Iterator[None]:
         ) from error
     except RuntimeError as error:
         raise InputError(
-            f"{path}: cannot be read as an image ({_last_words(error)})",
+            f"{path}: cannot be read as an image ({_itk_reason(error)})",
             hint="the file may be damaged: export it again",
         ) from error
     except MemoryError as error:
         raise InputError(f"{path}: does not fit into memory", hint="crop or downsample the image") from error
 
 
-def _last_words(error: RuntimeError) -> str:
-    """What happened, out of ITK's many lines of where."""
+def _itk_reason(error: RuntimeError) -> str:
+    """The reason alone, out of the many lines of an error of ITK."""
     text = " ".join(str(error).split())
-    for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls says it best
+    for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls is the cause
         text = text.rpartition(mark)[2] or text
     return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
 
@@ -61,5 +63,31 @@ def staging(path: Path) -> Iterator[Path]:
         ) from error
     except RuntimeError as error:
         raise OutputError(
-            f"{path}: cannot be written ({_last_words(error)})", hint="is there space on the disk?"
+            f"{path}: cannot be written ({_itk_reason(error)})", hint="is there space on the disk?"
         ) from error
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file under a temporary name in the same folder, then rename it.
+
+    Raises
+    ------
+    OutputError
+        When the file cannot be written.
+    """
+    with staging(path) as folder:
+        draft = folder / path.name
+        draft.write_bytes(content)
+        os.replace(draft, path)
+
+
+def sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file's bytes, hexadecimal, read piece by piece.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read.
+    """
+    with naming(Path(path)), Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

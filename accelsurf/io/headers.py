@@ -1,55 +1,120 @@
-"""How many bytes of voxels a file must hold, from its own header, and whether they are there.
+"""The image formats: for each how its header is read, which class of ITK reads the voxels, what is written back.
 
-Readers return zeros or garbage for what is missing; this is looked at before anything is read or allocated.
+A format is one entry of `FORMATS`; everything else in `accelsurf.io` asks this table.
 """
 
 from __future__ import annotations
 
-import gzip
-import math
-import re
-import zlib
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
-import numpy as np
+from numpy.typing import NDArray
 
-from accelsurf.errors import GeometryError, InputError
-from accelsurf.io.formats import nifti, png, raster, tiff
+from accelsurf.errors import InputError
+from accelsurf.io.formats import nifti, nifti_grid, nrrd_metaimage, png, tiff
+from accelsurf.io.formats.raster import RasterHeader
+from accelsurf.io.formats.raw_header import RawHeader
 
-NRRD_KEY = "nrrd_space"
-"""Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
+Header = RawHeader | RasterHeader
 
 
-_TRUNCATED_HINT = "the file is truncated: copy or export it again"
-_LARGEST_TEXT_HEADER = 1 << 20
-_CHUNK = 1 << 16
+@dataclass(frozen=True)
+class ImageFormat:
+    """What there is to know about a file format.
 
-_NRRD_BYTES = {
-    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
-    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
-    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
-    **dict.fromkeys(("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4),
-    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
-    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
-    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
-    "float": 4,
+    Attributes
+    ----------
+    itk_name : str
+        The class of ITK that reads and writes it.
+    parse : callable
+        Reads the header of a file without its voxels; raises InputError or GeometryError.
+    metadata_key : str
+        Where `Volume.metadata` keeps the header fields that place the grid; empty where the format has none.
+    put_grid : callable or None
+        Puts them back into a file that was written.
+    encode : callable or None
+        Array and spacing to the bytes of a file, where it is not ITK that writes.
+    """
+
+    itk_name: str
+    parse: Callable[[Path], Header]
+    metadata_key: str = ""
+    put_grid: Callable[[Path, str], None] | None = None
+    encode: Callable[[NDArray[Any], tuple[float, float, float]], bytes] | None = None
+
+
+_NIFTI = partial(ImageFormat, "NiftiImageIO", metadata_key=nifti_grid.METADATA_KEY, put_grid=nifti_grid.put_grid)
+_METAIMAGE = ImageFormat("MetaImageIO", nrrd_metaimage.parse_metaimage)
+_TIFF = ImageFormat("TIFFImageIO", tiff.parse, encode=tiff.encode)
+
+FORMATS: dict[str, ImageFormat] = {
+    ".nii.gz": _NIFTI(parse=partial(nifti.read_header, compressed=True)),
+    ".nii": _NIFTI(parse=partial(nifti.read_header, compressed=False)),
+    ".nrrd": ImageFormat(
+        "NrrdImageIO", nrrd_metaimage.parse_nrrd, nrrd_metaimage.NRRD_KEY, nrrd_metaimage.put_nrrd_space
+    ),
+    ".mha": _METAIMAGE,
+    ".mhd": _METAIMAGE,
+    ".png": ImageFormat("PNGImageIO", png.parse, encode=png.encode),
+    ".tif": _TIFF,
+    ".tiff": _TIFF,
 }
-_META_BYTES = {
-    **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
-    **dict.fromkeys(("MET_SHORT", "MET_USHORT"), 2),
-    **dict.fromkeys(("MET_INT", "MET_UINT", "MET_LONG", "MET_ULONG", "MET_FLOAT"), 4),
-    **dict.fromkeys(("MET_LONG_LONG", "MET_ULONG_LONG", "MET_DOUBLE"), 8),
-}
+"""Formats by the ending of a file's name; longer endings come first."""
+
+SUFFIXES: tuple[str, ...] = tuple(FORMATS)
+"""File name endings that can be read and written."""
 
 
-# Lines whose length depends on NDims, which must come before them.
-_META_SIZED = frozenset(
-    "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
-    "CenterOfRotation AnatomicalOrientation".split()
-)
+def input_suffix(path: Path) -> str:
+    """The ending of a file that is to be read, one of `SUFFIXES`.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, or no format has this ending.
+    """
+    if path.is_dir():
+        raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
+    if not path.exists():
+        raise InputError("there is no such file", hint="check the path")
+    suffix = split_name(path)[1]
+    if not suffix:
+        raise InputError(
+            f"unknown file type, one of {', '.join(SUFFIXES)} expected", hint="convert the image to one of them first"
+        )
+    return suffix
+
+
+def parse(path: Path, suffix: str) -> Header:
+    """Read the header of a file of one of the supported kinds, without its voxels.
+
+    Raises
+    ------
+    InputError
+        When it is empty, is not of that kind, is damaged, or points to a data file that does not exist.
+    """
+    if path.stat().st_size == 0:
+        raise InputError("the file is empty", hint="copy or export it again")
+    return FORMATS[suffix].parse(path)
+
+
+def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:
+    """Name of a file without its folder and suffix, and the suffix in lower case (empty when it is none of `SUFFIXES`).
+
+    Examples
+    --------
+    >>> split_name("scans/head.v2.nii.gz"), split_name("photo.jpg")
+    (('head.v2', '.nii.gz'), ('photo', ''))
+    """
+    name = Path(path).name
+    for suffix in SUFFIXES:
+        if name.lower().endswith(suffix) and len(name) > len(suffix):
+            return name[: -len(suffix)], suffix
+    return Path(name).stem, ""
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
@@ -61,343 +126,5 @@ def is_anatomical(metadata: Mapping[str, str]) -> bool:
         As in `Volume.metadata`.
     """
     # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
-    coded = any(bytes.fromhex(metadata.get(nifti.METADATA_KEY, ""))[17:21])
-    return coded or "space: left-" in metadata.get(NRRD_KEY, "")
-
-
-@dataclass(frozen=True)
-class RawHeader:
-    """What a header claims.
-
-    Attributes
-    ----------
-    data : Path
-        File that holds the voxels.
-    offset : int
-        Bytes in it before the (possibly compressed) voxels.
-    encoding : str
-        "raw", "deflate" (gzip or zlib), "png", "tiff" or "other" (text, bzip2: left to the reader to check).
-    claimed_bytes : int
-        Bytes expected from there on, after decompression.
-    stored_bytes : int or None
-        Bytes of compressed voxels, where the header says so: the reader will take these and no more.
-    metadata : dict of str to str
-        Header fields to give back on writing.
-    nifti : NiftiHeader or None
-        The parsed header of a NIfTI file.
-    picture : PictureHeader or None
-        The parsed header of a PNG or TIFF.
-    """
-
-    data: Path
-    offset: int
-    encoding: str
-    claimed_bytes: int
-    stored_bytes: int | None = None
-    metadata: dict[str, str] = field(default_factory=dict)
-    nifti: nifti.NiftiHeader | None = None
-    picture: raster.PictureHeader | None = None
-
-
-def parse(path: Path, suffix: str) -> RawHeader:
-    """Read the header of a file of one of the supported kinds, without its voxels.
-
-    Raises
-    ------
-    InputError
-        When it is empty, is not of that kind, is damaged, or points to a data file that does not exist.
-    """
-    if path.stat().st_size == 0:
-        raise InputError("the file is empty", hint="copy or export it again")
-    if suffix in (".nii", ".nii.gz"):
-        return _parse_nifti(path, compressed=suffix == ".nii.gz")
-    if suffix in raster.SUFFIXES:
-        return _parse_picture(path, suffix)
-    return _parse_nrrd(path) if suffix == ".nrrd" else _parse_meta(path)
-
-
-def _parse_picture(path: Path, suffix: str) -> RawHeader:
-    kind = "png" if suffix == ".png" else "tiff"
-    with path.open("rb") as file:
-        picture = png.parse(file) if kind == "png" else tiff.parse(file)
-    return RawHeader(path, 0, kind, picture.unpacked_bytes, picture=picture)
-
-
-def check_complete(header: RawHeader) -> None:
-    """Refuse a file that holds fewer voxels than its header claims.
-
-    Compressed voxels are decompressed once, chunk by chunk, which also verifies their checksum.
-
-    Raises
-    ------
-    InputError
-        With both numbers of bytes.
-    """
-    if header.encoding == "other":
-        return
-    if header.picture is not None:
-        (png if header.encoding == "png" else tiff).check_complete(header.data, header.picture)
-        return
-    with header.data.open("rb") as file:
-        if header.encoding == "raw":
-            present = header.data.stat().st_size - header.offset
-        else:
-            file.seek(header.offset)
-            stored = header.data.stat().st_size - header.offset
-            if stored < (header.stored_bytes or 0):
-                raise InputError(
-                    f"the header announces {header.stored_bytes} bytes of compressed voxels, the file holds {stored}",
-                    hint=_TRUNCATED_HINT,
-                )
-            present = sum(map(len, _inflate(file, header.stored_bytes)))
-    if present < header.claimed_bytes:
-        raise InputError(
-            f"the header announces {header.claimed_bytes} bytes of voxels, the file holds {max(present, 0)}",
-            hint=_TRUNCATED_HINT,
-        )
-
-
-def _chunks(file: BinaryIO, limit: int | None) -> Iterator[bytes]:
-    left = math.inf if limit is None else limit
-    while left > 0 and (chunk := file.read(int(min(_CHUNK, left)))):
-        left -= len(chunk)
-        yield chunk
-
-
-def _inflate(file: BinaryIO, limit: int | None = None) -> Iterator[bytes]:
-    """Decompressed chunks of a gzip (several members allowed) or zlib stream, to its end."""
-    stream, started = zlib.decompressobj(47), False  # 47: either kind, told by its first bytes
-    try:
-        for chunk in _chunks(file, limit):
-            while chunk:
-                if started and stream.eof:
-                    # Another member may follow the first; padding or anything else is not ours.
-                    if chunk[:2] != b"\x1f\x8b":
-                        return
-                    stream = zlib.decompressobj(47)
-                started = True
-                yield stream.decompress(chunk)
-                chunk = stream.unused_data
-    except zlib.error as error:
-        raise InputError(
-            f"the compressed voxels are damaged ({error})", hint="copy or export the file again"
-        ) from error
-    if not stream.eof:
-        raise InputError("the compressed voxels end before their end mark", hint=_TRUNCATED_HINT)
-
-
-def _parse_nifti(path: Path, compressed: bool) -> RawHeader:
-    with path.open("rb") as file:
-        start = file.read(nifti.HEADER_BYTES)
-        zipped = start[:2] == b"\x1f\x8b"
-        if zipped and not compressed:
-            raise InputError("the file is gzip-compressed, against its suffix", hint="rename it to end in .nii.gz")
-        if compressed and not zipped:
-            if start[:4] in nifti.FIRST_BYTES:
-                raise InputError("the file is not compressed, against its suffix", hint="rename it to end in .nii")
-            raise InputError("this is not a NIfTI image: it is not gzip-compressed", hint="is it the right file?")
-        if compressed:
-            file.seek(0)
-            start = _first_bytes(file, nifti.HEADER_BYTES)
-    header = nifti.parse(start)
-    nifti.check_affines(header)
-    metadata = {nifti.METADATA_KEY: header.grid_fields}
-    encoding = "deflate" if compressed else "raw"
-    return RawHeader(path, 0, encoding, header.claimed_bytes, metadata=metadata, nifti=header)
-
-
-def _first_bytes(file: BinaryIO, count: int) -> bytes:
-    start = b""
-    try:
-        for chunk in _inflate(file):
-            start += chunk
-            if len(start) >= count:
-                break
-    except InputError:
-        if not start:
-            raise
-    return start[:count]
-
-
-def _parse_nrrd(path: Path) -> RawHeader:
-    with path.open("rb") as file:
-        if file.read(4) != b"NRRD":
-            raise InputError("this is not an NRRD image: it does not start with NRRD", hint="is it the right file?")
-        file.seek(0)
-        lines = _header_lines(file, lambda line: not line.strip())
-        offset = file.tell()
-    fields = {
-        key.strip().lower(): value.strip()
-        for key, colon, value in (line.partition(": ") for line in lines[1:] if not line.startswith("#"))
-        if colon
-    }
-    try:
-        sizes = [int(n) for n in fields["sizes"].split()]
-        claimed = math.prod(sizes) * _NRRD_BYTES[fields["type"].lower()]
-        encoding = fields["encoding"].lower()
-        if int(fields["dimension"]) != len(sizes) or min(sizes) < 1:
-            raise ValueError
-    except (KeyError, ValueError):
-        raise InputError(
-            f"the NRRD header is damaged: type {fields.get('type')}, sizes {fields.get('sizes')}, "
-            f"encoding {fields.get('encoding')}",
-            hint="copy or export the file again",
-        ) from None
-    _check_nrrd_axes(fields, len(sizes))
-    for key in ("space units", "units"):
-        _check_units(fields.get(key, "").replace('"', " ").split())
-    data = path
-    if detached := fields.get("data file") or fields.get("datafile"):
-        data, offset = _detached(path, detached), 0
-    skipped = any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip"))
-    coding = {"raw": "raw", "gzip": "deflate", "gz": "deflate"}.get(encoding, "other")
-    metadata = {}
-    if len(sizes) == 3 and "space directions" in fields:
-        keys = ("space", "space dimension", "space directions", "space origin")
-        metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
-    return RawHeader(data, offset, "other" if skipped else coding, claimed, metadata=metadata)
-
-
-def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
-    if dimension != 3:
-        return  # another sort of image: refused by its own name later
-    if text := fields.get("space directions"):
-        vectors = text.replace("(", " ").replace(")", " ").replace(",", " ")
-        values = _numbers(vectors, "space directions", 9)
-        spacing = np.linalg.norm(np.reshape(values, (3, 3)), axis=1).tolist()
-    else:
-        spacing = _numbers(fields.get("spacings", "1 1 1"), "spacings", 3)
-    _check_spacing(spacing)
-
-
-def _parse_meta(path: Path) -> RawHeader:
-    with path.open("rb") as file:
-        lines = _header_lines(file, lambda line: re.match(r"\s*ElementDataFile\s*[=:]", line) is not None)
-        offset = file.tell()
-    pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
-    fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
-    name = fields.get("ElementDataFile", "")
-    if not name or next((k for k in fields if k in _META_SIZED), "") != "NDims" or min(map(len, pairs)) < 2:
-        raise InputError(
-            "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
-            hint="is it the right file, and whole?",
-        )
-    try:
-        sizes = [int(n) for n in fields["DimSize"].split()]
-        item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")] * int(fields.get("ElementNumberOfChannels", 1))
-        skip = int(fields.get("HeaderSize", 0))
-        stored = int(fields["CompressedDataSize"]) if "CompressedDataSize" in fields else None
-        if int(fields["NDims"]) != len(sizes) or min(sizes) < 1:
-            raise ValueError
-    except (KeyError, ValueError):
-        raise InputError(
-            f"the MetaImage header is damaged: NDims {fields.get('NDims')}, DimSize {fields.get('DimSize')}, "
-            f"ElementType {fields.get('ElementType')}",
-            hint="copy or export the file again",
-        ) from None
-    _check_meta_axes(fields, len(sizes))
-    _check_units([fields["DistanceUnits"]] if "DistanceUnits" in fields else [])
-    data = path
-    if name.upper() != "LOCAL":
-        data, offset = _detached(path, name), 0
-    encoding = "raw" if _is_true(fields, "BinaryData") else "other"  # other: numbers as text
-    if _is_true(fields, "CompressedData"):
-        encoding = "deflate"
-        if skip != 0 or (stored is None and data == path):
-            # ITK then inflates nothing and returns whatever was in memory.
-            raise InputError(
-                "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
-                hint="save the image again, e.g. uncompressed",
-            )
-    # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
-    return RawHeader(data, offset + max(skip, 0), encoding, math.prod(sizes) * item, stored)
-
-
-def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
-    spacing = fields.get("ElementSpacing", fields.get("ElementSize", " ".join(["1"] * dimension)))
-    _check_spacing(_numbers(spacing, "ElementSpacing", dimension))
-    for key, count in (("Offset", dimension), ("Position", dimension), ("Origin", dimension)):
-        if key in fields:
-            _numbers(fields[key], key, count)
-    for key in ("TransformMatrix", "Orientation", "Rotation"):
-        if key in fields:
-            _numbers(fields[key], key, dimension * dimension)
-
-
-def _is_true(fields: dict[str, str], key: str) -> bool:
-    return fields.get(key, "")[:1] in ("T", "t", "1")  # as MetaIO reads it
-
-
-def _header_lines(file: BinaryIO, last: Callable[[str], bool]) -> list[str]:
-    """Lines of a text header up to and including the one that ends it (or the end of the file)."""
-    lines: list[str] = []
-    while file.tell() < _LARGEST_TEXT_HEADER and (raw := file.readline(_LARGEST_TEXT_HEADER)):
-        lines.append(raw.decode("utf-8", errors="replace").rstrip("\r\n"))
-        if last(lines[-1]):
-            break
-    return lines
-
-
-def _detached(path: Path, name: str) -> Path:
-    """The data file a header names, relative to the header."""
-    if name.split()[0].upper() == "LIST" or "%" in name:
-        raise InputError(f"the voxels are spread over several files ({name})", hint="save the image as one file first")
-    data = path.parent / name
-    if not data.is_file():
-        raise InputError(
-            f"the header names the data file {name}, which is missing",
-            hint=f"copy {name} into the same folder, under that name",
-        )
-    return data
-
-
-def _numbers(text: str, key: str, count: int) -> list[float]:
-    try:
-        values = [float(v) for v in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise GeometryError(f"the header gives {key} = {text}, {count} finite numbers expected")
-    return values
-
-
-def _check_spacing(spacing: list[float]) -> None:
-    if any(h <= 0 for h in spacing):
-        raise GeometryError(
-            f"the header gives spacing (x,y,z) = ({', '.join(f'{h:g}' for h in spacing)}), positive numbers expected",
-            hint="correct the spacing in the header",
-        )
-
-
-def _check_units(units: list[str]) -> None:
-    """Millimetres are the only unit that ITK has for these formats; anything else it would silently take as mm."""
-    for unit in units:
-        if unit.lower() not in ("", "mm", "millimeter", "millimeters", "millimetre", "millimetres", "???", "?"):
-            raise InputError(
-                f"the header gives lengths in {unit}, mm expected",
-                hint="convert spacing and origin to mm in the header, or take out the unit to have them read as mm",
-            )
-
-
-def put_nrrd_space(path: Path, lines: str) -> None:
-    """Replace the lines of an NRRD header that place the grid by others, in place."""
-    head, gap, voxels = path.read_bytes().partition(b"\n\n")
-    wanted = dict(line.split(": ", 1) for line in lines.splitlines())
-    kept = []
-    for line in head.decode().splitlines():
-        key = line.split(": ", 1)[0]
-        if key == "space":
-            kept += [f"{k}: {wanted[k]}" for k in ("space", "space dimension") if k in wanted]
-        elif not key.startswith("space "):
-            kept.append(line)
-        elif key in wanted:
-            kept.append(f"{key}: {wanted[key]}")
-    path.write_bytes("\n".join(kept).encode() + gap + voxels)
-
-
-def gzip_file(source: Path, target: Path) -> None:
-    """Compress a file to the same bytes every time: no name and no date in the gzip header."""
-    with source.open("rb") as plain, target.open("wb") as out:
-        with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=out, mtime=0) as packed:
-            while chunk := plain.read(1 << 20):
-                packed.write(chunk)
+    coded = any(bytes.fromhex(metadata.get(nifti_grid.METADATA_KEY, ""))[17:21])
+    return coded or "space: left-" in metadata.get(nrrd_metaimage.NRRD_KEY, "")

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +15,12 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.io.files import naming
+from accelsurf.io.formats import vtp
 
 SUFFIXES = (".ply", ".stl", ".obj", ".vtp")
 #: Triangles worked on at once, for the sake of memory.
-TRIANGLES = 1 << 16
+TRIANGLES_AT_ONCE = 1 << 16
 
 
 def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[np.bool_]:
@@ -37,47 +44,122 @@ def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[n
     InputError
         When the file cannot be read, or its surface is not closed.
     """
-    points, triangles = _read(Path(path))
+    points, triangles = read(path)
     if ras:
         points = points * (-1.0, -1.0, 1.0)
     index = geometry.world_to_index(points)
-    return _filled(index, triangles, geometry.shape)
+    return _voxels_inside(index, triangles, geometry.shape)
 
 
-def _read(path: Path) -> tuple[NDArray[np.float64], Any]:
-    import pyvista
+def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Read a closed mesh.
 
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: no mesh format that accelsurf reads", f"one of {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file", "check the path")
+    Parameters
+    ----------
+    path : str or Path
+        .ply, .stl, .obj or .vtp.
+
+    Returns
+    -------
+    ndarray (n, 3) of float64, ndarray (m, 3) of int64
+        Points as the file has them, no two at the same place, and the point numbers of the triangles.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, names points that it does not have, or its surface is not closed.
+    """
+    path = Path(path)
+    with naming(path):
+        suffix = path.suffix.lower()
+        if suffix not in SUFFIXES:
+            raise InputError("no mesh format that accelsurf reads", f"one of {', '.join(SUFFIXES)}")
+        if not path.is_file():
+            raise InputError("there is no such file", "check the path")
+        content = path.read_bytes()
+        try:
+            points, triangles = vtp.read(content) if suffix == ".vtp" else _by_trimesh(content, suffix)
+        except MemoryError:
+            raise
+        except Exception as error:  # whatever a reader makes of a damaged file
+            reason = " ".join(str(error).split())[:200]
+            hint = error.hint if isinstance(error, InputError) else ""
+            raise InputError(f"cannot be read as a mesh ({reason})", hint or "is the file complete?") from None
+        return _closed(points, triangles)
+
+
+def _by_trimesh(content: bytes, suffix: str) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Points and triangles as the file has them; textures and materials, which are other files, are not looked for."""
+    import trimesh
+
+    with warnings.catch_warnings(), np.errstate(all="ignore"), _silent(trimesh.util.log):
+        warnings.simplefilter("ignore")
+        # numpy stops reading a line of numbers at the first that is none, and only warns.
+        warnings.filterwarnings("error", message="string or file could not be read to its end")
+        mesh = trimesh.load_mesh(
+            io.BytesIO(content), file_type=suffix[1:], process=False, validate=False, skip_materials=True
+        )
+    points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points of {points.shape[-1]} coordinates")
+    return points, triangles
+
+
+@contextmanager
+def _silent(logger: logging.Logger) -> Iterator[None]:
+    """Nothing logged for a moment: without a handler, Python prints warnings to the screen."""
+    before, logger.disabled = logger.disabled, True
     try:
-        mesh = pyvista.read(path)
-        surface = mesh.extract_surface(algorithm="dataset_surface").triangulate().clean()
-    except Exception as error:  # whatever VTK makes of a damaged file
-        raise InputError(f"{path}: cannot be read as a mesh ({error})", "is the file complete?") from None
-    if surface.n_cells == 0 or surface.n_open_edges > 0:
+        yield
+    finally:
+        logger.disabled = before
+
+
+def _closed(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The same surface with points at the same place made one; refused where it is damaged or open."""
+    points = np.asarray(points, np.float64).reshape(-1, 3)
+    triangles = np.asarray(triangles, np.int64).reshape(-1, 3)
+    if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
         raise InputError(
-            f"{path}: {surface.n_cells} triangles with {surface.n_open_edges} open edges, expected a closed surface",
+            f"its triangles name points {triangles.min()} to {triangles.max()}, it has {len(points)}, counted from 0",
+            "is the file complete?",
+        )
+    if not np.isfinite(points[triangles]).all():
+        raise InputError("a corner of a triangle is not finite, numbers expected", "export the mesh again")
+    points, same = np.unique(points, axis=0, return_inverse=True)
+    triangles = same.reshape(-1)[triangles]
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+    real = (sides[:, :, 0] != sides[:, :, 1]).all(axis=1)  # others are a line or a point
+    triangles, sides = triangles[real], sides[real].reshape(-1, 2)
+    # A closed surface has an even number of triangles at every edge.
+    counts = np.unique(sides[:, 0] * len(points) + sides[:, 1], return_counts=True)[1]
+    open_edges = int((counts % 2).sum())
+    if len(triangles) == 0:
+        raise InputError("no triangle in it, expected a closed surface", "is the file complete?")
+    if open_edges:
+        raise InputError(
+            f"{len(triangles)} triangles with {open_edges} open edges, expected a closed surface",
             "close its holes first",
         )
-    return np.asarray(surface.points, np.float64), surface.regular_faces
+    return points, triangles
 
 
-def _filled(index: NDArray[np.float64], triangles: Any, shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+def _voxels_inside(
+    index: NDArray[np.float64], triangles: NDArray[np.int64], shape: tuple[int, int, int]
+) -> NDArray[np.bool_]:
     """Scan lines along x through every row of voxels: inside after an odd number of crossings of the surface.
 
-    A row that meets an edge exactly is looked at a hair's breadth beside it.
+    A row that would meet an edge exactly is tested slightly beside it.
     """
-    corners = index[np.asarray(triangles)]
+    corners = index[triangles]
     # (z, y) of the corners, moved off the rows by irrational parts of a voxel.
     plane = corners[:, :, :2] + np.array([1.4142e-7, 1.7321e-7])
     low = np.maximum(np.ceil(plane.min(axis=1)).astype(np.int64), 0)
     high = np.minimum(np.floor(plane.max(axis=1)).astype(np.int64), np.array(shape[:2]) - 1)
     crossings = np.zeros((shape[0], shape[1], shape[2] + 1), np.int32)
-    for begin in range(0, len(corners), TRIANGLES):
-        some = slice(begin, begin + TRIANGLES)
-        at = _crossings(plane[some], corners[some, :, 2], low[some], high[some])
+    for begin in range(0, len(corners), TRIANGLES_AT_ONCE):
+        batch = slice(begin, begin + TRIANGLES_AT_ONCE)
+        at = _crossings(plane[batch], corners[batch, :, 2], low[batch], high[batch])
         # The first voxel beyond the crossing.
         np.add.at(crossings, (at[0], at[1], np.clip(np.ceil(at[2]), 0, shape[2]).astype(np.int64)), 1)
     return np.asarray(np.cumsum(crossings, axis=2)[:, :, :-1] % 2 == 1)
@@ -86,7 +168,7 @@ def _filled(index: NDArray[np.float64], triangles: Any, shape: tuple[int, int, i
 def _crossings(
     plane: NDArray[np.float64], depth: NDArray[np.float64], low: NDArray[np.int64], high: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Rows (z, y) and places x where triangles cross them: their corners' (z, y), x, and the rows they may reach."""
+    """Rows (z, y) and places x where triangles cross them, from the corners' (z, y) and x and the rows they span."""
     wide = np.maximum(high - low + 1, 0)
     count = wide[:, 0] * wide[:, 1]
     t = np.repeat(np.arange(len(count)), count)

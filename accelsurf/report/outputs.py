@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from accelsurf import io
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import object_files, preview, tables
 from accelsurf.report.document import describe_objects
@@ -151,24 +152,6 @@ def make_writable(folder: Path) -> None:
     except OSError as error:
         reason = error.strerror or str(error)
         raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name in the same folder, then rename it.
-
-    Raises
-    ------
-    OutputError
-        When the file cannot be written.
-    """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        draft.write_bytes(content)
-        os.replace(draft, path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})", "is the disk full?") from None
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def write_result(

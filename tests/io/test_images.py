@@ -11,8 +11,9 @@ from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io import headers, images
+from accelsurf.io import images
 from accelsurf.io.formats import raster
+from accelsurf.io.formats.deflate import gzip_file
 
 #: Formats that keep the whole grid; tests/io/test_raster.py is about the others.
 VOLUMES = [suffix for suffix in io.SUFFIXES if suffix not in raster.SUFFIXES]
@@ -285,7 +286,7 @@ def huge(tmp_path, suffix):
     struct.pack_into("<8h", raw, 40, 3, 30000, 30000, 30000, 1, 1, 1, 1)
     (tmp_path / "a.nii").write_bytes(raw)
     if suffix == ".nii.gz":
-        headers.gzip_file(tmp_path / "a.nii", path)
+        gzip_file(tmp_path / "a.nii", path)
     return path
 
 

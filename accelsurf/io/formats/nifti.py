@@ -1,177 +1,221 @@
-"""What a NIfTI-1 header says, read from its raw bytes.
+"""What the header of a NIfTI-1 or NIfTI-2 file says, and the voxels of those that ITK does not read.
 
 ITK repairs, guesses and forgets: it reads a file without voxels as zeros, takes a negative pixdim as a mirrored axis,
 falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is looked at here first,
-and the fields that place the grid are put back after writing.
+and the fields that place the grid are put back after writing. nibabel takes the header apart; its own checks, which
+repair too, are not used.
 """
 
 from __future__ import annotations
 
+import gzip
 import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid.geometry import ORTHONORMAL_TOLERANCE, Floats, Geometry, orthonormal_deviation
+from accelsurf.io.formats.deflate import GZIP_START, first_bytes
+from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid
+from accelsurf.io.formats.raw_header import RawHeader
 
-HEADER_BYTES = 348
-FIRST_BYTES = {struct.pack("<i", HEADER_BYTES): "<", struct.pack(">i", HEADER_BYTES): ">"}
-"""How a NIfTI-1 file begins (with the header's size), and the byte order that tells."""
+HEADER_BYTES = {1: 348, 2: 540}
+"""Length of the header by the version of the format; a file begins with it."""
 
-METADATA_KEY = "nifti_grid"
-"""Where `Volume.metadata` keeps the fields that place the grid (hexadecimal, as `grid_fields` gives them)."""
-
-_ITEM_BYTES = {2: 1, 4: 2, 8: 4, 16: 4, 64: 8, 256: 1, 512: 2, 768: 4, 1024: 8, 1280: 8}
+_BEGINNINGS = {
+    struct.pack(order + "i", count): (version, order) for version, count in HEADER_BYTES.items() for order in "<>"
+}
+_MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
+_QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
+_REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
 _NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
-_MM_PER_UNIT = {1: 1000.0, 3: 0.001}  # metre, micrometre; 2 is mm, and 0 (unknown) is taken as mm by everyone
-_GRID = struct.Struct("<4fB2h18f")
-# (offset in the header, length) of the pieces that _GRID packs one after the other
-_GRID_PLACES = ((76, 16), (123, 1), (252, 76))
-_RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class NiftiHeader:
-    """The fields of a NIfTI-1 header that decide where its voxels are, in the file and in the world.
+    """The fields of a NIfTI header that decide where its voxels are, in the file and in the world.
 
     Attributes
     ----------
+    version : int
+        1 or 2.
     size : tuple of int
         Voxels along each axis, as many as ``dim[0]`` says, trailing ones dropped down to three.
-    datatype : int
-        NIfTI type code.
+    voxel_type : numpy.dtype
+        Of the voxels in the file, with its byte order.
     data_offset : int
         Bytes before the first voxel.
-    pixdim : tuple of float
-        qfac and the three voxel sizes, in the header's unit.
-    units : int
-        The byte ``xyzt_units``.
-    qform_code, sform_code : int
-        Which of the two transforms are set, and what world each refers to.
-    qform : tuple of float
-        Quaternion b, c, d and offset x, y, z.
-    sform : tuple of float
-        The three rows of the affine, 12 numbers.
+    slope, intercept : float
+        A stored value v stands for slope * v + intercept; 1 and 0 where the header gives none.
+    grid : NiftiGrid
+        The fields that place the grid.
     """
 
+    version: int
     size: tuple[int, ...]
-    datatype: int
+    voxel_type: np.dtype[Any]
     data_offset: int
-    pixdim: tuple[float, float, float, float]
-    units: int
-    qform_code: int
-    sform_code: int
-    qform: tuple[float, ...]
-    sform: tuple[float, ...]
+    slope: float
+    intercept: float
+    grid: NiftiGrid
+
+    @property
+    def channels(self) -> int:
+        """How many volumes follow one another."""
+        return math.prod(self.size[3:])
+
+    @property
+    def value_type(self) -> np.dtype[Any]:
+        """Type of the values: that of the voxels, float32 when whole numbers are scaled."""
+        plain = (self.slope, self.intercept) == (1.0, 0.0) or self.voxel_type.kind == "f"
+        return self.voxel_type.newbyteorder("=") if plain else np.dtype(np.float32)
 
     @property
     def claimed_bytes(self) -> int:
         """Bytes from the start of the file to the end of the voxels, as the header would have it."""
-        return self.data_offset + math.prod(self.size) * _ITEM_BYTES[self.datatype]
+        return self.data_offset + math.prod(self.size) * self.voxel_type.itemsize
 
-    @property
-    def grid_fields(self) -> str:
-        """The fields that place the grid as hexadecimal text, for `Volume.metadata`."""
-        codes = (self.qform_code, self.sform_code)
-        return _GRID.pack(*self.pixdim, self.units, *codes, *self.qform, *self.sform).hex()
 
-    def qform_geometry(self) -> Geometry:
-        """The grid that quaternion, offset and pixdim describe."""
-        b, c, d = self.qform[:3]
-        a = math.sqrt(max(0.0, 1.0 - b * b - c * c - d * d))
-        a, b, c, d = np.array([a, b, c, d]) / math.sqrt(a * a + b * b + c * c + d * d)
-        rotation = np.array(
-            [
-                [a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)],
-                [2 * (b * c + a * d), a * a + c * c - b * b - d * d, 2 * (c * d - a * b)],
-                [2 * (b * d - a * c), 2 * (c * d + a * b), a * a + d * d - b * b - c * c],
-            ]
-        )
-        if self.pixdim[0] < 0:  # qfac: the z axis is mirrored
-            rotation[:, 2] *= -1
-        return self._geometry(rotation, np.array(self.pixdim[1:]), np.array(self.qform[3:]))
+@dataclass(frozen=True, kw_only=True)
+class NiftiFile(RawHeader):
+    """What the header of a NIfTI file claims.
 
-    def sform_geometry(self) -> Geometry:
-        """The grid that the affine describes; GeometryError when it is no grid."""
-        matrix, spacing = self._sform_parts()
-        return self._geometry(matrix / spacing, spacing, np.array(self.sform).reshape(3, 4)[:, 3])
+    Attributes
+    ----------
+    nifti : NiftiHeader
+        The header.
+    """
 
-    def sform_deviation(self) -> float:
-        """How far the axes of the affine are from perpendicular: the largest cosine between two of them."""
-        matrix, spacing = self._sform_parts()
-        return orthonormal_deviation(matrix / spacing)
+    nifti: NiftiHeader
 
-    def _sform_parts(self) -> tuple[Floats, Floats]:
-        matrix = np.array(self.sform, dtype=np.float64).reshape(3, 4)[:, :3]
-        spacing = np.linalg.norm(matrix, axis=0)
-        if not np.isfinite(matrix).all() or not (spacing > 0).all():
-            raise GeometryError(f"the sform of the header is no transform: {np.array(self.sform).tolist()}")
-        return matrix, spacing
 
-    def _geometry(self, direction: Floats, spacing: Floats, offset: Floats) -> Geometry:
-        unit = _MM_PER_UNIT.get(self.units & 7, 1.0)
-        x, y, z = (float(v) for v in _RAS_TO_LPS @ offset * unit)
-        hx, hy, hz = (float(h) * unit for h in spacing)
-        return Geometry(self.size[2::-1], (hz, hy, hx), (x, y, z), _RAS_TO_LPS @ direction)  # type: ignore[arg-type]
+def read_header(path: Path, compressed: bool) -> NiftiFile:
+    """Read the header of a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    compressed : bool
+        Whether its suffix says so.
+
+    Raises
+    ------
+    InputError
+        When it is no NIfTI file of real numbers, or packed against its suffix; GeometryError when it has no grid of
+        perpendicular axes.
+    """
+    with path.open("rb") as file:
+        start = file.read(max(HEADER_BYTES.values()))
+        zipped = start[:2] == GZIP_START
+        if zipped and not compressed:
+            raise InputError("the file is gzip-compressed, against its suffix", hint="rename it to end in .nii.gz")
+        if compressed and not zipped:
+            if start[:4] in _BEGINNINGS:
+                raise InputError("the file is not compressed, against its suffix", hint="rename it to end in .nii")
+            raise InputError("this is not a NIfTI image: it is not gzip-compressed", hint="is it the right file?")
+        if compressed:
+            file.seek(0)
+            start = first_bytes(file, max(HEADER_BYTES.values()))
+    header = parse(start)
+    header.grid.check_shear()
+    metadata = {METADATA_KEY: header.grid.fields}
+    return NiftiFile(path, 0, "deflate" if compressed else "raw", header.claimed_bytes, None, metadata, nifti=header)
 
 
 def parse(raw: bytes) -> NiftiHeader:
     """Read a header, in either byte order, and refuse one that no 3D image of real numbers can have.
 
+    Several volumes one after the other are accepted; see `check_single`.
+
     Raises
     ------
     InputError
-        When it is not a NIfTI-1 header, is cut off, or announces another sort of image.
+        When it is not a NIfTI header, is cut off, or announces another sort of image.
     GeometryError
         When a voxel size is zero, negative or not finite.
     """
-    if raw[:4] in (struct.pack("<i", 540), struct.pack(">i", 540)):
-        raise InputError("a NIfTI-2 file, NIfTI-1 expected", hint="convert it to NIfTI-1, NRRD or MHA")
-    if len(raw) < HEADER_BYTES:
+    from nibabel.nifti1 import Nifti1Header
+    from nibabel.nifti2 import Nifti2Header
+
+    version, order = _BEGINNINGS.get(raw[:4], (1, ""))
+    if len(raw) < HEADER_BYTES[version]:
         raise InputError(
-            f"the file has only {len(raw)} bytes, a NIfTI header alone has {HEADER_BYTES}",
+            f"the file has only {len(raw)} bytes, a NIfTI header alone has {HEADER_BYTES[version]}",
             hint="the file is truncated or is not an image: copy or export it again",
         )
-    order = FIRST_BYTES.get(raw[:4])
-    if order is None or raw[344:348] != b"n+1\0":
+    at, magic = _MAGIC[version]
+    if not order or raw[at : at + len(magic)] != magic:
         raise InputError("this is not a NIfTI image: its header lacks the NIfTI marks", hint="is it the right file?")
+    kind = Nifti1Header if version == 1 else Nifti2Header
+    header = kind(raw[: HEADER_BYTES[version]], order, check=False)
 
-    def fields(code: str, offset: int) -> tuple[float, ...]:
-        return struct.unpack_from(order + code, raw, offset)
+    def number(key: str) -> float:
+        return float(header[key])
 
-    dim = tuple(int(n) for n in fields("8h", 40))
-    datatype, vox_offset = int(fields("h", 70)[0]), fields("f", 108)[0]
+    dim = tuple(header["dim"].tolist())
+    vox_offset = number("vox_offset")
+    codes = int(header["qform_code"]), int(header["sform_code"])
     if not 1 <= dim[0] <= 7 or any(n < 1 for n in dim[1 : dim[0] + 1]) or not 0 <= vox_offset < 2**31:
         raise InputError(f"the NIfTI header is damaged: dim = {dim}", hint="copy or export the file again")
-    size = _check_sort(dim[1 : dim[0] + 1], datatype)
-    pixdim = fields("4f", 76)
-    if not all(math.isfinite(h) and h > 0 for h in pixdim[1:]):
+    if not all(-(2**15) <= code < 2**15 for code in codes):
+        raise InputError(f"the NIfTI header is damaged: form codes {codes}", hint="copy or export the file again")
+    size = _real_size(dim[1 : dim[0] + 1], int(header["datatype"]))
+    p0, p1, p2, p3 = header["pixdim"][:4].tolist()
+    if not all(math.isfinite(h) and h > 0 for h in (p1, p2, p3)):
         raise GeometryError(
-            f"the header gives spacing (x,y,z) = ({', '.join(f'{h:g}' for h in pixdim[1:])}), "
-            "three positive numbers expected",
+            f"the header gives spacing (x,y,z) = ({p1:g}, {p2:g}, {p3:g}), three positive numbers expected",
             hint="correct pixdim[1..3] in the header",
         )
-    q_code, s_code = (int(v) for v in fields("2h", 252))
-    # Zero is what some writers leave in vox_offset; the voxels of a single file cannot start before 352.
-    offset = max(int(vox_offset), HEADER_BYTES + 4)
-    qform, sform = fields("6f", 256), fields("12f", 280)
-    p0, p1, p2, p3 = pixdim
-    return NiftiHeader(size, datatype, offset, (p0, p1, p2, p3), raw[123], q_code, s_code, qform, sform)
+    # As in ITK: what is not finite is not there, and a slope of 0 is none.
+    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (number("scl_slope"), number("scl_inter")))
+    # Zero is what some writers leave in vox_offset; the voxels of a single file cannot start before its header ends.
+    offset = max(int(vox_offset), HEADER_BYTES[version] + 4)
+    grid = NiftiGrid(
+        shape=(size[2], size[1], size[0]),
+        pixdim=(p0, p1, p2, p3),
+        units=int(header["xyzt_units"]) & 0xFF,
+        qform_code=codes[0],
+        sform_code=codes[1],
+        qform=tuple(number(key) for key in _QFORM),
+        sform=tuple(np.concatenate([header[key] for key in ("srow_x", "srow_y", "srow_z")]).tolist()),
+    )
+    return NiftiHeader(version, size, header.get_data_dtype(), offset, slope or 1.0, intercept, grid)
 
 
-def _check_sort(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
-    """Refuse by name what is not a 3D image of real numbers."""
+def _real_size(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
+    """The size without trailing axes of one voxel; images of two axes or of other than real numbers are refused."""
     while len(size) > 3 and size[-1] == 1:
         size = size[:-1]
-    text = " x ".join(map(str, size))
     if len(size) < 3:
         raise InputError(
-            f"a {len(size)}D image ({text}) given, 3D expected",
+            f"a {len(size)}D image ({' x '.join(map(str, size))}) given, 3D expected",
             hint="add a slice axis of size 1, or use Volume.from_array in Python",
         )
+    if datatype in _NOT_REAL:
+        raise InputError(
+            f"a {_NOT_REAL[datatype]} image given, one real number per voxel expected",
+            hint="extract one channel or the magnitude first",
+        )
+    if datatype not in _REAL:
+        raise InputError(f"NIfTI type code {datatype} is not supported", hint="convert the image to float32 first")
+    return size
+
+
+def check_single(header: NiftiHeader) -> None:
+    """Refuse a file of several volumes.
+
+    Raises
+    ------
+    InputError
+        With their number.
+    """
+    size = header.size
+    text = " x ".join(map(str, size))
     if len(size) > 4:
         raise InputError(
             f"a vector image ({text}: {size[4]} components per voxel) given, one number per voxel expected",
@@ -181,103 +225,31 @@ def _check_sort(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
         raise InputError(
             f"a 4D image ({text}: {size[3]} volumes) given, 3D expected", hint="extract one time point or channel first"
         )
-    if datatype in _NOT_REAL:
-        raise InputError(
-            f"a {_NOT_REAL[datatype]} image given, one real number per voxel expected",
-            hint="extract one channel or the magnitude first",
-        )
-    if datatype not in _ITEM_BYTES:
-        raise InputError(f"NIfTI type code {datatype} is not supported", hint="convert the image to float32 first")
-    return size
 
 
-def check_affines(header: NiftiHeader) -> None:
-    """Refuse a sheared affine where the affine is what counts.
-
-    With a qform of another kind beside it (a scanner qform and an atlas sform), the qform places the image and the
-    sform is only carried along.
-
-    Raises
-    ------
-    GeometryError
-        With the size of the deviation.
-    """
-    if not _sform_counts(header):
-        return
-    deviation = header.sform_deviation()
-    if deviation > ORTHONORMAL_TOLERANCE:
-        raise GeometryError(
-            f"the axes of the NIfTI sform are not perpendicular: off by {deviation:.3g} "
-            f"({math.degrees(math.asin(min(1.0, deviation))):.3g} degrees), at most {ORTHONORMAL_TOLERANCE:g} expected",
-            hint="resample the image to a grid with perpendicular axes (it carries a shear, e.g. from an affine "
-            "registration or a tilted gantry)",
-        )
-
-
-def check_agreement(header: NiftiHeader, geometry: Geometry) -> str:
-    """Compare the grid that was read with the header's own two statements.
+def read_channels(file: NiftiFile) -> list[NDArray[Any]]:
+    """Read the voxels of all volumes of a file that is complete, scaled as its header says.
 
     Parameters
     ----------
-    header : NiftiHeader
-        The raw header.
-    geometry : Geometry
-        The grid that ITK made of it.
+    file : NiftiFile
+        Its header, after `RawHeader.check_complete`.
 
     Returns
     -------
-    str
-        A warning when qform and sform place the image differently; empty otherwise.
-
-    Raises
-    ------
-    GeometryError
-        When neither the qform nor the sform describes the grid that was read, e.g. when pixdim and the lengths of
-        the sform's axes disagree, so that no one can say how large a voxel is.
+    list of ndarray (nz, ny, nx)
+        In the order of the file, of ``value_type``, as ITK would give them.
     """
-    sform = header.sform_geometry() if _has_sform_grid(header) else None
-    qform = header.qform_geometry() if header.qform_code > 0 else None
-    said = [g for g in (sform, qform) if g is not None]
-    denied = said and not any(_near(g, geometry) for g in said)
-    # Voxel sizes alone as well: ITK measures by pixdim, and by the qform beside it, where others measure by the sform.
-    if sform and _sform_counts(header):
-        denied = denied or not np.allclose(sform.spacing, geometry.spacing, rtol=1e-3, atol=0)
-    if denied:
-        raise GeometryError(
-            f"the NIfTI header contradicts itself: {said[0].difference(geometry)} "
-            f"({'sform' if sform else 'qform'} against pixdim)",
-            hint="correct the header so that pixdim, qform and sform agree",
-        )
-    if sform is None or qform is None or _near(sform, qform):
-        return ""
-    used = "sform" if _near(sform, geometry) else "qform"
-    return (
-        f"NIfTI qform and sform place the image differently ({sform.difference(qform)}); "
-        f"the {used} is used, as ITK does, and both are written back"
-    )
+    from nibabel.volumeutils import array_from_file
 
-
-def put_grid(path: Path, grid_fields: str) -> None:
-    """Overwrite, in an uncompressed little-endian file, the header fields that place the grid."""
-    packed = bytes.fromhex(grid_fields)
-    with path.open("r+b") as file:
-        for offset, length in _GRID_PLACES:
-            file.seek(offset)
-            file.write(packed[:length])
-            packed = packed[length:]
-
-
-def _sform_counts(header: NiftiHeader) -> bool:
-    if header.sform_code <= 0:
-        return False
-    return header.qform_code <= 0 or header.sform_code in (1, header.qform_code)
-
-
-def _has_sform_grid(header: NiftiHeader) -> bool:
-    return header.sform_code > 0 and header.sform_deviation() <= ORTHONORMAL_TOLERANCE
-
-
-def _near(a: Geometry, b: Geometry) -> bool:
-    # Half a voxel at the far corner: float32 quaternions near half a turn, and rounded pixdims, are that bad;
-    # contradictions that matter are far larger.
-    return a.matches(b, 0.5 * min(*a.spacing, *b.spacing))
+    header = file.nifti
+    nx, ny, nz = header.size[:3]
+    shape = (nx, ny, nz, header.channels)
+    with gzip.open(file.data, "rb") if file.encoding == "deflate" else file.data.open("rb") as stream:
+        stored = array_from_file(shape, header.voxel_type, stream, header.data_offset, mmap=False)
+    channels = []
+    for channel in stored.T:
+        if (header.slope, header.intercept) != (1.0, 0.0):
+            channel = channel.astype(np.float64) * header.slope + header.intercept
+        channels.append(np.ascontiguousarray(channel, header.value_type))
+    return channels

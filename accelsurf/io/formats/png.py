@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats.raster import TRUNCATED_HINT, PictureHeader, inflated_bytes
+from accelsurf.io.formats.deflate import inflated_bytes
+from accelsurf.io.formats.raster import TRUNCATED_HINT, RasterHeader
 
 _START = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
@@ -20,7 +22,50 @@ _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), 
 _CHUNK = 1 << 16
 
 
-def parse(file: BinaryIO) -> PictureHeader:
+@dataclass(frozen=True)
+class PngHeader(RasterHeader):
+    """What the header of a PNG claims, and whether all of it is there.
+
+    Attributes
+    ----------
+    unpacked_bytes : int
+        Bytes of all rows when unpacked.
+    """
+
+    unpacked_bytes: int
+
+    def check_complete(self) -> None:
+        """Refuse a PNG that is cut short or damaged: every checksum, and the number of bytes of its rows.
+
+        Raises
+        ------
+        InputError
+            With what is wrong.
+        """
+        unpack, present, name = zlib.decompressobj(), 0, b""
+        with self.data.open("rb") as file:
+            file.seek(len(_START))
+            while name != b"IEND":
+                start = file.read(8)
+                if len(start) < 8:
+                    raise InputError("the PNG ends before its end mark", hint=TRUNCATED_HINT)
+                left, name = struct.unpack(">I4s", start)
+                check = zlib.crc32(name)
+                while left and (piece := file.read(min(left, _CHUNK))):
+                    left, check = left - len(piece), zlib.crc32(piece, check)
+                    if name == b"IDAT":
+                        present += inflated_bytes(unpack, piece)
+                if left or file.read(4) != struct.pack(">I", check):
+                    part = name.decode("ascii", "replace")
+                    raise InputError(f"the part {part} of the PNG is cut short or damaged", hint=TRUNCATED_HINT)
+        if present < self.unpacked_bytes:
+            raise InputError(
+                f"the header announces {self.unpacked_bytes} bytes of rows, the file holds {present}",
+                hint=TRUNCATED_HINT,
+            )
+
+
+def parse(path: Path) -> PngHeader:
     """Read the header of a PNG.
 
     Raises
@@ -28,7 +73,8 @@ def parse(file: BinaryIO) -> PictureHeader:
     InputError
         When it is none, is damaged, or has grey values with transparency, which ITK cannot read.
     """
-    start = file.read(33)
+    with path.open("rb") as file:
+        start = file.read(33)
     if start[:8] != _START or start[12:16] != b"IHDR":
         raise InputError("this is not a PNG image: it does not start as one", hint="is it the right file?")
     if len(start) < 33 or zlib.crc32(start[12:29]) != struct.unpack(">I", start[29:])[0]:
@@ -42,9 +88,9 @@ def parse(file: BinaryIO) -> PictureHeader:
         raise InputError(
             "a grey PNG with transparency given, one without expected", hint="save it without the alpha channel"
         )
-    bits = depth * (_CHANNELS[color] if color != 3 else 1)  # a palette is looked up later
+    bits = depth * (_CHANNELS[color] if color != 3 else 1)  # a palette: the colours are looked up later
     unpacked = _row_bytes(width, height, bits, bool(interlaced))
-    return PictureHeader((1, height, width), None, unpacked, _CHANNELS[color] * (2 if depth == 16 else 1))
+    return PngHeader(path, (1, height, width), None, _CHANNELS[color] * (2 if depth == 16 else 1), unpacked)
 
 
 def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
@@ -57,39 +103,8 @@ def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
     return total
 
 
-def check_complete(path: Path, header: PictureHeader) -> None:
-    """Refuse a PNG that is cut short or damaged: every checksum, and the number of bytes of its rows.
-
-    Raises
-    ------
-    InputError
-        With what is wrong.
-    """
-    unpack, present, name = zlib.decompressobj(), 0, b""
-    with path.open("rb") as file:
-        file.seek(len(_START))
-        while name != b"IEND":
-            start = file.read(8)
-            if len(start) < 8:
-                raise InputError("the PNG ends before its end mark", hint=TRUNCATED_HINT)
-            left, name = struct.unpack(">I4s", start)
-            check = zlib.crc32(name)
-            while left and (piece := file.read(min(left, _CHUNK))):
-                left, check = left - len(piece), zlib.crc32(piece, check)
-                if name == b"IDAT":
-                    present += inflated_bytes(unpack, piece)
-            if left or file.read(4) != struct.pack(">I", check):
-                part = name.decode("ascii", "replace")
-                raise InputError(f"the part {part} of the PNG is cut short or damaged", hint=TRUNCATED_HINT)
-    if present < header.unpacked_bytes:
-        raise InputError(
-            f"the header announces {header.unpacked_bytes} bytes of rows, the file holds {present}",
-            hint=TRUNCATED_HINT,
-        )
-
-
 def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
-    """A grey PNG of the one slice of an array, with the size of a pixel as ITK keeps it.
+    """A grey PNG of the one slice of an array, with the size of a pixel where ITK looks for it.
 
     Parameters
     ----------

@@ -1,18 +1,19 @@
 """What PNG and TIFF have in common: what a header claims, colour to grey, what these formats can hold.
 
-They keep the size of a pixel and no place in the world: a picture starts at the world's origin, along its axes.
+They keep the size of a pixel and no place in the world: an image starts at the world's origin, along its axes.
 """
 
 from __future__ import annotations
 
-import zlib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import InputError, UsageError
+from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 
 SUFFIXES = (".png", ".tif", ".tiff")
@@ -31,49 +32,35 @@ TRUNCATED_HINT = "the file is truncated or damaged: copy or export it again"
 
 
 @dataclass(frozen=True)
-class PictureHeader:
+class RasterHeader(ABC):
     """What the header of a PNG or TIFF claims.
 
     Attributes
     ----------
+    data : Path
+        The file.
     shape : tuple of int
         (pages, rows, columns).
     spacing : tuple of float or None
         mm, (z, y, x); None for a PNG, whose scale ITK reads.
-    unpacked_bytes : int
-        Bytes of all rows when unpacked.
     pixel_bytes : int
         Bytes that a pixel takes in memory, with all its colours.
-    strips : tuple of (int, int)
-        Offset and length of the strips or tiles of a TIFF.
-    packing : int
-        Compression of a TIFF, by its number there.
     """
 
+    data: Path
     shape: tuple[int, int, int]
     spacing: tuple[float, float, float] | None
-    unpacked_bytes: int
     pixel_bytes: int
-    strips: tuple[tuple[int, int], ...] = ()
-    packing: int = 1
 
+    @abstractmethod
+    def check_complete(self) -> None:
+        """Refuse a file that does not hold all its rows.
 
-def inflated_bytes(unpack: Any, piece: bytes) -> int:
-    """How many bytes a piece of a zlib stream unpacks to, without keeping them.
-
-    Raises
-    ------
-    InputError
-        When it is damaged.
-    """
-    count = 0
-    try:
-        while piece:
-            count += len(unpack.decompress(piece, 1 << 20))
-            piece = unpack.unconsumed_tail
-    except zlib.error as error:
-        raise InputError(f"the compressed rows are damaged ({error})", hint=TRUNCATED_HINT) from error
-    return count
+        Raises
+        ------
+        InputError
+            With what is missing.
+        """
 
 
 def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
@@ -133,8 +120,8 @@ def check_writable(array: NDArray[Any], suffix: str) -> None:
         )
 
 
-def keeps(geometry: Geometry, suffix: str) -> bool:
-    """Whether a format gives the same grid back; those that are no PNG or TIFF do.
+def preserves(geometry: Geometry, suffix: str) -> bool:
+    """Whether a file gives the same grid back when it is read; all formats but PNG and TIFF do.
 
     Parameters
     ----------
@@ -143,11 +130,11 @@ def keeps(geometry: Geometry, suffix: str) -> bool:
     suffix : str
         Of the file.
     """
-    return suffix not in SUFFIXES or kept_grid(geometry, suffix).matches(geometry)
+    return suffix not in SUFFIXES or stored_grid(geometry, suffix).matches(geometry)
 
 
-def kept_grid(geometry: Geometry, suffix: str) -> Geometry:
-    """The grid that is read back from a PNG or TIFF: the size of a pixel is kept, and in a TIFF the distance of slices.
+def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
+    """The grid that is read back from a PNG or TIFF: its pixel size, and of a TIFF its slice distance.
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ import math
 import re
 import struct
 import zlib
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, PictureHeader, inflated_bytes
+from accelsurf.io.formats.deflate import inflated_bytes
+from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, RasterHeader
 
-_SAVE_PLAIN = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
-LARGEST_FILE = 0xFFFFFFFF
-_MOST_TAG_VALUES = 1 << 22
-_LARGEST_TILE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
+_PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
+MAX_FILE_BYTES = 0xFFFFFFFF
+_MAX_TAG_VALUES = 1 << 22
+_MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
 _DIRECTORY_BYTES = 2 + 15 * 12 + 4  # of a page written here: 15 entries
 
 # Tags of a TIFF directory.
@@ -41,63 +43,83 @@ _MM = {
 Page = dict[int, tuple[Any, ...]]
 
 
-def parse(file: BinaryIO) -> PictureHeader:
+@dataclass(frozen=True)
+class TiffHeader(RasterHeader):
+    """What the directories of a TIFF claim, and whether all of it is there.
+
+    Attributes
+    ----------
+    unpacked_bytes : int
+        Bytes of all rows when unpacked.
+    strips : tuple of (int, int)
+        Offset and length of the strips or tiles.
+    compression : int
+        Compression, by its number.
+    """
+
+    unpacked_bytes: int
+    strips: tuple[tuple[int, int], ...]
+    compression: int
+
+    def check_complete(self) -> None:
+        """Refuse a TIFF whose strips are not all there.
+
+        Raises
+        ------
+        InputError
+            With what is missing.
+        """
+        size, present = self.data.stat().st_size, 0
+        with self.data.open("rb") as file:
+            for offset, length in self.strips:
+                if offset + length > size or length == 0:
+                    raise InputError(
+                        f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
+                        hint=TRUNCATED_HINT,
+                    )
+                if self.compression in _DEFLATE:
+                    file.seek(offset)
+                    present += inflated_bytes(zlib.decompressobj(), file.read(length))
+                else:
+                    present += length
+        if self.compression in (1, *_DEFLATE) and present < self.unpacked_bytes:
+            raise InputError(
+                f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {present}",
+                hint=TRUNCATED_HINT,
+            )
+
+
+def parse(path: Path) -> TiffHeader:
     """Read the directories of a TIFF (also BigTIFF): a page is a slice.
 
     Raises
     ------
     InputError
-        When it is none, is damaged, its pages differ, or it is of a sort that ITK does not read faithfully.
+        When it is none, is damaged, its pages differ, or it is of a kind that ITK does not read faithfully.
     """
     try:
-        pages = [page for page in _pages(file) if not page.get(_SUBFILE, (0,))[0] & 1]  # thumbnails are marked by 1
+        with path.open("rb") as file:
+            found = _pages(file)
+        pages = [page for page in found if not page.get(_SUBFILE, (0,))[0] & 1]  # thumbnails are marked by 1
         if not pages:
             raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
-        first = _sort(pages[0])
-        _check_sort(pages[0])
+        first = _page_kind(pages[0])
+        _check_faithful(pages[0])
         for number, page in enumerate(pages[1:], 2):
-            if _sort(page) != first:
+            if _page_kind(page) != first:
                 raise InputError(
                     f"page {number} of the TIFF differs from the first in size or type, like slices expected",
                     hint="extract the page, or the pages of one size, first",
                 )
         width, height, bits = int(pages[0][_WIDTH][0]), int(pages[0][_HEIGHT][0]), sum(_bits(pages[0]))
         spacing = _spacing(pages[0], len(pages))
-        packing = int(pages[0].get(_COMPRESSION, (1,))[0])
+        compression = int(pages[0].get(_COMPRESSION, (1,))[0])
         strips = tuple(strip for page in pages for strip in _strips(page))
     except (LookupError, TypeError, ValueError, OverflowError, struct.error):
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
     unpacked = len(pages) * height * ((width * bits + 7) // 8)
     pixel = 4 if _TILES in pages[0] or bits == 1 else bits // 8  # those ITK reads as colours with opacity
-    return PictureHeader((len(pages), height, width), spacing, unpacked, pixel, strips, packing)
-
-
-def check_complete(path: Path, header: PictureHeader) -> None:
-    """Refuse a TIFF whose strips are not all there.
-
-    Raises
-    ------
-    InputError
-        With what is missing.
-    """
-    size, present = path.stat().st_size, 0
-    with path.open("rb") as file:
-        for offset, length in header.strips:
-            if offset + length > size or length == 0:
-                raise InputError(
-                    f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
-                    hint=TRUNCATED_HINT,
-                )
-            if header.packing in _DEFLATE:
-                file.seek(offset)
-                present += inflated_bytes(zlib.decompressobj(), file.read(length))
-            else:
-                present += length
-    if header.packing in (1, *_DEFLATE) and present < header.unpacked_bytes:
-        raise InputError(
-            f"the header announces {header.unpacked_bytes} bytes of voxels, the file holds {present}",
-            hint=TRUNCATED_HINT,
-        )
+    return TiffHeader(path, (len(pages), height, width), spacing, pixel, unpacked, strips, compression)
 
 
 def _pages(file: BinaryIO) -> list[Page]:
@@ -137,7 +159,7 @@ def _values(file: BinaryIO, order: str, kind: int, count: int, field: bytes) -> 
     if code is None:
         return ()  # of a type that no tag used here has
     size = struct.calcsize(order + code) * count
-    if count > _MOST_TAG_VALUES:
+    if count > _MAX_TAG_VALUES:
         raise ValueError
     if size > len(field):
         file.seek(struct.unpack(order + ("Q" if len(field) == 8 else "I"), field)[0])
@@ -153,7 +175,7 @@ def _bits(page: Page) -> tuple[int, ...]:
     return tuple(bits) if len(bits) == samples else (int(bits[0]),) * samples
 
 
-def _sort(page: Page) -> tuple[Any, ...]:
+def _page_kind(page: Page) -> tuple[Any, ...]:
     """What the pages of a stack have in common."""
     keys = (_COMPRESSION, _PHOTOMETRIC, _ORIENTATION, _PLANAR)
     tags = tuple(page.get(key, (1,))[0] for key in keys)
@@ -165,17 +187,17 @@ def _strips(page: Page) -> list[tuple[int, int]]:
     return list(zip(page[offsets], page[lengths], strict=True))
 
 
-def _check_sort(page: Page) -> None:
+def _check_faithful(page: Page) -> None:
     """Refuse what ITK's reader changes on the way, or mixes up."""
     bits, form, colour = _bits(page), page.get(_FORMAT, (1,))[0], page.get(_PHOTOMETRIC, (1,))[0]
-    tiled, packing = _TILES in page, page.get(_COMPRESSION, (1,))[0]
+    tiled, compression = _TILES in page, page.get(_COMPRESSION, (1,))[0]
     grey = len(bits) == 1 and colour in (0, 1)
     plain = (bits[0], form) in STORED.values() and len(set(bits)) == 1
     wrong = ""
     if not (page[_WIDTH][0] and page[_HEIGHT][0]):
         raise ValueError
-    if packing not in _COMPRESSIONS:
-        wrong = f"compression number {packing}"
+    if compression not in _COMPRESSIONS:
+        wrong = f"compression number {compression}"
     elif colour == 3:
         wrong = "colours from a palette"
     elif not grey and (colour != 2 or len(bits) not in (3, 4)):
@@ -190,10 +212,10 @@ def _check_sort(page: Page) -> None:
         wrong = "colour channels one after the other"
     elif tiled and (bits[0] != 8 or form != 1):
         wrong = "tiles"
-    elif tiled and max(page[_TILE_WIDTH][0], page[_TILE_HEIGHT][0]) > _LARGEST_TILE:
+    elif tiled and max(page[_TILE_WIDTH][0], page[_TILE_HEIGHT][0]) > _MAX_TILE_EDGE:
         wrong = f"tiles of {page[_TILE_WIDTH][0]} x {page[_TILE_HEIGHT][0]}"
     if wrong:
-        raise InputError(f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_SAVE_PLAIN)
+        raise InputError(f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_PLAIN_HINT)
 
 
 def _spacing(page: Page, pages: int) -> tuple[float, float, float]:
@@ -204,28 +226,28 @@ def _spacing(page: Page, pages: int) -> tuple[float, float, float]:
     text = str(page.get(_DESCRIPTION, ("",))[0])
     if "<OME" in text:
         return _ome_spacing(text)
-    facts = dict(line.split("=", 1) for line in text.splitlines() if "=" in line) if text.startswith("ImageJ=") else {}
-    _refuse_channels(int(facts.get("channels", 1)), int(facts.get("frames", 1)))
-    if int(facts.get("images", pages)) > pages:
+    fields = dict(line.split("=", 1) for line in text.splitlines() if "=" in line) if text.startswith("ImageJ=") else {}
+    _refuse_channels(int(fields.get("channels", 1)), int(fields.get("frames", 1)))
+    if int(fields.get("images", pages)) > pages:
         raise InputError(
-            f"the TIFF announces {facts['images']} images and has {pages} page{'s' if pages > 1 else ''}",
+            f"the TIFF announces {fields['images']} images and has {pages} page{'s' if pages > 1 else ''}",
             hint="save the stack with a page for each slice",
         )
-    unit = _MM.get(facts.get("unit", "").lower(), 10.0 if page.get(_RES_UNIT, (2,))[0] == 3 else 0.0)
+    unit = _MM.get(fields.get("unit", "").lower(), 10.0 if page.get(_RES_UNIT, (2,))[0] == 3 else 0.0)
     (xn, xd), (yn, yd) = page.get(_X_RES, (0, 0))[:2], page.get(_Y_RES, (0, 0))[:2]
     if not unit or not all((xn, xd, yn, yd)):
         return 1.0, 1.0, 1.0
-    depth = float(facts.get("spacing", 1.0 / unit)) * unit
+    depth = float(fields.get("spacing", 1.0 / unit)) * unit
     return depth if math.isfinite(depth) and depth > 0 else 1.0, unit * yd / yn, unit * xd / xn
 
 
 def _ome_spacing(text: str) -> tuple[float, float, float]:
     """Spacing by the XML of an OME-TIFF, in which the unit is the micrometre unless another is named."""
     head = text[text.find("<Pixels") :].partition(">")[0]
-    facts = dict(re.findall(r'(\w+)="([^"]*)"', head))
-    _refuse_channels(int(facts.get("SizeC", 1)), int(facts.get("SizeT", 1)))
+    fields = dict(re.findall(r'(\w+)="([^"]*)"', head))
+    _refuse_channels(int(fields.get("SizeC", 1)), int(fields.get("SizeT", 1)))
     z, y, x = (
-        float(facts.get(f"PhysicalSize{a}", 0)) * _MM.get(facts.get(f"PhysicalSize{a}Unit", "um").lower(), 0.0)
+        float(fields.get(f"PhysicalSize{a}", 0)) * _MM.get(fields.get(f"PhysicalSize{a}Unit", "um").lower(), 0.0)
         for a in "ZYX"
     )
     return (z or 1.0, y, x) if min(x, y) > 0 and z >= 0 else (1.0, 1.0, 1.0)
@@ -254,8 +276,8 @@ def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
     """
     depth, height, width = array.shape
     bits, form = STORED[array.dtype.name]
-    facts = f"ImageJ=1.53\nimages={depth}\nslices={depth}\nunit=cm\nspacing={float(spacing[0]) / 10.0!r}\n"
-    text = facts.encode() + b"\0"
+    fields = f"ImageJ=1.53\nimages={depth}\nslices={depth}\nunit=cm\nspacing={float(spacing[0]) / 10.0!r}\n"
+    text = fields.encode() + b"\0"
     resolutions = b"".join(struct.pack("<II", *_per_cm(h)) for h in (spacing[2], spacing[1]))
     shared = 8 + len(text) + len(text) % 2
     out = [struct.pack("<2sHI", b"II", 42, shared + len(resolutions)), text.ljust(shared - 8, b"\0"), resolutions]
@@ -270,7 +292,7 @@ def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
         )
         page += b"\0" * (len(page) % 2)  # directories begin at even bytes
         end = at + _DIRECTORY_BYTES + len(page)
-        if end > LARGEST_FILE:
+        if end > MAX_FILE_BYTES:
             raise UsageError("the file would pass 4 GiB, which a .tif cannot hold", "write a volume format instead")
         out.append(struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", *entry) for entry in entries))
         out += [struct.pack("<I", end if z + 1 < depth else 0), page]

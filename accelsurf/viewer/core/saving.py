@@ -9,6 +9,7 @@ from pathlib import Path
 
 from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
+from accelsurf.io.files import write_bytes
 from accelsurf.report import document, file_entries, outputs
 from accelsurf.segmentation.api import Result, result_of
 from accelsurf.segmentation.run import Run
@@ -72,7 +73,7 @@ def save(
     outputs.refuse_existing(paths, overwrite=True)
     written = []
     if "run" in paths:
-        outputs.write_bytes(paths["run"], _toml(config, result, source).encode())
+        write_bytes(paths["run"], _toml(config, result, source).encode())
         written.append(("run", paths["run"]))
     picture = outputs.preview_content(result, outputs.outcome_title(name, result))
     written += list(outputs.write_result(result, folder, names, picture))
@@ -86,7 +87,7 @@ def save(
             result=result,
             outputs=[file_entries.describe_output(path, kind) for kind, path in written],
         )
-        outputs.write_bytes(paths["report"], (document.to_json(contents) + "\n").encode())
+        write_bytes(paths["report"], (document.to_json(contents) + "\n").encode())
         written.append(("report", paths["report"]))
     return [path for _, path in written]
 

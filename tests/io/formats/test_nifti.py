@@ -3,12 +3,15 @@
 import gzip
 import struct
 
+import nibabel
 import numpy as np
 import pytest
 import SimpleITK as sitk
 
 from accelsurf import Volume, io
 from accelsurf.errors import GeometryError, InputError
+from accelsurf.io import channels
+from accelsurf.io.formats import nifti as nifti_format
 
 SPACING = np.array([1.0, 2.0, 3.0])
 OFFSET = (-10.0, -20.0, 30.0)
@@ -231,6 +234,112 @@ def test_trailing_axes_of_one_are_no_axes(tmp_path):
     assert volume.array.shape == (3, 4, 5)
 
 
-def test_nifti_2_is_named(tmp_path):
-    with pytest.raises(InputError, match="NIfTI-2"):
+# ---------------------------------------------------------------------------------------------------- NIfTI-2
+
+
+def second(raw, order=None):
+    """The same image as NIfTI-2, by nibabel; in the same byte order, or another."""
+    old = nibabel.Nifti1Header(raw[:348], check=False)
+    size = tuple(old["dim"][1 : old["dim"][0] + 1])
+    stored = np.frombuffer(raw[352:], old.get_data_dtype(), np.prod(size))
+    header = nibabel.Nifti2Header(endianness=order or old.endianness)
+    for key in header.keys():
+        if key in old.keys() and key not in ("sizeof_hdr", "magic", "vox_offset"):
+            header[key] = old[key]
+    header["vox_offset"] = 544
+    return header.binaryblock + bytes(4) + stored.astype(header.get_data_dtype()).tobytes()
+
+
+def read_both(tmp_path, raw, suffix=".nii", order=None):
+    """A NIfTI-1 file read by ITK, and the same as NIfTI-2."""
+    one, two = save(tmp_path / f"one{suffix}", raw), save(tmp_path / f"two{suffix}", second(raw, order))
+    assert struct.unpack_from((order or "<") + "i", load(two)) == (540,)
+    return io.read(one), io.read(two)
+
+
+@pytest.mark.parametrize("codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 2), (0, 4), (1, 4), (3, 2), (2, 1)])
+@pytest.mark.parametrize("half", [0.0, 10.0, 89.9, 90.0])
+@pytest.mark.parametrize("qfac", [1, -1])
+def test_nifti_2_is_placed_as_itk_places_nifti_1(tmp_path, codes, half, qfac):
+    matrix = turn(2 * half) * SPACING * (1, 1, qfac)
+    one, two = read_both(tmp_path, nifti(codes, matrix, half=half, pixdim=(qfac, *SPACING), units=3))
+    assert two.geometry.matches(one.geometry, 1e-6 * max(one.geometry.spacing))
+    np.testing.assert_array_equal(two.array, one.array)
+    assert two.metadata == one.metadata and two.array.dtype == one.array.dtype
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_nifti_2_is_written_as_nifti_1_on_the_same_grid(tmp_path, suffix, order):
+    raw = nifti((2, 3))
+    _, volume = read_both(tmp_path, raw, suffix, order)
+    assert volume.array.flags.c_contiguous and volume.array.dtype == np.dtype("=i2")
+    io.write(volume, tmp_path / f"b{suffix}")
+    assert grid_fields(load(tmp_path / f"b{suffix}")) == grid_fields(raw)
+    np.testing.assert_array_equal(io.read(tmp_path / f"b{suffix}").array, volume.array)
+
+
+@pytest.mark.parametrize("code", ["u1", "i1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"])
+@pytest.mark.parametrize("scale", [(0.3, 7.0), (1, 0), (0, 5), (1, 3), (np.nan, 1), (2, np.nan)])
+def test_values_of_nifti_2_are_those_that_itk_gives_of_nifti_1(tmp_path, code, scale):
+    kind = nibabel.Nifti1Header()
+    kind.set_data_dtype(code)
+    raw = bytearray(nifti(dtype=(int(kind["datatype"]), int(kind["bitpix"])))[:352])
+    struct.pack_into("<2f", raw, 112, *scale)
+    raw += np.random.default_rng(0).integers(0, 100, 60).astype("<" + code).tobytes()
+    one, two = read_both(tmp_path, bytes(raw))
+    assert two.array.dtype == one.array.dtype
+    np.testing.assert_array_equal(two.array, one.array)
+
+
+def test_forms_of_nifti_2_that_disagree_or_contradict_pixdim(tmp_path):
+    one, two = read_both(tmp_path, nifti((1, 2), TURNED))
+    assert two.metadata[io.WARNING_KEY] == one.metadata[io.WARNING_KEY]
+    for matrix, words in ((2 * turn(20) * SPACING, "contradicts itself"), (sheared(0.1), "not perpendicular")):
+        with pytest.raises(GeometryError, match=words):
+            io.read(save(tmp_path / "a.nii", second(nifti((1, 1), matrix))))
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+@pytest.mark.parametrize("keep", [3, 100, 539, 540, 544, 663])
+def test_nifti_2_cut_short(tmp_path, suffix, keep):
+    whole = second(nifti())
+    assert len(whole) == 664
+    with pytest.raises(InputError, match="has only|announces 664 bytes of voxels, the file holds|lacks the NIfTI"):
+        io.read(save(tmp_path / f"a{suffix}", whole[:keep]))
+
+
+def test_nifti_2_that_is_none_or_too_large(tmp_path):
+    with pytest.raises(InputError, match="lacks the NIfTI marks"):
         io.read(save(tmp_path / "a.nii", struct.pack("<i", 540) + bytes(1000)))
+    raw = bytearray(second(nifti()))
+    struct.pack_into("<3q", raw, 24, 10**6, 10**6, 10**6)
+    with pytest.raises(InputError, match="1000000 x 1000000 x 1000000 voxels needs about"):
+        io.read(save(tmp_path / "a.nii", bytes(raw)))
+    with pytest.raises(InputError, match="needs about"):
+        io.read(save(tmp_path / "a.nii", second(nifti())), memory_bytes=60 * (2 + 2 + 12) - 1)
+    raw = bytearray(second(nifti()))
+    struct.pack_into("<i", raw, 344, 70000)
+    with pytest.raises(InputError, match=r"damaged: form codes \(70000, 1\)"):
+        io.read(save(tmp_path / "a.nii", bytes(raw)))
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("axes", [(4, 5, 4, 3, 2, 1, 1, 1), (5, 5, 4, 3, 1, 2, 1, 1)])
+def test_channels_are_placed_and_scaled_as_one_alone(tmp_path, version, axes):
+    raw = bytearray(nifti((1, 2), TURNED, size=axes)) + np.arange(60, 120).astype("<i2").tobytes()
+    struct.pack_into("<2f", raw, 112, 0.5, 10)
+    one = raw[:40] + struct.pack("<8h", 3, 5, 4, 3, 1, 1, 1, 1) + raw[56:]
+    alone = io.read(save(tmp_path / "alone.nii", bytes(one)))
+    found = channels.read(save(tmp_path / "a.nii.gz", second(bytes(raw)) if version == 2 else bytes(raw)))
+    assert len(found) == 2
+    for number, volume in enumerate(found):
+        np.testing.assert_array_equal(volume.array, alone.array + 30 * number)
+        assert volume.array.dtype == np.float32 and volume.geometry.matches(alone.geometry, 1e-5)
+        assert volume.metadata == alone.metadata
+
+
+def test_the_header_knows_its_own_grid():
+    """The rule by which ITK places an image, which the tests above check on files."""
+    header = nifti_format.parse(nifti((0, 0), TURNED))
+    assert header.grid.geometry().origin == (0, 0, 0) and header.grid.geometry().spacing == (3, 2, 1)

@@ -49,7 +49,7 @@ def test_round_trip(tmp_path, suffix, slices, dtype):
     back = io.read(path)
     assert back.array.dtype == dtype and back.source == path and back.metadata == {}
     np.testing.assert_array_equal(back.array, volume.array)
-    assert back.geometry.matches(raster.kept_grid(grid, suffix), 1e-6)
+    assert back.geometry.matches(raster.stored_grid(grid, suffix), 1e-6)
     io.write(back, tmp_path / f"b{suffix}")
     assert io.read(tmp_path / f"b{suffix}").geometry.spacing == back.geometry.spacing
 
@@ -98,7 +98,7 @@ def test_booleans_become_bytes_and_doubles_are_refused(tmp_path):
 
 
 def test_a_tiff_beyond_4_gib_is_refused(monkeypatch):
-    monkeypatch.setattr(tiff, "LARGEST_FILE", 200)
+    monkeypatch.setattr(tiff, "MAX_FILE_BYTES", 200)
     with pytest.raises(UsageError, match="4 GiB"):
         tiff.encode(SMALL[None], (1.0, 1.0, 1.0))
 
@@ -310,6 +310,35 @@ def test_a_huge_claim_is_refused_before_anything_is_read(tmp_path, suffix):
             struct.pack_into("<I", raw, first + 2 + 12 * entry + 8, 10**6)
     path.write_bytes(raw)
     refuse(path, r"1000000 x 1000000 x 1 voxels needs about 12107\.19 GiB")
+
+
+def png_of(rows, height, width):
+    """A grey PNG, packed here, that may hold fewer rows than it announces."""
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in parts
+    )
+
+
+def test_a_png_with_missing_rows_is_refused(tmp_path):
+    """Its checksums are right, and Pillow reads the missing rows as zeros."""
+    rows = np.concatenate([np.zeros((6, 1), np.uint8), SMALL], axis=1).tobytes()
+    (tmp_path / "a.png").write_bytes(png_of(rows, 6, 7))
+    np.testing.assert_array_equal(io.read(tmp_path / "a.png").array[0], SMALL)
+    (tmp_path / "b.png").write_bytes(png_of(rows[: 8 * 4], 6, 7))
+    with Image.open(tmp_path / "b.png") as opened:
+        assert not np.asarray(opened)[4:].any()
+    refuse(tmp_path / "b.png", "announces 48 bytes of rows, the file holds 32")
+
+
+def test_a_stack_with_missing_pages_is_refused(tmp_path):
+    """tifffile reads the pages before."""
+    tifffile.imwrite(tmp_path / "a.tif", STACK, compression="zlib", metadata=None, **GREY)
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        last = file.pages[2].offset
+    (tmp_path / "b.tif").write_bytes((tmp_path / "a.tif").read_bytes()[: last + 1])
+    refuse(tmp_path / "b.tif", "header is cut short or damaged")
 
 
 def samples(folder):

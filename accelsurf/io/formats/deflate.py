@@ -1,0 +1,114 @@
+"""Streams packed by gzip or zlib: read piece by piece, and written so that the same content gives the same bytes."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from accelsurf.errors import InputError
+
+TRUNCATED_HINT = "the file is truncated: copy or export it again"
+GZIP_START = b"\x1f\x8b"
+_CHUNK = 1 << 16
+
+
+def inflate(file: BinaryIO, limit: int | None = None) -> Iterator[bytes]:
+    """Decompressed chunks of a gzip (several members allowed) or zlib stream, to its end.
+
+    Parameters
+    ----------
+    file : binary file
+        At the beginning of the stream.
+    limit : int, optional
+        Bytes of the file that belong to the stream; by default all that follow.
+
+    Raises
+    ------
+    InputError
+        When the stream is damaged (its checksum counts), or ends early.
+    """
+    stream, started = zlib.decompressobj(47), False  # 47: either kind, recognized by its first bytes
+    try:
+        for chunk in _chunks(file, limit):
+            while chunk:
+                if started and stream.eof:
+                    # Another member may follow the first; padding or anything else is ignored.
+                    if chunk[:2] != GZIP_START:
+                        return
+                    stream = zlib.decompressobj(47)
+                started = True
+                yield stream.decompress(chunk)
+                chunk = stream.unused_data
+    except zlib.error as error:
+        raise InputError(
+            f"the compressed voxels are damaged ({error})", hint="copy or export the file again"
+        ) from error
+    if not stream.eof:
+        raise InputError("the compressed voxels end before their end mark", hint=TRUNCATED_HINT)
+
+
+def _chunks(file: BinaryIO, limit: int | None) -> Iterator[bytes]:
+    left = math.inf if limit is None else limit
+    while left > 0 and (chunk := file.read(int(min(_CHUNK, left)))):
+        left -= len(chunk)
+        yield chunk
+
+
+def first_bytes(file: BinaryIO, count: int) -> bytes:
+    """The first bytes of a stream, decompressed; fewer when it ends or is damaged before.
+
+    Raises
+    ------
+    InputError
+        When it is damaged from the start.
+    """
+    start = b""
+    try:
+        for chunk in inflate(file):
+            start += chunk
+            if len(start) >= count:
+                break
+    except InputError:
+        if not start:
+            raise
+    return start[:count]
+
+
+def inflated_bytes(unpack: Any, piece: bytes) -> int:
+    """How many bytes a piece of a zlib stream unpacks to, without keeping them.
+
+    Parameters
+    ----------
+    unpack : zlib.decompressobj
+        The stream so far.
+    piece : bytes
+        What follows.
+
+    Raises
+    ------
+    InputError
+        When it is damaged.
+    """
+    count = 0
+    try:
+        while piece:
+            count += len(unpack.decompress(piece, 1 << 20))
+            piece = unpack.unconsumed_tail
+    except zlib.error as error:
+        raise InputError(
+            f"the compressed rows are damaged ({error})",
+            hint="the file is truncated or damaged: copy or export it again",
+        ) from error
+    return count
+
+
+def gzip_file(source: Path, target: Path) -> None:
+    """Compress a file to the same bytes every time: no name and no date in the gzip header."""
+    with source.open("rb") as plain, target.open("wb") as out:
+        with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=out, mtime=0) as packed:
+            while chunk := plain.read(1 << 20):
+                packed.write(chunk)

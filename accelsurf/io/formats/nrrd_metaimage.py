@@ -1,0 +1,239 @@
+"""NRRD and MetaImage: what their text headers claim, and the lines of an NRRD header that place the grid.
+
+ITK reads the voxels. It takes any unit for mm, and for some damaged headers it returns uninitialized memory. So the
+headers are read here first.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from accelsurf.errors import GeometryError, InputError
+from accelsurf.io.formats.raw_header import Encoding, RawHeader
+
+NRRD_KEY = "nrrd_space"
+"""Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
+
+_MAX_HEADER_BYTES = 1 << 20
+
+_NRRD_BYTES = {
+    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
+    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
+    **dict.fromkeys(("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4),
+    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
+    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
+    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
+    "float": 4,
+}
+_META_BYTES = {
+    **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
+    **dict.fromkeys(("MET_SHORT", "MET_USHORT"), 2),
+    **dict.fromkeys(("MET_INT", "MET_UINT", "MET_LONG", "MET_ULONG", "MET_FLOAT"), 4),
+    **dict.fromkeys(("MET_LONG_LONG", "MET_ULONG_LONG", "MET_DOUBLE"), 8),
+}
+
+
+# Lines whose length depends on NDims, which must come before them.
+_META_SIZED = frozenset(
+    "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
+    "CenterOfRotation AnatomicalOrientation".split()
+)
+
+
+def parse_nrrd(path: Path) -> RawHeader:
+    """Read the header of an NRRD.
+
+    Raises
+    ------
+    InputError
+        When it is none, is damaged, gives another unit than mm, or names a data file that does not exist;
+        GeometryError when its axes are none.
+    """
+    with path.open("rb") as file:
+        if file.read(4) != b"NRRD":
+            raise InputError("this is not an NRRD image: it does not start with NRRD", hint="is it the right file?")
+        file.seek(0)
+        lines = _header_lines(file, lambda line: not line.strip())
+        offset = file.tell()
+    fields = {
+        key.strip().lower(): value.strip()
+        for key, colon, value in (line.partition(": ") for line in lines[1:] if not line.startswith("#"))
+        if colon
+    }
+    try:
+        sizes = [int(n) for n in fields["sizes"].split()]
+        claimed = math.prod(sizes) * _NRRD_BYTES[fields["type"].lower()]
+        encoding = fields["encoding"].lower()
+        if int(fields["dimension"]) != len(sizes) or min(sizes) < 1:
+            raise ValueError
+    except (KeyError, ValueError):
+        raise InputError(
+            f"the NRRD header is damaged: type {fields.get('type')}, sizes {fields.get('sizes')}, "
+            f"encoding {fields.get('encoding')}",
+            hint="copy or export the file again",
+        ) from None
+    _check_nrrd_axes(fields, len(sizes))
+    for key in ("space units", "units"):
+        _check_units(fields.get(key, "").replace('"', " ").split())
+    data = path
+    if detached := fields.get("data file") or fields.get("datafile"):
+        data, offset = _detached(path, detached), 0
+    skipped = any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip"))
+    coding: Encoding = "raw" if encoding == "raw" else "deflate" if encoding in ("gzip", "gz") else "other"
+    metadata = {}
+    if len(sizes) == 3 and "space directions" in fields:
+        keys = ("space", "space dimension", "space directions", "space origin")
+        metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
+    return RawHeader(data, offset, "other" if skipped else coding, claimed, metadata=metadata)
+
+
+def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
+    if dimension != 3:
+        return  # another kind of image: refused by that name later
+    if text := fields.get("space directions"):
+        vectors = text.replace("(", " ").replace(")", " ").replace(",", " ")
+        values = _numbers(vectors, "space directions", 9)
+        spacing = np.linalg.norm(np.reshape(values, (3, 3)), axis=1).tolist()
+    else:
+        spacing = _numbers(fields.get("spacings", "1 1 1"), "spacings", 3)
+    _check_spacing(spacing)
+
+
+def parse_metaimage(path: Path) -> RawHeader:
+    """Read the header of a MetaImage.
+
+    Raises
+    ------
+    InputError
+        When it is none, is damaged, gives another unit than mm, is packed as ITK cannot read it, or names a data file
+        that does not exist; GeometryError when its axes are none.
+    """
+    with path.open("rb") as file:
+        lines = _header_lines(file, lambda line: re.match(r"\s*ElementDataFile\s*[=:]", line) is not None)
+        offset = file.tell()
+    pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
+    fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
+    name = fields.get("ElementDataFile", "")
+    if not name or next((k for k in fields if k in _META_SIZED), "") != "NDims" or min(map(len, pairs)) < 2:
+        raise InputError(
+            "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
+            hint="is it the right file, and whole?",
+        )
+    try:
+        sizes = [int(n) for n in fields["DimSize"].split()]
+        item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")] * int(fields.get("ElementNumberOfChannels", 1))
+        skip = int(fields.get("HeaderSize", 0))
+        stored = int(fields["CompressedDataSize"]) if "CompressedDataSize" in fields else None
+        if int(fields["NDims"]) != len(sizes) or min(sizes) < 1:
+            raise ValueError
+    except (KeyError, ValueError):
+        raise InputError(
+            f"the MetaImage header is damaged: NDims {fields.get('NDims')}, DimSize {fields.get('DimSize')}, "
+            f"ElementType {fields.get('ElementType')}",
+            hint="copy or export the file again",
+        ) from None
+    _check_meta_axes(fields, len(sizes))
+    _check_units([fields["DistanceUnits"]] if "DistanceUnits" in fields else [])
+    data = path
+    if name.upper() != "LOCAL":
+        data, offset = _detached(path, name), 0
+    encoding: Encoding = "raw" if _is_true(fields, "BinaryData") else "other"  # other: numbers as text
+    if _is_true(fields, "CompressedData"):
+        encoding = "deflate"
+        if skip != 0 or (stored is None and data == path):
+            # ITK then decompresses nothing and returns uninitialized memory.
+            raise InputError(
+                "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
+                hint="save the image again, e.g. uncompressed",
+            )
+    # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
+    return RawHeader(data, offset + max(skip, 0), encoding, math.prod(sizes) * item, stored)
+
+
+def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
+    spacing = fields.get("ElementSpacing", fields.get("ElementSize", " ".join(["1"] * dimension)))
+    _check_spacing(_numbers(spacing, "ElementSpacing", dimension))
+    for key, count in (("Offset", dimension), ("Position", dimension), ("Origin", dimension)):
+        if key in fields:
+            _numbers(fields[key], key, count)
+    for key in ("TransformMatrix", "Orientation", "Rotation"):
+        if key in fields:
+            _numbers(fields[key], key, dimension * dimension)
+
+
+def _is_true(fields: dict[str, str], key: str) -> bool:
+    return fields.get(key, "")[:1] in ("T", "t", "1")  # as MetaIO reads it
+
+
+def _header_lines(file: BinaryIO, last: Callable[[str], bool]) -> list[str]:
+    """Lines of a text header up to and including the one that ends it (or the end of the file)."""
+    lines: list[str] = []
+    while file.tell() < _MAX_HEADER_BYTES and (raw := file.readline(_MAX_HEADER_BYTES)):
+        lines.append(raw.decode("utf-8", errors="replace").rstrip("\r\n"))
+        if last(lines[-1]):
+            break
+    return lines
+
+
+def _detached(path: Path, name: str) -> Path:
+    """The data file a header names, relative to the header."""
+    if name.split()[0].upper() == "LIST" or "%" in name:
+        raise InputError(f"the voxels are spread over several files ({name})", hint="save the image as one file first")
+    data = path.parent / name
+    if not data.is_file():
+        raise InputError(
+            f"the header names the data file {name}, which is missing",
+            hint=f"copy {name} into the same folder, under that name",
+        )
+    return data
+
+
+def _numbers(text: str, key: str, count: int) -> list[float]:
+    try:
+        values = [float(v) for v in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise GeometryError(f"the header gives {key} = {text}, {count} finite numbers expected")
+    return values
+
+
+def _check_spacing(spacing: list[float]) -> None:
+    if any(h <= 0 for h in spacing):
+        raise GeometryError(
+            f"the header gives spacing (x,y,z) = ({', '.join(f'{h:g}' for h in spacing)}), positive numbers expected",
+            hint="correct the spacing in the header",
+        )
+
+
+def _check_units(units: list[str]) -> None:
+    """Millimetres are the only unit that ITK has for these formats; anything else it would silently take as mm."""
+    for unit in units:
+        if unit.lower() not in ("", "mm", "millimeter", "millimeters", "millimetre", "millimetres", "???", "?"):
+            raise InputError(
+                f"the header gives lengths in {unit}, mm expected",
+                hint="convert spacing and origin to mm in the header, or take out the unit to have them read as mm",
+            )
+
+
+def put_nrrd_space(path: Path, lines: str) -> None:
+    """Replace the lines of an NRRD header that place the grid by others, in place."""
+    head, gap, voxels = path.read_bytes().partition(b"\n\n")
+    wanted = dict(line.split(": ", 1) for line in lines.splitlines())
+    written = []
+    for line in head.decode().splitlines():
+        key = line.split(": ", 1)[0]
+        if key == "space":
+            written += [f"{k}: {wanted[k]}" for k in ("space", "space dimension") if k in wanted]
+        elif not key.startswith("space "):
+            written.append(line)
+        elif key in wanted:
+            written.append(f"{key}: {wanted[key]}")
+    path.write_bytes("\n".join(written).encode() + gap + voxels)

@@ -1,0 +1,118 @@
+"""The only place that imports SimpleITK: its readers and writers, without their warnings, and its grids."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import SimpleITK as sitk
+
+from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+
+
+def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
+    """A reader of one format that has read the header of a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    itk_name : str
+        The format, as ITK names the class that reads it.
+    """
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO(itk_name)
+    reader.SetFileName(str(path))
+    with _quiet():
+        reader.ReadImageInformation()
+    return reader
+
+
+def execute(reader: sitk.ImageFileReader) -> sitk.Image:
+    """Read the voxels; a fourth axis of one is dropped."""
+    with _quiet():
+        image = reader.Execute()
+    return image[:, :, :, 0] if image.GetDimension() == 4 else image
+
+
+def save(volume: Volume, path: Path, itk_name: str, compress: bool) -> None:
+    """Write a volume in one format.
+
+    Parameters
+    ----------
+    volume : Volume
+        Of a type that the format knows.
+    path : Path
+        The file.
+    itk_name : str
+        The format, as ITK names the class that writes it.
+    compress : bool
+        Whether the voxels are packed.
+    """
+    image = sitk.GetImageFromArray(volume.array)
+    image.SetSpacing(volume.geometry.spacing_xyz)
+    image.SetOrigin(volume.geometry.origin)
+    image.SetDirection(volume.geometry.direction.ravel().tolist())
+    writer = sitk.ImageFileWriter()
+    writer.SetImageIO(itk_name)
+    writer.SetFileName(str(path))
+    writer.SetUseCompression(compress)
+    with _quiet():
+        writer.Execute(image)
+
+
+def voxel_bytes(reader: sitk.ImageFileReader) -> int:
+    """Bytes of a number in the array that a reader will give."""
+    return int(sitk.GetArrayFromImage(sitk.Image(1, 1, reader.GetPixelIDValue())).itemsize)
+
+
+def geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:
+    """The grid of an image or of a header, by its first three axes."""
+    axes = image.GetDimension()
+    direction = np.array(image.GetDirection()).reshape(axes, axes)[:3, :3]
+    return Geometry(image.GetSize()[2::-1], image.GetSpacing()[2::-1], image.GetOrigin()[:3], direction)
+
+
+def check_kind(reader: sitk.ImageFileReader) -> None:
+    """Refuse by name what is not a 3D image of real numbers (NIfTI was refused from its raw header already).
+
+    Raises
+    ------
+    InputError
+        With the kind of image that it is.
+    """
+    size, components = reader.GetSize(), reader.GetNumberOfComponents()
+    text = " x ".join(map(str, size))
+    pixel = sitk.GetPixelIDValueAsString(reader.GetPixelIDValue())
+    if "complex" in pixel:
+        raise InputError("a complex image given, one real number per voxel expected", hint="take the magnitude first")
+    if components > 1:
+        kind = "colour (RGB) or vector" if components in (3, 4) and "unsigned" in pixel else "vector"
+        raise InputError(
+            f"a {kind} image ({text}, {components} components per voxel) given, one number per voxel expected",
+            hint="extract one channel, or the magnitude, first",
+        )
+    if len(size) < 3:
+        raise InputError(
+            f"a {len(size)}D image ({text}) given, 3D expected",
+            hint="add a slice axis of size 1, or use Volume.from_array in Python",
+        )
+    if len(size) > 4 or (len(size) == 4 and size[3] > 1):
+        raise InputError(
+            f"a {len(size)}D image ({text}) given, 3D expected", hint="extract one time point or channel first"
+        )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """ITK's warnings off for a moment: what matters is checked here and said in one line."""
+    before = sitk.ProcessObject.GetGlobalWarningDisplay()
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    try:
+        yield
+    finally:
+        sitk.ProcessObject.SetGlobalWarningDisplay(before)

@@ -1,0 +1,191 @@
+"""Headers of NRRD and MetaImage that are damaged, point to other files, or give other units than mm."""
+
+import re
+import zlib
+
+import numpy as np
+import pytest
+
+from accelsurf import io
+from accelsurf.errors import GeometryError, InputError
+from accelsurf.grid.volume import Volume
+from tests.support.text_headers import text_header
+
+VALUES = np.random.default_rng(0).integers(0, 30000, (4, 5, 6)).astype(np.int16)
+
+
+def refuse(path, words, family=InputError):
+    with pytest.raises(family, match=words) as caught:
+        io.read(path)
+    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+    assert caught.value.hint or "finite numbers" in words
+
+
+@pytest.fixture(autouse=True)
+def silence(capfd):
+    """No C++ library speaks to the user past us."""
+    yield
+    assert capfd.readouterr() == ("", "")
+
+
+# ------------------------------------------------------------------------------------------------------- NRRD
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"spacings": "0 1 1"}, r"spacing \(x,y,z\) = \(0, 1, 1\), positive"),
+        ({"spacings": "-1 1 1"}, r"spacing \(x,y,z\) = \(-1, 1, 1\), positive"),
+        ({"spacings": "nan 1 1"}, "spacings = nan 1 1, 3 finite numbers"),
+        ({"spacings": "1 1"}, "spacings = 1 1, 3 finite numbers"),
+        (
+            {"spacings": None, "space": "left-posterior-superior", "space_directions": "(0,0,0) (0,1,0) (0,0,1)"},
+            r"spacing \(x,y,z\) = \(0, 1, 1\), positive",
+        ),
+        (
+            {"spacings": None, "space": "left-posterior-superior", "space_directions": "none (0,1,0) (0,0,1)"},
+            "space directions = .*9 finite numbers",
+        ),
+    ],
+)
+def test_nrrd_axes(tmp_path, changes, words):
+    (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", **changes) + VALUES.tobytes())
+    refuse(tmp_path / "a.nrrd", words, GeometryError)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"type": "block"}, {"type": None}, {"sizes": "6 5"}, {"sizes": "6 0 4"}, {"sizes": "6 x 4"}, {"encoding": None}],
+)
+def test_nrrd_damaged_header(tmp_path, changes):
+    (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", **changes) + VALUES.tobytes())
+    refuse(tmp_path / "a.nrrd", "the NRRD header is damaged")
+
+
+def test_nrrd_with_voxels_in_another_file(tmp_path):
+    for key in ("data_file", "datafile"):
+        (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", **{key: "a.raw"}))
+        (tmp_path / "a.raw").unlink(missing_ok=True)
+        refuse(tmp_path / "a.nrrd", r"names the data file a\.raw, which is missing")
+        (tmp_path / "a.raw").write_bytes(VALUES.tobytes()[:-1])
+        refuse(tmp_path / "a.nrrd", "announces 240 bytes of voxels, the file holds 239")
+        (tmp_path / "a.raw").write_bytes(VALUES.tobytes())
+        np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
+
+
+@pytest.mark.parametrize("suffix", [".nrrd", ".mha"])
+@pytest.mark.parametrize("name", ["LIST", "LIST 2D", "a%03d.raw 1 4 1"])
+def test_voxels_in_many_files_are_refused(tmp_path, suffix, name):
+    key = {".nrrd": "data_file", ".mha": "ElementDataFile"}[suffix]
+    (tmp_path / f"a{suffix}").write_bytes(text_header(suffix, **{key: name}))
+    refuse(tmp_path / f"a{suffix}", "spread over several files")
+
+
+def test_nrrd_as_text(tmp_path):
+    head = text_header(".nrrd", encoding="ascii")
+    (tmp_path / "a.nrrd").write_bytes(head + " ".join(map(str, VALUES.ravel())).encode())
+    np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
+    (tmp_path / "a.nrrd").write_bytes(head + b"1 2 3")
+    refuse(tmp_path / "a.nrrd", "cannot be read as an image")
+
+
+def test_nrrd_with_bytes_to_skip(tmp_path):
+    (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", byte_skip="7") + b"skipped" + VALUES.tobytes())
+    np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
+    (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", byte_skip="7") + VALUES.tobytes())
+    refuse(tmp_path / "a.nrrd", "cannot be read as an image")
+
+
+@pytest.mark.parametrize("key", ["space_units", "units"])
+def test_nrrd_units(tmp_path, key):
+    """ITK takes any unit for mm."""
+    place = {"spacings": None, "space": "left-posterior-superior", "space directions": "(1,0,0) (0,2,0) (0,0,3)"}
+    place = place if key == "space_units" else {}
+    for unit, good in (("mm", True), ("um", False), ("microns", False)):
+        head = text_header(".nrrd", **place, **{key: f'"{unit}" "{unit}" "{unit}"'})
+        (tmp_path / "a.nrrd").write_bytes(head + VALUES.tobytes())
+        if good:
+            assert io.read(tmp_path / "a.nrrd").geometry.spacing == (3, 2, 1)
+        else:
+            refuse(tmp_path / "a.nrrd", f"lengths in {unit}, mm expected")
+
+
+# -------------------------------------------------------------------------------------------------- MetaImage
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"ElementSpacing": "0 1 1"}, r"spacing \(x,y,z\) = \(0, 1, 1\), positive"),
+        ({"ElementSpacing": "-1 1 1"}, r"spacing \(x,y,z\) = \(-1, 1, 1\), positive"),
+        ({"ElementSpacing": "nan 1 1"}, "ElementSpacing = nan 1 1, 3 finite numbers"),
+        ({"ElementSpacing": "1 1"}, "ElementSpacing = 1 1, 3 finite numbers"),
+        ({"Offset": "1 2"}, "Offset = 1 2, 3 finite numbers"),
+        ({"TransformMatrix": "1 0 0 0 1 0"}, "TransformMatrix = .*, 9 finite numbers"),
+    ],
+)
+def test_metaimage_axes(tmp_path, changes, words):
+    (tmp_path / "a.mha").write_bytes(text_header(".mha", **changes) + VALUES.tobytes())
+    refuse(tmp_path / "a.mha", words, GeometryError)
+
+
+def test_metaimage_singular_matrix(tmp_path):
+    head = text_header(".mha", TransformMatrix="1 0 0 0 0 0 0 0 1")
+    (tmp_path / "a.mha").write_bytes(head + VALUES.tobytes())
+    refuse(tmp_path / "a.mha", "Bad direction, determinant is 0")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"ElementType": "MET_NONSENSE"}, "MetaImage header is damaged"),
+        ({"ElementType": None}, "MetaImage header is damaged"),
+        ({"DimSize": "6 5"}, "MetaImage header is damaged"),
+        ({"DimSize": "6 5 0"}, "MetaImage header is damaged"),
+        ({"NDims": None}, "not a MetaImage"),
+        ({"DistanceUnits": "um"}, "lengths in um, mm expected"),
+        ({"CompressedData": "True"}, "CompressedDataSize"),
+        ({"CompressedData": "True", "CompressedDataSize": "5000"}, "announces 5000 bytes of compressed voxels"),
+        ({"CompressedData": "True", "CompressedDataSize": "20"}, "damaged|end before"),
+    ],
+)
+def test_metaimage_damaged_header(tmp_path, changes, words):
+    (tmp_path / "a.mha").write_bytes(text_header(".mha", **changes) + zlib.compress(VALUES.tobytes()))
+    refuse(tmp_path / "a.mha", words)
+
+
+def test_metaimage_lines_out_of_order(tmp_path):
+    lines = text_header(".mha").decode().splitlines(keepends=True)
+    lines.insert(1, lines.pop(4))
+    assert lines[1].startswith("ElementSpacing")
+    (tmp_path / "a.mha").write_bytes("".join(lines).encode() + VALUES.tobytes())
+    refuse(tmp_path / "a.mha", "out of order")
+
+
+def test_metaimage_without_its_data_file(tmp_path):
+    io.write(Volume.from_array(VALUES), tmp_path / "a.mhd")
+    (tmp_path / "a.zraw").rename(tmp_path / "b.zraw")
+    refuse(tmp_path / "a.mhd", r"names the data file a\.zraw, which is missing")
+
+
+def test_metaimage_data_file_with_a_header_of_its_own(tmp_path):
+    for size, before in (("16", b"x" * 16), ("-1", b"any length")):
+        (tmp_path / "a.mhd").write_bytes(text_header(".mha", HeaderSize=size, ElementDataFile="a.raw"))
+        (tmp_path / "a.raw").write_bytes(before + VALUES.tobytes())
+        np.testing.assert_array_equal(io.read(tmp_path / "a.mhd").array, VALUES)
+    (tmp_path / "a.raw").write_bytes(VALUES.tobytes()[:-1])
+    refuse(tmp_path / "a.mhd", "announces 240 bytes of voxels, the file holds 239")
+
+
+def test_metaimage_compressed_by_others_without_a_size(tmp_path):
+    """In a file of their own ITK finds the length of the voxels, so this is read."""
+    io.write(Volume.from_array(VALUES), tmp_path / "a.mhd")
+    text = (tmp_path / "a.mhd").read_text()
+    (tmp_path / "a.mhd").write_text(re.sub("CompressedDataSize.*\n", "", text))
+    np.testing.assert_array_equal(io.read(tmp_path / "a.mhd").array, VALUES)
+
+
+def test_metaimage_written_as_mhd_names_its_voxels_by_their_final_name(tmp_path):
+    io.write(Volume.from_array(VALUES), tmp_path / "head.v2.mhd")
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["head.v2.mhd", "head.v2.zraw"]
+    assert "ElementDataFile = head.v2.zraw\n" in (tmp_path / "head.v2.mhd").read_text()
