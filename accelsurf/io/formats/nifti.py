@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io.formats.deflate import GZIP_START, first_bytes
-from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid
+from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import RawHeader
 
 HEADER_BYTES = {1: 348, 2: 540}
@@ -122,7 +122,7 @@ def read_header(path: Path, compressed: bool) -> NiftiFile:
             file.seek(0)
             start = first_bytes(file, max(HEADER_BYTES.values()))
     header = parse(start)
-    header.grid.check_shear()
+    header.grid.check_forms()
     metadata = {METADATA_KEY: header.grid.fields}
     return NiftiFile(path, 0, "deflate" if compressed else "raw", header.claimed_bytes, None, metadata, nifti=header)
 
@@ -166,7 +166,7 @@ def parse(raw: bytes) -> NiftiHeader:
         raise InputError(f"the NIfTI header is damaged: form codes {codes}", hint="copy or export the file again")
     size = _real_size(dim[1 : dim[0] + 1], int(header["datatype"]))
     p0, p1, p2, p3 = header["pixdim"][:4].tolist()
-    if not all(math.isfinite(h) and h > 0 for h in (p1, p2, p3)):
+    if not is_finite((p1, p2, p3)) or min(p1, p2, p3) <= 0:
         raise GeometryError(
             f"the header gives spacing (x,y,z) = ({p1:g}, {p2:g}, {p3:g}), three positive numbers expected",
             hint="correct pixdim[1..3] in the header",
@@ -250,6 +250,7 @@ def read_channels(file: NiftiFile) -> list[NDArray[Any]]:
     channels = []
     for channel in stored.T:
         if (header.slope, header.intercept) != (1.0, 0.0):
-            channel = channel.astype(np.float64) * header.slope + header.intercept
+            with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold becomes infinite, as in ITK
+                channel = (channel.astype(np.float64) * header.slope + header.intercept).astype(header.value_type)
         channels.append(np.ascontiguousarray(channel, header.value_type))
     return channels

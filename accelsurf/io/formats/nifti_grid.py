@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,9 +98,11 @@ class NiftiGrid:
 
     def _sform_parts(self) -> tuple[Floats, Floats]:
         matrix = np.array(self.sform, dtype=np.float64).reshape(3, 4)[:, :3]
-        spacing = np.linalg.norm(matrix, axis=0)
-        if not np.isfinite(matrix).all() or not (spacing > 0).all():
-            raise GeometryError(f"the sform of the header is no transform: {np.array(self.sform).tolist()}")
+        if not is_finite(self.sform) or not (spacing := np.linalg.norm(matrix, axis=0)).all():
+            raise GeometryError(
+                f"the sform of the header is no transform: {list(self.sform)}",
+                hint="correct or clear the sform in the header",
+            )
         return matrix, spacing
 
     @property
@@ -111,8 +114,8 @@ class NiftiGrid:
         hx, hy, hz = (float(h) * self._unit for h in spacing)
         return Geometry(self.shape, (hz, hy, hx), (x, y, z), _RAS_TO_LPS @ direction)
 
-    def check_shear(self) -> None:
-        """Refuse a sheared affine where the affine is what counts.
+    def check_forms(self) -> None:
+        """Refuse a qform with a value that is not finite, and a sheared sform where the sform is what counts.
 
         With a qform of another kind beside it (a scanner qform and an atlas sform), the qform places the image and the
         sform is only given back on writing.
@@ -120,8 +123,13 @@ class NiftiGrid:
         Raises
         ------
         GeometryError
-            With the size of the deviation.
+            With the numbers, or the size of the deviation.
         """
+        if self.qform_code > 0 and not is_finite(self.qform):
+            raise GeometryError(
+                f"the qform of the header is no transform: {list(self.qform)}",
+                hint="correct or clear the qform in the header",
+            )
         if not self._sform_counts:
             return
         deviation = self.sform_deviation()
@@ -183,6 +191,11 @@ class NiftiGrid:
     @property
     def _has_sform_grid(self) -> bool:
         return self.sform_code > 0 and self.sform_deviation() <= ORTHONORMAL_TOLERANCE
+
+
+def is_finite(values: Sequence[float]) -> bool:
+    """Whether all are numbers of single precision, which NIfTI-1 has; NIfTI-2 has doubles, whose squares overflow."""
+    return bool((np.abs(values) <= np.finfo(np.float32).max).all())
 
 
 def put_grid(path: Path, grid_fields: str) -> None:

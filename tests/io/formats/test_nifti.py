@@ -178,6 +178,17 @@ def test_an_sform_that_is_no_transform(tmp_path, matrix):
         io.read(save(tmp_path / "a.nii", nifti((0, 1), matrix)))
 
 
+@pytest.mark.parametrize("field", range(6))
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_qform_that_is_no_transform(tmp_path, field, version, capfd):
+    raw = bytearray(nifti((1, 0)))
+    struct.pack_into("<f", raw, 256 + 4 * field, np.nan)
+    raw = second(bytes(raw)) if version == 2 else bytes(raw)
+    with pytest.raises(GeometryError, match="qform of the header is no transform: .*nan") as caught:
+        io.read(save(tmp_path / "a.nii", raw))
+    assert caught.value.hint and capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("codes", [(0, 0), (1, 0), (1, 1)])
 @pytest.mark.parametrize("axis", [1, 2, 3])
 @pytest.mark.parametrize("value", [0.0, -2.0, np.nan, np.inf])
@@ -307,6 +318,25 @@ def test_nifti_2_cut_short(tmp_path, suffix, keep):
     assert len(whole) == 664
     with pytest.raises(InputError, match="has only|announces 664 bytes of voxels, the file holds|lacks the NIfTI"):
         io.read(save(tmp_path / f"a{suffix}", whole[:keep]))
+
+
+def test_damage_of_the_header_is_refused_or_read_but_never_anything_else(tmp_path, capfd):
+    rng = np.random.default_rng(3)
+    two = nifti((1, 2), size=(4, 5, 4, 3, 2, 1, 1, 1)) + bytes(120)
+    for raw in (second(nifti((1, 2))), two, second(two)):
+        refused = 0
+        for _ in range(150):
+            damaged = bytearray(raw)
+            for place in rng.integers(0, 540 if raw[:2] == b"\x1c\x02" else 348, 4):
+                damaged[place] = rng.integers(0, 256)
+            path = save(tmp_path / "a.nii", bytes(damaged))
+            try:
+                channels.read(path)
+            except InputError as error:
+                refused += 1
+                assert str(error).startswith(f"{path}: ") and error.hint
+        assert 10 < refused < 150
+    capfd.readouterr()  # VNL prints about forms that no code refers to
 
 
 def test_nifti_2_that_is_none_or_too_large(tmp_path):
