@@ -1,6 +1,8 @@
 """Settings of the documentation site; scripts/docs builds it."""
 
 import os
+import re
+from typing import Any
 
 import accelsurf
 
@@ -16,7 +18,8 @@ extensions = [
     "numpydoc",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "gallery", "decisions/README.md"]
+# The list of reference pages is for those who read the repository; the site has its own in api/index.
+exclude_patterns = ["_build", "gallery", "reference/README.md"]
 suppress_warnings = [
     "config.cache",  # the settings of the gallery hold functions, which cannot be cached
 ]
@@ -57,3 +60,13 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": ["sphinx-version"],
 }
+
+
+def _escape_norms(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Escape the bars of |grad psi| in docstrings, which reStructuredText would read as a substitution."""
+    lines[:] = [re.sub(r"(?<![\\`|])\|(?![`|])", r"\\|", line) for line in lines]
+
+
+def setup(app: Any) -> None:
+    """Connect what changes docstrings."""
+    app.connect("autodoc-process-docstring", _escape_norms)
