@@ -32,13 +32,16 @@ def commands(page):
     return [shlex.split(line[2:], comments=True) for line in lines]
 
 
+def grid():
+    return Geometry((48, 48, 48), (2.0, 2.0, 2.0), origin=(-47.0, -47.0, -47.0))
+
+
 def scan_in_place_of(path):
     """A small volume around the world's origin, in place of a scan that the page's reader has: a ball, and noise."""
-    z, y, x = (8.0 * (axis - 15.5) for axis in np.indices((32, 32, 32)))
-    ball = 100.0 * (x**2 + y**2 + z**2 < 80**2)
+    z, y, x = (2.0 * (axis - 23.5) for axis in np.indices(grid().shape))
+    ball = 100.0 * (x**2 + y**2 + z**2 < 30**2)
     noisy = ball + np.random.default_rng(0).normal(0, 5, ball.shape)
-    geometry = Geometry(ball.shape, (8.0, 8.0, 8.0), origin=(-124.0, -124.0, -124.0))
-    io.write(Volume(noisy.astype(np.float32), geometry), path)
+    io.write(Volume(noisy.astype(np.float32), grid()), path)
 
 
 def can_draw():
@@ -89,3 +92,45 @@ def test_every_script_of_the_page_exists_and_has_help(page):
         if name != "scripts/demo":  # hands --help on to the program that it installs
             done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=30)
             assert done.returncode == 0 and "Usage:" in done.stderr, done.stderr
+
+
+def folder_of_a_reader():
+    """Make what the how-to pages take for granted: scans, labels, a picture, tables, a first result."""
+    for name in ("scan", "ct", "t2", "cells"):
+        scan_in_place_of(Path(f"{name}.nii.gz"))
+    labels = np.zeros(grid().shape, np.uint8)
+    labels[20:28, 20:28, 8:14], labels[20:28, 20:28, 32:40] = 2, 6
+    for name in ("truth.nii.gz", "starts.nii.gz"):
+        io.write(Volume(labels, grid()), name)
+    y, x = np.indices((160, 200))
+    io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
+    Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
+    assert cli.run(["segment", "scan.nii.gz", "-o", "out", "--max-steps", "2", "--quiet"]) == 0
+    Path("out/run.toml").write_text("max_steps = 2\n")
+
+
+PLANE = Geometry((1, 160, 200), (1.0, 1.0, 1.0))
+HOW_TO = [page for page in sorted((ROOT / "docs" / "how-to").glob("*.md")) if CONSOLE.search(page.read_text())]
+
+
+@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.name)
+def test_every_command_of_a_how_to_page_is_accepted(page, tmp_path, monkeypatch, capsys):
+    """Each runs for two steps, in place of X,Y,Z with the middle; windows and pages are left to the viewer's tests."""
+    monkeypatch.chdir(tmp_path)
+    folder_of_a_reader()
+    for words in commands(page):
+        words = [word.replace("X,Y,Z", "0,0,0") for word in words]
+        target = words.pop(words.index(">") + 1) if ">" in words else None
+        words = [word for word in words if word != ">"]
+        if words[0] != "accelsurf" or words[1] == "view" or (words[1] == "movie" and not can_draw()):
+            continue
+        if words[1] != "info":
+            words += ["--overwrite"]
+        if words[1] in ("segment", "compare", "movie") and not Path(words[2]).is_dir():
+            words += ["--max-steps", "2"]
+        if words[1] == "movie":
+            words += ["--size", "320x180"]
+        capsys.readouterr()
+        assert cli.run(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
+        if target is not None:
+            Path(target).write_text(capsys.readouterr().out)

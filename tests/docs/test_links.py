@@ -14,7 +14,7 @@ PAGES = [
 RECORDS = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 #: Folders that exist only after a command was run.
-LEFT_BY_COMMANDS = ("out/", "ring/", "first/", "both/", "volumes/", "dist/", "docs/_build", "results/", "benchmarks/results")
+LEFT_BY_COMMANDS = ("out/", "ring/", "first/", "both/", "volumes/", "dist/", "docs/_build", "results/", "benchmarks/r")
 CODE = re.compile(r"^(`{3,}).*?^\1", re.DOTALL | re.MULTILINE)
 
 
