@@ -45,7 +45,7 @@ for axis, (flow, result) in zip(axes, results.items(), strict=False):
     axis.contour(result.labels[n // 2], [0.5], colors="#ff9d2e", linewidths=1.5)
     axis.set_title(f"{flow}: Dice {dice(result.labels):.3f}", fontsize=10)
     axis.axis("off")
-    axes[2].plot([row.step for row in result.history], [row.potential for row in result.history], label=flow)
+    axes[2].plot([record.potential for record in result.history], label=flow)
 axes[2].set(xlabel="step", title="potential energy")
 axes[2].legend()
 figure.tight_layout()

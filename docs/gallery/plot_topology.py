@@ -19,17 +19,16 @@ image = torus + np.random.default_rng(0).normal(0, 0.2, torus.shape)
 # %%
 # ``evolve`` yields each step. The surface of a step is changed by the next one, so what is to be kept is copied.
 
-history, slices = [], {}
-for step in accelsurf.evolve(image, start="ball:37,23,23,5vox", levels=1, max_steps=400):
-    history.append(step.row)
-    slices[step.row.step] = step.surface.labels[n // 2].copy()
+slices = [
+    step.surface.labels[n // 2].copy()
+    for step in accelsurf.evolve(image, start="ball:37,23,23,5vox", levels=1, max_steps=400)
+]
 
 # %%
 # Six steps, evenly spaced from the start to the end of the run.
 
-last = history[-1].step
 figure, axes = plt.subplots(2, 3, figsize=(9, 6.4))
-for axis, number in zip(axes.flat, np.linspace(0, last, 6).astype(int), strict=True):
+for axis, number in zip(axes.flat, np.linspace(0, len(slices) - 1, 6).astype(int), strict=True):
     axis.imshow(image[n // 2], cmap="gray")
     axis.contour(slices[number], [0.5], colors="#ff9d2e", linewidths=1.5)
     axis.set_title(f"step {number}", fontsize=10)

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+import accelsurf
+from accelsurf import energies
+
 ROOT = Path(__file__).parents[2]
 BUILT = ("_build", "examples", "generated")
 PAGES = [
@@ -56,7 +59,7 @@ def test_files_and_tests_that_are_named_exist(page):
 @pytest.mark.parametrize("record", RECORDS, ids=lambda path: path.stem)
 def test_a_record_has_its_form(record):
     text = record.read_text(encoding="utf-8")
-    status = r"Date: \d{4}-\d\d-\d\d\nStatus: (accepted|superseded by \d{4})\n"
+    status = r"Date: \d{4}-\d\d-\d\d\n\nStatus: (accepted|superseded by \d{4})\n"
     assert re.match(rf"# {record.stem[:4]}: \S.*\n\n{status}", text)
     headings = re.findall(r"^## (.*)$", CODE.sub("", text), re.MULTILINE)
     assert headings == ["Context", "Options", "Decision", "Consequence"]
@@ -65,3 +68,11 @@ def test_a_record_has_its_form(record):
 def test_numbers_of_records_are_given_once():
     numbers = [record.stem[:4] for record in RECORDS]
     assert len(set(numbers)) == len(numbers)
+
+
+def test_the_reference_lists_every_public_name():
+    """ObjectsResult is another name of Result."""
+    page = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^   (\w+)$", page, re.MULTILINE))
+    assert set(accelsurf.__all__) - {"__version__", "ObjectsResult"} <= listed
+    assert all(hasattr(accelsurf, name) or hasattr(energies, name) for name in listed)
