@@ -58,7 +58,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     folder = os.environ.get("ACCELSURF_VOLUMES")
     parser.add_argument(
         "--volumes", type=Path, default=Path(folder) if folder else None,
-        help="folder of the scans (default: ACCELSURF_VOLUMES; sources: docs/real-scans.md)",
+        help="folder of the scans (default: ACCELSURF_VOLUMES; sources: docs/explanation/real-scans.md)",
     )
     parser.add_argument("--results", type=Path, help="folder for JSON and pictures (benchmarks/results)")
     parser.add_argument("--again", action="store_true", help="segment-real: time the best of the last search again")

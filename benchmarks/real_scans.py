@@ -1,8 +1,8 @@
 """Real scans: our commands against their references, best global thresholds, and other programs from the same start.
 
-One call makes the table of docs/real-scans.md, docs/real-scans.json beside it, and pictures. The volumes are public
-(see docs/real-scans.md for their sources); the folder that ACCELSURF_VOLUMES names holds them. Rows that are not run
-again are kept from the JSON.
+One call makes the table of docs/explanation/real-scans.md, the JSON beside it, and pictures. The volumes are public
+(that page names their sources); the folder that ACCELSURF_VOLUMES names holds them. Rows that are not run again are
+kept from the JSON.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from benchmarks.peers.objects import compare_on_objects, mean_dice
 from benchmarks.peers.scans import best_window, compare_peers
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, FACTS = ROOT / "docs" / "real-scans.md", ROOT / "docs" / "real-scans.json"
+PAGE, FACTS = ROOT / "docs" / "explanation" / "real-scans.md", ROOT / "docs" / "explanation" / "real-scans.json"
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def main() -> None:
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")
     if not folder:
-        sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans (sources: docs/real-scans.md)")
+        sys.exit("ACCELSURF_VOLUMES is not set: name the folder with the scans (docs/explanation/real-scans.md)")
     names = [name.strip() for name in options.only.split(";") if name.strip()] or list(CASES)
     for name in set(names) - set(CASES):
         sys.exit(f"{name}: there is no such case, expected {'; '.join(CASES)}")
@@ -214,7 +214,7 @@ def text_of(cases: dict[str, dict[str, Any]]) -> str:
         lines.append(row_of(cells))
     commands = [f"    {row['command']}" for row in cases.values()]
     shown = [name for name, row in cases.items() if "error" not in row]
-    pictures = [f"![{name}](images/real-{slug(name)}.png)" for name in shown]
+    pictures = [f"![{name}](../images/real-{slug(name)}.png)" for name in shown]
     return "\n".join([*lines, "", *commands, "", *pictures, ""])
 
 

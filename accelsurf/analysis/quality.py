@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 #: of the image's range; relative growth over the last steps.
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS = 0.2, 0.4, 0.05, 0.02, 20
 #: The same for the fraction of the object with values unlike those of the learned model. A Gaussian has 1.2 % beyond
-#: the bounds; good results of docs/real-scans.md have at most 3 %, leaked ones 19 % and more.
+#: the bounds; good results of docs/explanation/real-scans.md have at most 3 %, leaked ones 19 % and more.
 MAX_UNLIKE = 0.1
 #: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
 #: its surface, and above this fraction of the image's range over the scale that gradients are computed at.

@@ -43,7 +43,7 @@ def _known() -> dict[str, Any]:
     from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts
     from accelsurf.phantoms import recipes
-    from accelsurf.report.document import versions
+    from accelsurf.report.environment import versions
     from accelsurf.settings.energy_terms import TERMS, image_terms
     from accelsurf.settings.fields import MeshFormat
     from accelsurf.settings.flow_specs import FLOWS

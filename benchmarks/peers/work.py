@@ -15,7 +15,7 @@ from accelsurf.levelset import LevelSet, Workers
 from benchmarks.peers.measure import MissingError
 
 BRAIN, BRAIN_REFERENCE = "mri_brain256.nii.gz", "mri_brain256_ref.nii.gz"
-SOURCES = "public niivue demo images, see docs/real-scans.md"
+SOURCES = "public niivue demo images, see docs/explanation/real-scans.md"
 
 
 def ball(side: int, radius: float, centre: tuple[float, float, float] | None = None) -> np.ndarray:

@@ -23,16 +23,16 @@ from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.api import evolve, segment
 from accelsurf.settings.run_config import RunConfig
 
-GUIDE = Path(__file__).parents[2] / "docs" / "guide.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "own-energy.md"
 MARK = "<!-- run by tests/energies/test_user_energy.py -->"
 
 
 def example():
     """The names that the guide's example leaves, after it was run as printed."""
     code = re.search(re.escape(MARK) + r"\n```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
-    assert code is not None, "the guide has lost its example, or the mark above it"
+    assert code is not None, "the page has lost its example, or the mark above it"
     names = {}
-    exec(compile(code[1], "the example in docs/guide.md", "exec"), names)
+    exec(compile(code[1], "the example in docs/how-to/own-energy.md", "exec"), names)
     return names
 
 

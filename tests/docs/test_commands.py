@@ -1,0 +1,136 @@
+"""The commands that README and the tutorial show: each is run on small inputs; each script that they name exists."""
+
+import os
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelsurf import cli, io
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
+
+ROOT = Path(__file__).parents[2]
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "tutorial").glob("*.md")))
+#: A file that a page tells the reader to write.
+FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
+CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
+#: What the tutorial shows of the output: size of a surface, rows of a comparison without their seconds, measures.
+SUMMARY = re.compile(r"^volume (\S+) mm3, area (\S+) mm2", re.MULTILINE)
+TABLE = re.compile(r"^(gradient|constant-density) +(\d+) +\S+ +(\S+) +(0\.\d+)", re.MULTILINE)
+METRIC = re.compile(r"^(dice|\w+_mm3?) +([\d.]+)$", re.MULTILINE)
+
+
+def commands(page):
+    """The commands of a page, in order; a prompt begins each."""
+    lines = [line for block in CONSOLE.findall(page.read_text(encoding="utf-8")) for line in block.splitlines()]
+    assert all(line.startswith("$ ") for line in lines), f"{page.name}: a console block has a line without '$ '"
+    return [shlex.split(line[2:], comments=True) for line in lines]
+
+
+def grid():
+    return Geometry((48, 48, 48), (2.0, 2.0, 2.0), origin=(-47.0, -47.0, -47.0))
+
+
+def scan_in_place_of(path):
+    """A small volume around the world's origin, in place of a scan that the page's reader has: a ball, and noise."""
+    z, y, x = (2.0 * (axis - 23.5) for axis in np.indices(grid().shape))
+    ball = 100.0 * (x**2 + y**2 + z**2 < 30**2)
+    noisy = ball + np.random.default_rng(0).normal(0, 5, ball.shape)
+    io.write(Volume(noisy.astype(np.float32), grid()), path)
+
+
+def can_draw():
+    """Whether there is a screen or a software renderer."""
+    try:
+        require_graphics()
+    except GraphicsError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, text in FILE.findall(page.read_text(encoding="utf-8")):
+        Path(name).write_text(text)
+    typed, printed = [words for words in commands(page) if words[0] == "accelsurf"], ""
+    assert typed
+    for words in typed:
+        for word in words:
+            if word.endswith(".nii.gz") and os.sep not in word and not Path(word).exists():
+                scan_in_place_of(Path(word))
+        if words[1] == "movie" and not can_draw():
+            continue
+        assert cli.run(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
+        printed += capsys.readouterr().out
+    if "tutorial" in page.parts:
+        check_figures(page.read_text(encoding="utf-8"), printed)
+
+
+def check_figures(text, printed):
+    """What the tutorial says that its commands give is what they have printed."""
+    for figure in (SUMMARY, TABLE, METRIC):
+        shown = set(figure.findall(text))
+        assert shown and shown <= set(figure.findall(printed)), figure.pattern
+    measured = {f"{float(value):.3f}" for value in re.findall(r"^dice +(\S+)", printed, re.MULTILINE)}
+    said = set(re.findall(r"Dice is (0\.\d+)", text))
+    assert said and said <= measured
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
+def test_every_script_of_the_page_exists_and_has_help(page):
+    named = sorted({words[0] for words in commands(page) if words[0].startswith("scripts/")})
+    named += sorted(set(re.findall(r"`(scripts/\w+)", page.read_text(encoding="utf-8"))) - set(named))
+    for name in named:
+        script = ROOT / name
+        assert os.access(script, os.X_OK), name
+        if name != "scripts/demo":  # hands --help on to the program that it installs
+            done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=30)
+            assert done.returncode == 0 and "Usage:" in done.stderr, done.stderr
+
+
+def folder_of_a_reader():
+    """Make what the how-to pages take for granted: scans, labels, a picture, tables, a first result."""
+    for name in ("scan", "ct", "t2", "cells"):
+        scan_in_place_of(Path(f"{name}.nii.gz"))
+    labels = np.zeros(grid().shape, np.uint8)
+    labels[20:28, 20:28, 8:14], labels[20:28, 20:28, 32:40] = 2, 6
+    for name in ("truth.nii.gz", "starts.nii.gz"):
+        io.write(Volume(labels, grid()), name)
+    y, x = np.indices((160, 200))
+    io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
+    Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
+    assert cli.run(["segment", "scan.nii.gz", "-o", "out", "--max-steps", "2", "--quiet"]) == 0
+    Path("out/run.toml").write_text("max_steps = 2\n")
+
+
+PLANE = Geometry((1, 160, 200), (1.0, 1.0, 1.0))
+HOW_TO = [page for page in sorted((ROOT / "docs" / "how-to").glob("*.md")) if CONSOLE.search(page.read_text())]
+
+
+@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.name)
+def test_every_command_of_a_how_to_page_is_accepted(page, tmp_path, monkeypatch, capsys):
+    """Each runs for two steps, in place of X,Y,Z with the middle; windows and pages are left to the viewer's tests."""
+    monkeypatch.chdir(tmp_path)
+    folder_of_a_reader()
+    for words in commands(page):
+        words = [word.replace("X,Y,Z", "0,0,0") for word in words]
+        target = words.pop(words.index(">") + 1) if ">" in words else None
+        words = [word for word in words if word != ">"]
+        if words[0] != "accelsurf" or words[1] == "view" or (words[1] == "movie" and not can_draw()):
+            continue
+        if words[1] != "info":
+            words += ["--overwrite"]
+        if words[1] in ("segment", "compare", "movie") and not Path(words[2]).is_dir():
+            words += ["--max-steps", "2"]
+        if words[1] == "movie":
+            words += ["--size", "320x180"]
+        capsys.readouterr()
+        assert cli.run(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
+        if target is not None:
+            Path(target).write_text(capsys.readouterr().out)
