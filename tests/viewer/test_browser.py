@@ -346,9 +346,9 @@ def _drive(browser, server, folder):
 
     browser.get(server.address)
     first = until(lambda: browser.find_elements("id", "picture") and picture())
-    element("run").click()
+    element("play").click()
     until(lambda: step() > 3)
-    element("run").click()
+    element("play").click()
     until(lambda: element("state").text in ("paused", "converged"))
     reached = step()
     assert until(lambda: picture() != first)
