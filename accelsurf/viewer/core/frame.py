@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Index = tuple[int, int, int]
 
 
-class EvolvingObject(Protocol):
+class DrawableObject(Protocol):
     """What a frame needs to know of each object of a run.
 
     Attributes
@@ -59,7 +59,7 @@ class EvolvingObject(Protocol):
 
 
 class ObjectState(NamedTuple):
-    """An object as `EvolvingObject` describes it."""
+    """An object as `DrawableObject` describes it."""
 
     id: int
     surface: LevelSet
@@ -117,7 +117,7 @@ class SurfaceFrame:
 
     @classmethod
     def of(
-        cls, an_object: EvolvingObject, record: StepRecord, level: pyramid.Level, max_voxels: int | None, first: Index
+        cls, an_object: DrawableObject, record: StepRecord, level: pyramid.Level, max_voxels: int | None, first: Index
     ) -> SurfaceFrame:
         """Copy what is drawn of an object; parameters as of `Frame.of`."""
         surface, corner = an_object.surface, an_object.corner
@@ -221,7 +221,7 @@ class Frame:
 
     @classmethod
     def of(
-        cls, objects: Sequence[EvolvingObject], records: Sequence[StepRecord], geometry: Geometry,
+        cls, objects: Sequence[DrawableObject], records: Sequence[StepRecord], geometry: Geometry,
         max_voxels: int | None = None, first: Index = (0, 0, 0),
     ) -> Frame:
         """The frame of the present state of some objects; call it between two steps.
@@ -230,7 +230,7 @@ class Frame:
 
         Parameters
         ----------
-        objects : sequence of EvolvingObject
+        objects : sequence of DrawableObject
             At least one, in order of ids.
         records : sequence of StepRecord
             Of the step, for each object.
@@ -317,7 +317,7 @@ def histories_of_run(run: Run, last: StepRecord | None = None) -> tuple[tuple[St
     return ((*run.evolution.history, *(() if last is None else (last,))),)
 
 
-def _quantities(an_object: EvolvingObject) -> dict[str, BandQuantity]:
+def _quantities(an_object: DrawableObject) -> dict[str, BandQuantity]:
     """Copies of what the surface can be coloured by."""
     quantities, fields, flow = {}, an_object.step_fields, an_object.flow
     if fields is not None:
