@@ -325,7 +325,7 @@ def test_frames_come_when_asked_for_and_the_last_is_of_the_last_state(session):
     assert views(session, 120)[-1].status.stop.reason == "converged"
 
 
-def test_no_frame_is_made_unasked_and_making_them_changes_nothing(tmp_path, monkeypatch):
+def test_frames_are_made_only_when_asked_for_and_change_nothing(tmp_path, monkeypatch):
     made, of_run = [], Frame.of_run
     monkeypatch.setattr(Frame, "of_run", lambda *given: made.append(given) or of_run(*given))
     with Session(volume(), RunConfig(start=START)) as unseen:
