@@ -2,9 +2,9 @@
 
 Usage: python benchmarks/viewer.py [--size 256] [--steps 40] [--display :N] [-o benchmarks/results/viewer.json]
 
-Runs the same steps three times: by a Run alone, by a Session that nobody looks at (it keeps states),
+Runs the same steps three times: by a Run alone, by a Session that nobody watches (it stores checkpoints),
 and in the window, on the display given or a screen of its own (Xvfb, xdotool). Keys are sent by xdotool; the answer is
-timed inside the window, when what the key asked for has been taken up and drawn. Software rendering competes with the
+timed inside the window, when what the key asked for has been done and drawn. Software rendering competes with the
 solver for the same cores: on a machine with a graphics card the window costs less. Run it on a quiet machine.
 """
 
@@ -41,7 +41,7 @@ def main() -> None:
         window = in_window(source, start, given.steps, given.display, Path(folder))
     alone = min(wall for wall, _ in plain)
     answered = window["answered_ms"]
-    told = {
+    report = {
         "size": given.size,
         "steps": given.steps,
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -54,8 +54,8 @@ def main() -> None:
         "drawing_ms": window["drawing_ms"],
     }
     given.output.parent.mkdir(parents=True, exist_ok=True)
-    given.output.write_text(json.dumps(told, indent=2) + "\n")
-    print(json.dumps(told, indent=2))
+    given.output.write_text(json.dumps(report, indent=2) + "\n")
+    print(json.dumps(report, indent=2))
 
 
 def phantom(n: int, folder: Path) -> tuple[Path, str]:
@@ -103,7 +103,7 @@ def seconds_of_session(source: Path, start: str, steps: int) -> tuple[float, flo
         session.single_step().result()
         session.wait()
         began, spent = time.perf_counter(), time.process_time()
-        session.run_to(1 + steps).result()
+        session.play_to(1 + steps).result()
         session.wait()
         return time.perf_counter() - began, time.process_time() - spent
 
@@ -121,18 +121,18 @@ def in_window(source: Path, start: str, steps: int, display: str, folder: Path) 
         os.close(write)
         with os.fdopen(read) as line:
             display = ":" + line.readline().strip()
-    told = folder / "told.json"
+    result_file = folder / "result.json"
     env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
     child = subprocess.Popen(
-        [sys.executable, __file__, "--in-window", str(source), str(told), start, str(steps)], env=env, cwd=ROOT
+        [sys.executable, __file__, "--in-window", str(source), str(result_file), start, str(steps)], env=env, cwd=ROOT
     )
     try:
         sent = []
-        while not told.with_suffix(".running").exists() and child.poll() is None:
+        while not result_file.with_suffix(".running").exists() and child.poll() is None:
             time.sleep(0.1)
         focus = ["xdotool", "search", "--onlyvisible", "--name", "accelsurf - ", "windowfocus"]
         subprocess.run(focus, env=env, check=True)
-        while not told.exists() and child.poll() is None:
+        while not result_file.exists() and child.poll() is None:
             time.sleep(0.3)
         # The time is over; it goes on, and keys come while it does.
         for _ in range(KEYS):
@@ -147,26 +147,24 @@ def in_window(source: Path, start: str, steps: int, display: str, folder: Path) 
         if server is not None:
             server.terminate()
             server.wait()
-    found = json.loads(told.read_text())
-    seen = json.loads(told.with_suffix(".keys").read_text())
+    found = json.loads(result_file.read_text())
+    seen = json.loads(result_file.with_suffix(".keys").read_text())
     if len(seen) != len(sent):
         sys.exit(f"{len(sent)} keys were sent, {len(seen)} were answered")
     found["answered_ms"] = [round(1000.0 * (b - a), 1) for a, b in zip(sent, seen, strict=True)]
     return found
 
 
-def window_process(source: str, told: str, start: str, steps: int) -> None:
+def window_process(source: str, result_file: str, start: str, steps: int) -> None:
     """What happens in the other process."""
     from PySide6.QtCore import QTimer
-    from PySide6.QtWidgets import QApplication
 
     from accelsurf import io
     from accelsurf.viewer.core.session import Session
-    from accelsurf.viewer.frontends.desktop import Window
+    from accelsurf.viewer.frontends.desktop import Window, application
 
-    app = QApplication(sys.argv[:1])
-    app.setStyle("Fusion")
-    path = Path(told)
+    app = application()
+    path = Path(result_file)
     session = Session(io.read(source), config_of(start), name="scan")
     session.ready.result()
     answers, drawn, times = [], [], {}
@@ -185,11 +183,11 @@ def window_process(source: str, told: str, start: str, steps: int) -> None:
         if window.scene.frame is not None and "first" not in times:
             times["first"] = time.perf_counter()
             session.single_step()
-        elif "first" in times and "began" not in times and status.step == 1 and not status.running:
-            if window.scene.frame.row.step == 1:
+        elif "first" in times and "began" not in times and status.step == 1 and not status.playing:
+            if window.scene.frame.step == 1:
                 path.with_suffix(".running").write_text("")
                 times["began"], times["cpu"] = time.perf_counter(), time.process_time()
-                session.run()
+                session.play()
         elif "began" in times and "ended" not in times and status.step >= 1 + steps:
             times["ended"] = time.perf_counter()
             path.write_text(json.dumps({
@@ -198,9 +196,9 @@ def window_process(source: str, told: str, start: str, steps: int) -> None:
                 "frames": len(drawn),
                 "drawing_ms": round(1000 * float(np.median(drawn)), 1) if drawn else None,
             }))
-        if times.get("began") and window.scene.frame.row.step != times.get("frame"):
-            times["frame"] = window.scene.frame.row.step
-            drawn.append(window._drawing)
+        if times.get("began") and window.scene.frame.step != times.get("frame"):
+            times["frame"] = window.scene.frame.step
+            drawn.append(window.drawing_seconds)
 
     timer = QTimer(window, interval=1)
     timer.timeout.connect(watch)

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
 from accelsurf.cli import INTERRUPTED
 from accelsurf.cli.options import FILES, Display, Output, Overwrite, RunSettings, required, run_config
 from accelsurf.errors import UsageError
+from accelsurf.settings.run_config import RunConfig
 
-FILM = Group("Movie", sort_key=0)
+if TYPE_CHECKING:
+    from accelsurf.cli.progress import Watcher
+    from accelsurf.grid.volume import Volume
+    from accelsurf.segmentation.run import Run
+    from accelsurf.viewer.frontends.movie_file import MovieSettings
+    from accelsurf.viewer.scene.scene import Scene
+
+MOVIE = Group("Movie", sort_key=0)
 
 
 @Parameter(name="*")
@@ -20,36 +28,36 @@ FILM = Group("Movie", sort_key=0)
 class Look:
     """What the pictures show, and how many there are."""
 
-    color: Annotated[Literal["plain", "speed", "force", "density"], Parameter(group=FILM)] = "plain"
-    """Colour of the surface: plain, or by outward speed, force or density."""
+    color: Annotated[Literal["plain", "speed", "force", "density"], Parameter(group=MOVIE)] = "plain"
+    """Colour the surface: plain, or by outward speed, force or density."""
 
-    theme: Annotated[Literal["dark", "light"], Parameter(group=FILM)] = "dark"
-    """dark or light."""
+    theme: Annotated[Literal["dark", "light"], Parameter(group=MOVIE)] = "dark"
+    """Colours of the background and text: dark or light."""
 
-    every: Annotated[int, Parameter(group=FILM)] = 1
-    """A frame for each so many steps."""
+    every: Annotated[int, Parameter(group=MOVIE)] = 1
+    """Draw one frame for every so many steps."""
 
-    fps: Annotated[float, Parameter(group=FILM)] = 15.0
+    fps: Annotated[float, Parameter(group=MOVIE)] = 15.0
     """Frames per second."""
 
-    size: Annotated[str, Parameter(group=FILM)] = "1280x720"
+    size: Annotated[str, Parameter(group=MOVIE)] = "1280x720"
     """Width and height, pixels."""
 
     view: Annotated[
-        Literal["corner", "front", "back", "left", "right", "top", "bottom"], Parameter(group=FILM)
+        Literal["corner", "front", "back", "left", "right", "top", "bottom"], Parameter(group=MOVIE)
     ] = "corner"
     """Where the camera looks from at first."""
 
-    orbit: Annotated[float, Parameter(group=FILM)] = 12.0
-    """Degrees that the camera turns per second of movie; 0 stands still."""
+    orbit: Annotated[float, Parameter(group=MOVIE)] = 12.0
+    """Degrees that the camera turns per second of movie; 0 does not turn it."""
 
-    hold: Annotated[float, Parameter(group=FILM)] = 2.0
-    """Seconds that the last frame is shown longer."""
+    hold: Annotated[float, Parameter(group=MOVIE)] = 2.0
+    """Seconds for which the last frame is shown longer."""
 
-    volume: Annotated[bool, Parameter(negative=(), show_default=False, group=FILM)] = False
+    volume: Annotated[bool, Parameter(negative=(), show_default=False, group=MOVIE)] = False
     """Show the image in 3D, translucent."""
 
-    planes: Annotated[bool, Parameter(negative=(), show_default=False, group=FILM)] = False
+    planes: Annotated[bool, Parameter(negative=(), show_default=False, group=MOVIE)] = False
     """Show the three slices in 3D."""
 
 
@@ -60,86 +68,110 @@ def movie(
     config: Annotated[Path | None, Parameter(group=FILES)] = None,
     reference: Annotated[Path | None, Parameter(group=FILES)] = None,
     overwrite: Overwrite = False,
-    preview: Annotated[bool, Parameter(negative=(), show_default=False, group=FILM)] = False,
+    preview: Annotated[bool, Parameter(negative=(), show_default=False, group=MOVIE)] = False,
     look: Look | None = None,
     settings: RunSettings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
-    """Make a movie of a run, without a screen.
+    """Make a movie of a run; needs no screen.
 
-    Runs as accelsurf segment does, with the same options and the same result, and draws while it goes. Of a folder
-    with the results of a run, that run is repeated with the settings in its report.
+    Runs as accelsurf segment does, with the same options and the same result, and draws the steps. Given a folder with
+    the results of a run, it repeats that run with the settings in its report.
 
     Parameters
     ----------
     input
-        The image, or the folder of a run's results.
+        The image, or a folder with the results of a run.
     output
         The movie: .mp4, .gif or .webp; with --preview .png.
     config
-        TOML file with settings; options given here beat it.
+        TOML file with settings; options given here override it.
     reference
-        Label map on the image's grid to show, with Dice.
+        Label map on the image's grid to show, with the Dice coefficient.
     overwrite
         Replace the movie if it exists.
     preview
-        One PNG of the last frame, no movie.
+        Write one PNG of the last step instead of a movie.
     """
-    from accelsurf import io
     from accelsurf.cli.progress import Watcher
     from accelsurf.io import channels
     from accelsurf.report.outputs import refuse_existing
     from accelsurf.segmentation.run import Run
-    from accelsurf.viewer.frontends import movie_file as films
+    from accelsurf.viewer.frontends import movie_file
     from accelsurf.viewer.scene.headless import require_graphics
-    from accelsurf.viewer.scene.scene import Scene
 
     look, display = look or Look(), display or Display()
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")
-    film = films.Film(look.every, look.fps, look.orbit, look.hold, _size(look.size))
-    if preview and target.suffix.lower() != ".png":
-        raise UsageError(f"{target.name}: {target.suffix or 'no suffix'} was given, expected .png with --preview")
-    if not preview and target.suffix.lower() == ".png":
-        raise UsageError(f"{target.name}: .png was given, expected {', '.join(films.FORMATS)}", "or add --preview")
-    if not preview:
-        films.check_target(target, film.size)
-    if source.is_dir():
-        given = [f.name for f in fields(settings) if getattr(settings, f.name) is not None] if settings else []
-        if given or config is not None:
-            name = "config" if config is not None else given[0].replace("_", "-")
-            raise UsageError(f"--{name} was given for a folder of results, whose report has the settings",
-                             "leave it out, or give the image instead of the folder")
-        image, run_settings = films.run_of_folder(source)
-    else:
-        image, run_settings = source, run_config(settings, config)
+    movie_settings = movie_file.MovieSettings(look.every, look.fps, look.orbit, look.hold, _size(look.size))
+    _check_target(target, preview, movie_settings.size)
+    image, run_settings = _source(source, settings, config)
     refuse_existing({"movie": target}, overwrite)
     require_graphics()
     volume, *more = channels.read(image)
-    scene = Scene(
-        volume, theme=look.theme, reference=None if reference is None else io.read_labels(reference), size=film.size
-    )
-    scene.color_by(look.color)
-    scene.look_from(look.view)
-    scene.show_volume(look.volume)
-    scene.show_planes(look.planes)
+    scene = _scene(volume, reference, look, movie_settings.size)
     watcher = Watcher(display)
     try:
         with watcher.watch(image.name, run_settings.max_steps):
             run = Run(volume, run_settings, None, more)
-            if preview:
-                films.run_to_last(run, scene, watcher.on_step)
-                scene.screenshot(target)
-                count = 1
-            else:
-                count = films.write(target, films.pictures(run, scene, film, watcher.on_step), film)
+            what = _draw(run, scene, target, None if preview else movie_settings, watcher)
     finally:
         scene.close()
-    if not display.quiet:
-        stop = run.stop
-        assert stop is not None
-        what = "picture" if preview else f"{count} frames, {count / film.fps:.1f} s"
-        print(f"{image.name}: {stop.reason} after {stop.steps} steps ({stop.message})\n  {what}  {target.absolute()}")
+    if not display.quiet and run.stop is not None:
+        ending = f"{run.stop.reason} after {run.stop.steps} steps ({run.stop.message})"
+        print(f"{image.name}: {ending}\n  {what}  {target.absolute()}")
     return INTERRUPTED if watcher.interrupted else 0
+
+
+def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
+    """Refuse a file that cannot be written here, before anything is computed."""
+    from accelsurf.viewer.frontends import movie_file
+
+    if not preview:
+        if target.suffix.lower() == ".png":
+            formats = ", ".join(movie_file.FORMATS)
+            raise UsageError(f"{target.name}: .png was given, expected {formats}", "or add --preview")
+        movie_file.check_target(target, size)
+    elif target.suffix.lower() != ".png":
+        raise UsageError(f"{target.name}: {target.suffix or 'no suffix'} was given, expected .png with --preview")
+
+
+def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, RunConfig]:
+    """Image and settings of the run; those in the report if the source is a folder of results."""
+    from accelsurf.viewer.frontends import movie_file
+
+    if not source.is_dir():
+        return source, run_config(settings, config)
+    given = [f.name for f in fields(settings) if getattr(settings, f.name) is not None] if settings else []
+    if given or config is not None:
+        name = "config" if config is not None else given[0].replace("_", "-")
+        raise UsageError(f"--{name} was given for a folder of results, whose report has the settings",
+                         "leave it out, or give the image instead of the folder")
+    return movie_file.run_of_folder(source)
+
+
+def _scene(volume: Volume, reference: Path | None, look: Look, size: tuple[int, int]) -> Scene:
+    from accelsurf import io
+    from accelsurf.viewer.scene.scene import Scene
+
+    truth = None if reference is None else io.read_labels(reference)
+    scene = Scene(volume, theme=look.theme, reference=truth, size=size)
+    scene.color_by(look.color)
+    scene.look_from(look.view)
+    scene.show_volume(look.volume)
+    scene.show_planes(look.planes)
+    return scene
+
+
+def _draw(run: Run, scene: Scene, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
+    """Run to the end, and write the movie, or without its settings a picture of the last step; says what it wrote."""
+    from accelsurf.viewer.frontends import movie_file
+
+    if movie is None:
+        movie_file.run_to_last(run, scene, watcher.on_step)
+        scene.screenshot(target)
+        return "picture"
+    count = movie_file.write(target, movie_file.pictures(run, scene, movie, watcher.on_step), movie)
+    return f"{count} frames, {count / movie.fps:.1f} s"
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Progress of a run on stderr, and the way Ctrl-C reaches it."""
+"""Progress of a run on stderr, and how Ctrl-C ends it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from accelsurf.cli.options import Display
 from accelsurf.report.document import to_json
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
 
 
-#: What the bar says until the first step: the one place where a run may seem to hang.
-BEFORE = "preparing (the first run on a machine compiles for about half a minute)"
+#: What the bar shows until the first step, when nothing else moves.
+PREPARING = "preparing (the first run on a machine compiles for about half a minute)"
 
 
 class Watcher:
@@ -28,7 +28,7 @@ class Watcher:
     Parameters
     ----------
     display : Display
-        What the person asked to see.
+        What the user asked to see.
     """
 
     def __init__(self, display: Display) -> None:
@@ -39,23 +39,23 @@ class Watcher:
 
     @contextmanager
     def watch(self, label: str, max_steps: int) -> Iterator[Watcher]:
-        """Show one run. Until it ends, a first Ctrl-C asks it to stop and a second one breaks it off.
+        """Show one run. Until it ends, a first Ctrl-C ends it after the present step, a second one at once.
 
         Parameters
         ----------
         label : str
             Name of the run.
         max_steps : int
-            The most steps it may take.
+            Its largest number of steps.
         """
         if self._bar is not None:
             self._bar.start(label, max_steps)
         self._label = label
-        before = signal.signal(signal.SIGINT, self._ask_to_stop)
+        previous = signal.signal(signal.SIGINT, self._ask_to_stop)
         try:
             yield self
         finally:
-            signal.signal(signal.SIGINT, before)
+            signal.signal(signal.SIGINT, previous)
             if self._bar is not None:
                 self._bar.stop()
 
@@ -63,10 +63,11 @@ class Watcher:
         if self.interrupted:
             raise KeyboardInterrupt
         self.interrupted = True
-        print("interrupted: ending this step and writing what was reached (once more: give up)", file=sys.stderr)
+        hint = "finishing this step and writing the result (press again to quit without it)"
+        print(f"interrupted: {hint}", file=sys.stderr)
 
-    def on_step(self, row: StepRecord, own: int | None = None) -> bool:
-        """Show one step, of the object ``own`` if there are several.
+    def on_step(self, record: StepRecord, object_id: int | None = None) -> bool:
+        """Show one step, of the object ``object_id`` if there are several.
 
         Returns
         -------
@@ -74,9 +75,10 @@ class Watcher:
             True to ask the run to stop.
         """
         if self._bar is not None:
-            self._bar.step(row, "" if own is None else f"object {own}, ")
+            self._bar.step(record, "" if object_id is None else f"object {object_id}, ")
         if self._show_json:
-            line = {"event": "step", "run": self._label, **({} if own is None else {"object": own}), **row_values(row)}
+            which = {} if object_id is None else {"object": object_id}
+            line = {"event": "step", "run": self._label, **which, **row_values(record)}
             print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
         return self.interrupted
 
@@ -96,14 +98,14 @@ class _Bar:
             TimeElapsedColumn(),
             console=Console(stderr=True),
         )
-        self._task = self._progress.add_task(label, total=max_steps, state=BEFORE)
+        self._task = self._progress.add_task(label, total=max_steps, state=PREPARING)
         self._progress.start()
 
-    def step(self, row: Any, what: str) -> None:
-        state = f"{what}energy {row.potential:.5g}, moved {row.motion_voxels:.3f} voxels"
-        if row.level:
-            state = f"level {row.level}, {state}"
-        self._progress.update(self._task, completed=row.step, state=state)
+    def step(self, record: StepRecord, prefix: str) -> None:
+        state = f"{prefix}energy {record.potential:.5g}, moved {record.motion_voxels:.3f} voxels"
+        if record.level:
+            state = f"level {record.level}, {state}"
+        self._progress.update(self._task, completed=record.step, state=state)
 
     def stop(self) -> None:
         self._progress.stop()

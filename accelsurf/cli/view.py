@@ -1,15 +1,38 @@
-"""``accelsurf view``: a segmentation that a person watches and steers."""
+"""``accelsurf view``: watch a segmentation run, and steer it."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, SHOW, Overwrite, Settings, required, run_config
 from accelsurf.errors import UsageError
+
+if TYPE_CHECKING:
+    from accelsurf.grid.volume import Volume
+    from accelsurf.viewer.core.session import Session
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PageOptions:
+    """Where the page is served."""
+
+    browser: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False
+    """Open a page in the browser, served from this machine, instead of a window; needs no screen. Ctrl-C ends it."""
+
+    host: Annotated[str | None, Parameter(group=SHOW, show_default="127.0.0.1, this machine alone")] = None
+    """With --browser: address to listen on, for browsers on other machines. Nothing is encrypted."""
+
+    port: Annotated[int | None, Parameter(group=SHOW, show_default="a free one")] = None
+    """With --browser: port to listen on."""
+
+    open_page: Annotated[bool, Parameter(name="--open", negative="--no-open", group=SHOW)] = True
+    """With --browser: open the page."""
 
 
 def view(
@@ -19,20 +42,18 @@ def view(
     config: Annotated[Path | None, Parameter(group=FILES)] = None,
     reference: Annotated[Path | None, Parameter(group=FILES)] = None,
     overwrite: Overwrite = False,
-    browser: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
-    host: Annotated[str | None, Parameter(group=SHOW, show_default="127.0.0.1, this machine alone")] = None,
-    port: Annotated[int | None, Parameter(group=SHOW, show_default="a free one")] = None,
-    open_page: Annotated[bool, Parameter(name="--open", negative="--no-open", group=SHOW)] = True,
+    page: PageOptions | None = None,
     theme: Annotated[Literal["dark", "light"], Parameter(group=SHOW)] = "dark",
     keep: Annotated[float, Parameter(group=SHOW)] = 512.0,
     settings: Settings | None = None,  # type: ignore[valid-type]
 ) -> int:
     """Watch and steer a segmentation in a window, or in a browser.
 
-    Place a start, run, change settings while it runs, go back, push the surface, save. What is saved is what segment
-    writes, and run.toml, with which segment makes the same bytes. F1 in the window shows keys and mouse.
+    Place a start, run, change settings while it runs, go back and forward, add and remove parts, save. The files are
+    those of accelsurf segment, and run.toml, with which segment makes the same bytes. F1 in the window shows keys and
+    mouse.
 
-    Needs a screen and the packages of the viewer: pip install "accelsurf[viewer]". Runs on one level unless --levels
+    The window needs a screen and more packages: pip install "accelsurf[viewer]". Runs on one level unless --levels
     asks for more.
 
     Parameters
@@ -40,73 +61,98 @@ def view(
     input
         The image: .nii, .nii.gz, .nrrd, .mha, .mhd, .png or .tif.
     result
-        Folder to save in; asked for when it is needed otherwise.
+        Folder to save in; without it the window asks for one.
     config
-        TOML file with settings, as run.toml of an earlier session; options given here beat it.
+        TOML file with settings, such as run.toml of an earlier session; options given here override it.
     reference
-        Label map of the true object, on the same grid: drawn too, with Dice.
+        Label map of the true object, on the same grid: drawn too, with the Dice coefficient.
     overwrite
         Replace files in the folder that this session has not written.
-    browser
-        In a page of a browser, served from this machine; no screen is needed here. Ctrl-C ends it.
-    host
-        With --browser: address to listen on, for pages on other machines. Nothing is encrypted.
-    port
-        With --browser: port to listen on.
-    open_page
-        With --browser: open the page.
     theme
-        Dark or light.
+        Colours of the window or page: dark or light.
     keep
         Memory for the steps that can be gone back to, MB.
     """
-    source = required(input, "INPUT")
+    source, page = required(input, "INPUT"), page or PageOptions()
     made = run_config(settings, config)
-    if not browser:
-        for name, value in {"--host": host, "--port": port, "--no-open": None if open_page else True}.items():
-            if value is not None:
-                raise UsageError(f"{name} was given for a window", "it means something with --browser only")
+    page = _front_end(page)
     from accelsurf import io
     from accelsurf.io import channels
 
-    if browser:
-        from accelsurf.viewer.scene.headless import require_graphics
-
-        require_graphics()
-    else:
-        from accelsurf.viewer.frontends.display import require_display
-
-        require_display()
     volume, *more = channels.read(source)
     truth = None if reference is None else io.read_labels(reference)
     from accelsurf.viewer.core.session import Session
 
-    with Session(volume, made, name=io.split_name(source)[0], source=source, kept_mb=keep, channels=more) as session:
-        if browser:
-            from accelsurf.viewer.frontends.browser import LOCAL, serve
-
-            session.ready.result()
-            if host not in (None, LOCAL, "localhost"):
-                print(_OPEN_TO_OTHERS.format(host), file=sys.stderr)
-            serve(session, truth, result, theme, overwrite, host or LOCAL, port or 0, lambda at: _tell(at, open_page))
+    name = io.split_name(source)[0]
+    with Session(volume, made, name=name, source=source, checkpoint_mb=keep, channels=more) as session:
+        session.ready.result()
+        if page.browser:
+            _serve(session, truth, result, theme, overwrite, page)
         else:
-            from accelsurf.viewer.frontends.desktop import show
-
-            session.ready.result()
-            show(session, truth, result, theme, overwrite)
+            _open_window(session, truth, result, theme, overwrite)
     return 0
 
 
-_OPEN_TO_OTHERS = (
-    "warning: --host {}: whoever reaches this machine and has the address can change the run and download files; "
-    "nothing is encrypted"
-)
+def _front_end(page: PageOptions) -> PageOptions:
+    """Check that the window, or else the page, can be shown here, before the image is read.
+
+    Where the packages of the window are missing, but not those of the page, the page is taken.
+
+    Raises
+    ------
+    UsageError
+        When options of the page are given for a window.
+    GraphicsError
+        When this machine lacks something.
+    """
+    from accelsurf.viewer.frontends import display
+    from accelsurf.viewer.scene.headless import require_graphics
+
+    if not page.browser:
+        for name, given in {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}.items():
+            if given is not None:
+                raise UsageError(f"{name} was given for a window", "it has a meaning with --browser only")
+        lack = display.lacks_window_packages()
+        if not lack or not display.has_page_packages():
+            display.require_display()
+            return page
+        print(f"note: {lack} ({display.INSTALL}); a page in the browser opens instead", file=sys.stderr)
+    elif not display.has_page_packages():
+        raise UsageError("browser: trame is not installed", display.INSTALL)
+    require_graphics()
+    return replace(page, browser=True)
 
 
-def _tell(address: str, open_page: bool) -> None:
-    """Say where the page is, and open it."""
+def _open_window(
+    session: Session, truth: Volume | None, folder: Path | None, theme: str, overwrite: bool
+) -> None:
+    """Open a window until the user closes it."""
+    from accelsurf.viewer.frontends.desktop import Window, application
+
+    app = application()
+    window = Window(session, truth, folder, theme, overwrite)
+    window.show()
+    app.exec()
+
+
+def _serve(
+    session: Session, truth: Volume | None, folder: Path | None, theme: str, overwrite: bool, page: PageOptions
+) -> None:
+    """Serve the page until Ctrl-C."""
     import webbrowser
 
-    print(f"{address}\nCtrl-C ends it", flush=True)
-    if open_page:
-        webbrowser.open(address)
+    from accelsurf.viewer.frontends.browser import serve
+    from accelsurf.viewer.frontends.page_guard import LOCAL
+
+    def show_address(address: str) -> None:
+        print(f"{address}\nCtrl-C ends it", flush=True)
+        if page.open_page:
+            webbrowser.open(address)
+
+    if page.host not in (None, LOCAL, "localhost"):
+        print(
+            f"warning: --host {page.host}: whoever reaches this machine and has the address can change the run "
+            "and download files; nothing is encrypted",
+            file=sys.stderr,
+        )
+    serve(session, truth, folder, theme, overwrite, page.host or LOCAL, page.port or 0, show_address)

@@ -1,4 +1,4 @@
-"""Pictures of a run that people look at and steer: one scene for desktop, browser, notebook and movie.
+"""Pictures of a run that the user watches and steers: one scene for desktop, browser, notebook and movie.
 
-Nothing is imported here: what draws needs PyVista, what runs the solver (`frame`, `session`) does not.
+Nothing is imported here: `scene` and `frontends` need PyVista, `core`, which runs the solver, does not.
 """

@@ -1,7 +1,7 @@
-"""Opens the window for tests/viewer/test_desktop.py and tells a file, again and again, where its parts are and what it
+"""Opens the window for tests/viewer/test_desktop.py, and writes to a file, every 60 ms, where its parts are and what it
 shows. All that happens to the window comes from outside, as mouse and key events of the screen.
 
-Usage: desktop_driver.py IMAGE TOLD [OPTION=VALUE ...]
+Usage: desktop_driver.py IMAGE STATE_FILE [OPTION=VALUE ...]
 """
 
 import json
@@ -9,84 +9,96 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtWidgets import QWidget
 
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.desktop import Window
+from accelsurf.viewer.frontends.desktop import Window, application
 
 
 def main() -> None:
-    source, told = Path(sys.argv[1]), Path(sys.argv[2])
+    source, state_file = Path(sys.argv[1]), Path(sys.argv[2])
     options = dict(word.split("=", 1) for word in sys.argv[3:])
     folder, theme = options.pop("result", None), options.pop("theme", "dark")
     reference = options.pop("reference", None)
-    app = QApplication(sys.argv[:1])
-    app.setStyle("Fusion")
+    app = application()
     session = Session(io.read(source), RunConfig(**options), name="scan", source=source)
     session.ready.result(300)
     window = Window(
         session, io.read_labels(reference) if reference else None, Path(folder) if folder else None, theme
     )
     window.show()
-    draft = told.with_suffix(".draft")
+    draft = state_file.with_suffix(".draft")
     #: When each status was first seen by the window, for how fast keys are answered.
     answered: list[tuple[float, bool, int]] = []
 
-    def middle(widget: QWidget) -> list[int]:
-        place = widget.mapToGlobal(QPoint(widget.width() // 2, widget.height() // 2))
-        return [place.x(), place.y()]
-
-    def ends(slider: QWidget) -> list[int]:
-        place = slider.mapToGlobal(QPoint(0, slider.height() // 2))
-        return [place.x(), place.y(), slider.width()]
-
     def watch() -> None:
         status = session.status
-        if not answered or answered[-1][1:] != (status.running, status.step):
-            if not answered or answered[-1][1] != status.running:
-                answered.append((time.time(), status.running, status.step))
+        if not answered or answered[-1][1] != status.playing:
+            answered.append((time.time(), status.playing, status.step))
 
-    def tell() -> None:
-        status, panel, canvas = session.status, window.panel, window.canvas
-        corner = canvas.mapToGlobal(QPoint(0, 0))
-        tiles = {}
-        for name, tile in {"space": window.scene.space, **window.scene.slice_tiles}.items():
-            if tile is not None:
-                left, bottom, right, top = tile.renderer.GetViewport()
-                tiles[name] = [
-                    corner.x() + round(canvas.width() * 0.5 * (left + right)),
-                    corner.y() + round(canvas.height() * (1 - 0.5 * (bottom + top))),
-                ]
-        frame = window.scene.frame
-        draft.write_text(json.dumps({
-            "buttons": {name: middle(getattr(window, name)) for name in ("restart", "back", "play", "forward")}
-            | {"undo": middle(panel.undo), "save": middle(panel.save), "timeline": ends(window.timeline)}
-            | {name: middle(button) for name, button in panel.tools.items()}
-            | {name: ends(amount.slider) for name, amount in panel.amounts.items()},
-            "tiles": tiles,
-            "step": status.step, "running": status.running, "kept": status.kept, "message": window.message.text(),
-            "edits": [edit.model_dump() for edit in status.edits], "start": status.settings.start,
-            "settings": status.settings.model_dump(mode="json"), "stop": status.stop and status.stop.reason,
-            "drawn": None if frame is None else [frame.row.step, frame.row.volume_mm3],
-            "color": panel.color.currentText(), "theme": panel.theme.currentText(), "help": window.help.isVisible(),
-            "play": window.play.text(), "title": window.windowTitle(), "cursor": window.scene.cursor.tolist(),
-            "answered": answered[-50:],
-        }))
-        os.replace(draft, told)
+    def write() -> None:
+        draft.write_text(json.dumps({**places(window), **shown(session, window), "answered": answered[-50:]}))
+        os.replace(draft, state_file)
 
     timers = []
-    for work, pause in ((watch, 2), (tell, 60)):
+    for work, pause in ((watch, 2), (write, 60)):
         timer = QTimer(window, interval=pause)
         timer.timeout.connect(work)
         timer.start()
         timers.append(timer)
     app.exec()
-    assert not session._thread.is_alive()
+    assert not session.is_alive
     print("closed")
+
+
+def places(window: Window) -> dict[str, Any]:
+    """Where buttons, sliders and tiles are on the screen, pixels."""
+    panel, canvas, bar = window.panel, window.canvas, window.bar
+    corner = canvas.mapToGlobal(QPoint(0, 0))
+    tiles = {}
+    for name, tile in {"space": window.scene.space, **window.scene.slice_tiles}.items():
+        if tile is not None:
+            left, bottom, right, top = tile.renderer.GetViewport()
+            tiles[name] = [
+                corner.x() + round(canvas.width() * 0.5 * (left + right)),
+                corner.y() + round(canvas.height() * (1 - 0.5 * (bottom + top))),
+            ]
+    return {
+        "buttons": {name: middle(getattr(bar, name)) for name in ("restart", "back", "play", "forward")}
+        | {"undo": middle(panel.undo), "save": middle(panel.save), "timeline": ends(bar.timeline)}
+        | {name: middle(button) for name, button in panel.tools.items()}
+        | {name: ends(amount.slider) for name, amount in panel.amounts.items()},
+        "tiles": tiles,
+    }
+
+
+def shown(session: Session, window: Window) -> dict[str, Any]:
+    """What the session and the window say."""
+    status, panel, frame = session.status, window.panel, window.scene.frame
+    return {
+        "step": status.step, "playing": status.playing, "checkpoints": status.checkpoints,
+        "message": window.message.text(), "edits": [edit.model_dump() for edit in status.edits],
+        "start": status.settings.start, "settings": status.settings.model_dump(mode="json"),
+        "stop": status.stop and status.stop.reason,
+        "drawn": None if frame is None else [frame.step, frame.volume_mm3],
+        "color": panel.color.currentText(), "theme": panel.theme.currentText(), "help": window.help.isVisible(),
+        "play": window.bar.play.text(), "title": window.windowTitle(), "cursor": window.scene.cursor.tolist(),
+    }
+
+
+def middle(widget: QWidget) -> list[int]:
+    place = widget.mapToGlobal(QPoint(widget.width() // 2, widget.height() // 2))
+    return [place.x(), place.y()]
+
+
+def ends(slider: QWidget) -> list[int]:
+    place = slider.mapToGlobal(QPoint(0, slider.height() // 2))
+    return [place.x(), place.y(), slider.width()]
 
 
 if __name__ == "__main__":

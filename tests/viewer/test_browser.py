@@ -47,12 +47,12 @@ class Served:
         self.log = open(folder / "log", "w+")
         self.process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=self.log, text=True)
         self.address = self.process.stdout.readline().strip()
-        assert self.address.startswith("http://"), self.told()
+        assert self.address.startswith("http://"), self.log_text()
         parts = urlsplit(self.address)
         self.port, self.token = parts.port, parts.query.removeprefix("secret=")
         self.origin = f"http://127.0.0.1:{self.port}"
 
-    def told(self):
+    def log_text(self):
         return Path(self.log.name).read_text()
 
     def close(self):
@@ -74,9 +74,9 @@ class Served:
 def served(tmp_path_factory):
     server = Served(tmp_path_factory.mktemp("served"))
     yield server
-    assert server.process.poll() is None, server.told()
-    assert server.close() == 0, server.told()
-    assert "Traceback" not in server.told()
+    assert server.process.poll() is None, server.log_text()
+    assert server.close() == 0, server.log_text()
+    assert "Traceback" not in server.log_text()
 
 
 def packed(call):
@@ -253,8 +253,8 @@ def test_a_host_must_be_asked_for_and_warns(tmp_path):
         with socket.create_connection(("127.0.0.2", server.port), timeout=10):
             pass
     finally:
-        assert server.close() == 0, server.told()
-    assert "warning: --host 0.0.0.0" in server.told()
+        assert server.close() == 0, server.log_text()
+    assert "warning: --host 0.0.0.0" in server.log_text()
 
 
 def test_options_of_the_page_are_refused_for_a_window(tmp_path, capsys):
@@ -321,7 +321,7 @@ def test_load_run_pause_back_slide_save_download(tmp_path):
         with driven(tmp_path) as browser:
             _drive(browser, server, tmp_path)
     finally:
-        assert server.close() == 0, server.told()
+        assert server.close() == 0, server.log_text()
     # What was steered in the page is the same run from the command line, byte for byte.
     again = tmp_path / "again"
     config = server.results / "run.toml"
@@ -346,9 +346,9 @@ def _drive(browser, server, folder):
 
     browser.get(server.address)
     first = until(lambda: browser.find_elements("id", "picture") and picture())
-    element("run").click()
+    element("play").click()
     until(lambda: step() > 3)
-    element("run").click()
+    element("play").click()
     until(lambda: element("state").text in ("paused", "converged"))
     reached = step()
     assert until(lambda: picture() != first)

@@ -18,11 +18,13 @@ from accelsurf.cli import run as command
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
+from tests.support import viewing
 
 MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
 MISSING += [name for name in ("PySide6", "pyvistaqt") if importlib.util.find_spec(name) is None]
 MISSING += [f"lib{name}" for name in ("xcb-cursor", "EGL") if ctypes.util.find_library(name) is None]
 ROOT = Path(__file__).parents[2]
+DRIVER = ROOT / "tests" / "support" / "desktop_driver.py"
 
 needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)} (see scripts/test --all)")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -60,14 +62,14 @@ def scan(tmp_path_factory):
 
 
 class Person:
-    """Hands on mouse and keys, and eyes on what the window tells."""
+    """Hands on mouse and keys, and eyes on what the window shows."""
 
     def __init__(self, screen, scan, folder, **options):
         self.env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": "1"}
-        self.told, self.folder = folder / "told.json", folder
+        self.state_file, self.folder = folder / "state.json", folder
         words = [f"{key}={value}" for key, value in options.items()]
         self.process = subprocess.Popen(
-            [sys.executable, str(ROOT / "tests" / "support" / "desktop_driver.py"), str(scan), str(self.told), *words],
+            [sys.executable, str(DRIVER), str(scan), str(self.state_file), *words],
             env=self.env, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )
         self.until(lambda now: now["drawn"] is not None, 180)
@@ -100,12 +102,12 @@ class Person:
         self.drag((x + 7, y), (x + 0.5 * share * width, y), (x + 7 + share * (width - 14), y))
 
     def now(self):
-        return json.loads(self.told.read_text())
+        return json.loads(self.state_file.read_text())
 
     def until(self, condition, seconds=60.0):
         end, now = time.monotonic() + seconds, None
         while time.monotonic() < end:
-            if self.told.exists():
+            if self.state_file.exists():
                 now = self.now()
                 if condition(now):
                     return now
@@ -141,9 +143,9 @@ def person(screen, scan, tmp_path):
 @needs_screen
 def test_run_pause_step_back_slide_save(person, scan, tmp_path):
     person.key("space")
-    person.until(lambda now: now["running"] and now["step"] > 3 and now["play"] == "Pause")
+    person.until(lambda now: now["playing"] and now["step"] > 3 and now["play"] == "Pause")
     person.key("space")
-    paused = person.until(lambda now: not now["running"] and now["drawn"][0] == now["step"])
+    paused = person.until(lambda now: not now["playing"] and now["drawn"][0] == now["step"])
     assert paused["play"] == "Run" and f"step {paused['step']}" in paused["title"] and "paused" in paused["title"]
     person.key("Right")
     on = person.until(lambda now: now["drawn"][0] == paused["step"] + 1)
@@ -151,10 +153,10 @@ def test_run_pause_step_back_slide_save(person, scan, tmp_path):
     person.until(lambda now: now["drawn"][0] == paused["step"])
     person.key("Left")
     back = person.until(lambda now: now["drawn"][0] == paused["step"] - 1)
-    assert max(back["kept"]) == on["step"]
-    # The slider over kept steps.
+    assert max(back["checkpoints"]) == on["step"]
+    # The slider over checkpoints.
     x, y, width = person.now()["buttons"]["timeline"]
-    at = back["kept"].index(back["step"]) / (len(back["kept"]) - 1)
+    at = back["checkpoints"].index(back["step"]) / (len(back["checkpoints"]) - 1)
     person.drag((x + 7 + at * (width - 14), y), (x + width // 3, y), (x + 7, y))
     person.until(lambda now: now["drawn"][0] == 0)
     person.drag((x + 7, y), (x + width // 2, y), (x + 8 + width // 2, y))
@@ -297,17 +299,57 @@ def test_the_command_opens_the_same_window(screen, scan, tmp_path):
 def test_without_a_screen_it_is_one_line(scan, monkeypatch, capsys):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("accelsurf.viewer.frontends.display.PACKAGES", ("json",))
+    monkeypatch.setattr("accelsurf.viewer.frontends.display.WINDOW_PACKAGES", ("json",))
     assert command(["view", str(scan)]) == 8
     error = capsys.readouterr().err.splitlines()
     assert len(error) == 2 and "no screen was found" in error[0] and error[1].startswith("hint: ")
 
 
-def test_without_the_packages_it_is_one_line(scan, monkeypatch, capsys):
-    monkeypatch.setattr("accelsurf.viewer.frontends.display.PACKAGES", ("json", "no_such_package"))
+class Hiding:
+    """A finder of modules that does not find some packages, as if they were not installed."""
+
+    def __init__(self, finder, packages):
+        self._finder, self._packages = finder, packages
+
+    def find_spec(self, name, path=None, target=None):
+        return None if name.partition(".")[0] in self._packages else self._finder.find_spec(name, path, target)
+
+
+@pytest.fixture
+def hide(monkeypatch):
+    """Hide packages that may be installed here."""
+
+    def hide_packages(*packages):
+        for name in [name for name in sys.modules if name.partition(".")[0] in packages]:
+            monkeypatch.delitem(sys.modules, name)
+        monkeypatch.setattr(sys, "meta_path", [Hiding(finder, packages) for finder in sys.meta_path])
+        assert all(importlib.util.find_spec(package) is None for package in packages)
+
+    return hide_packages
+
+
+def test_without_the_packages_one_line_says_what_to_install(scan, hide, capsys):
+    hide("PySide6", "pyvistaqt", "trame")
     assert command(["view", str(scan)]) == 8
+    error = capsys.readouterr().err.splitlines()
+    assert error[0] == "error: the window needs PySide6 and pyvistaqt, which are not installed"
+    assert error[1].startswith('hint: pip install "accelsurf[viewer]"') and len(error) == 2
+    assert command(["view", str(scan), "--browser"]) == 2
+    error = capsys.readouterr().err.splitlines()
+    assert error == ["error: browser: trame is not installed", 'hint: pip install "accelsurf[viewer]"']
+
+
+def test_without_the_packages_of_the_window_the_page_is_served(scan, hide, capsys, monkeypatch):
+    pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
+    viewing.needs_graphics()
+    served = []
+    monkeypatch.setattr("accelsurf.viewer.frontends.browser.serve", lambda session, *given: served.append(session.name))
+    hide("PySide6", "pyvistaqt")
+    assert command(["view", str(scan), "--start", "ball:24,24,20,6"]) == 0
+    assert served == ["scan"]
     error = capsys.readouterr().err
-    assert "needs no_such_package" in error and 'pip install "accelsurf[viewer]"' in error
+    assert "the window needs PySide6 and pyvistaqt" in error and 'pip install "accelsurf[viewer]"' in error
+    assert error.count("\n") == 1 and "a page in the browser opens instead" in error
 
 
 @pytest.mark.skipif(importlib.util.find_spec("PySide6") is None, reason="not installed: PySide6")
@@ -320,7 +362,7 @@ def test_a_screen_that_is_gone_is_one_line(scan, monkeypatch, capsys):
     assert len(error) == 2 and error[0].startswith("error: ")
 
 
-def test_bad_settings_are_told_before_a_window_is_opened(scan, capsys):
+def test_bad_settings_are_an_error_before_a_window_is_opened(scan, capsys):
     assert command(["view", str(scan), "--smoothness", "-1"]) == 2
     assert "smoothness: -1 was given" in capsys.readouterr().err
     assert command(["view"]) == 2

@@ -12,7 +12,7 @@ from PIL import Image
 
 import accelsurf
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.viewer.frontends.notebook import Shown
+from accelsurf.viewer.frontends.notebook import SceneOutput
 from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
@@ -75,7 +75,7 @@ def test_colours_are_in_the_page(tmp_path):
     frames, history = viewing.run_frames(volume, center, levels=1)
     scene = Scene(volume)
     scene.color_by("speed")
-    scene.update(frames[3], history)
+    scene.update(frames[3], (history,))
     write_html(scene, tmp_path / "a.html")
     scene.close()
     _, document = page_of(tmp_path / "a.html")
@@ -101,7 +101,7 @@ def test_a_browser_draws_the_page(result, tmp_path):
 def test_notebooks_get_a_page_and_a_picture(result, monkeypatch):
     monkeypatch.setattr("accelsurf.viewer.frontends.notebook.in_notebook", lambda: True)
     shown = result.plot(size=(640, 360))
-    assert isinstance(shown, Shown)
+    assert isinstance(shown, SceneOutput)
     bundle = shown._repr_mimebundle_()
     assert base64.b64decode(bundle["image/png"])[:4] == b"\x89PNG"
     assert bundle["text/html"].startswith("<iframe srcdoc=") and "&lt;script" in bundle["text/html"]
@@ -114,11 +114,11 @@ def test_pictures_and_what_cannot_be_shown(result, tmp_path):
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.size == (640, 360)
     accelsurf.show(result.volume, to=tmp_path / "b.png")
-    for given, told in (
+    for given, message in (
         (dict(to="a.jpg"), "a.jpg: .jpg was given"), (dict(theme="pink"), "theme: pink"),
         (dict(backend="magic"), "backend: magic"),
     ):  # fmt: skip
-        with pytest.raises(UsageError, match=told):
+        with pytest.raises(UsageError, match=message):
             result.plot(**({"to": tmp_path / "c.png"} | given))
     with pytest.raises(UsageError, match="show: a str was given"):
         accelsurf.show("brain.nii")

@@ -1,4 +1,4 @@
-"""Movies: the frames decode, differ, and show the surface grow; repeated from a result folder; nothing half written."""
+"""Movies: the frames decode, differ, and show the surface grow; repeated from a result folder; no incomplete file."""
 
 import importlib.util
 import json
@@ -13,7 +13,7 @@ from PIL import Image, ImageSequence
 from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.segmentation.run import Run
-from accelsurf.viewer.frontends import movie_file as films
+from accelsurf.viewer.frontends import movie_file
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
@@ -107,7 +107,7 @@ def test_a_result_folder_is_run_again_with_its_settings(image, tmp_path, capsys)
     path, options = image
     results = tmp_path / "out"
     assert cli.run(["segment", str(path), "-o", str(results), "--smoothness", "0.3", *options]) == 0
-    source, config = films.run_of_folder(results)
+    source, config = movie_file.run_of_folder(results)
     assert (source, config.smoothness, config.max_steps, config.levels) == (path, 0.3, 25, 1)
     look = ["--size", "320x180", "--hold", "0", "--every", "5"]
     again, live = tmp_path / "again.gif", tmp_path / "live.gif"
@@ -119,10 +119,10 @@ def test_a_result_folder_is_run_again_with_its_settings(image, tmp_path, capsys)
     assert "--cfl was given for a folder of results" in capsys.readouterr().err
     path.write_bytes(path.read_bytes() + b" ")
     with pytest.raises(InputError, match="has changed"):
-        films.run_of_folder(results)
+        movie_file.run_of_folder(results)
     path.unlink()
     with pytest.raises(InputError, match="not there any more"):
-        films.run_of_folder(results)
+        movie_file.run_of_folder(results)
 
 
 def test_edits_are_made_again_too(image, tmp_path):
@@ -130,35 +130,35 @@ def test_edits_are_made_again_too(image, tmp_path):
     results = tmp_path / "out"
     edit = ["--edit", "step=5 smoothness=0.5", "--edit", "step=9 flow=gradient"]
     assert cli.run(["segment", str(path), "-o", str(results), "--quiet", *options, *edit]) == 0
-    told = json.loads((results / "ball_report.json").read_text())
+    report = json.loads((results / "ball_report.json").read_text())
     volume = io.read(path)
     scene = Scene(volume, size=(320, 180))
     try:
-        films.run_to_last(Run(volume, films.run_of_folder(results)[1]), scene)
-        assert scene.frame.row.volume_mm3 == told["volume_mm3"]
-        assert scene.frame.row.step == told["stop"]["steps"]
+        movie_file.run_to_last(Run(volume, movie_file.run_of_folder(results)[1]), scene)
+        assert scene.frame.volume_mm3 == report["volume_mm3"]
+        assert scene.frame.step == report["stop"]["steps"]
     finally:
         scene.close()
 
 
-def test_folders_that_tell_of_no_run_are_refused(tmp_path):
+def test_folders_without_a_run_are_refused(tmp_path):
     with pytest.raises(InputError, match="no report"):
-        films.run_of_folder(tmp_path)
+        movie_file.run_of_folder(tmp_path)
     report = tmp_path / "a_report.json"
     for text in ("", "[]", '{"config": null, "input": null}', '{"config": 3, "input": {"path": "a", "sha256": null}}'):
         report.write_text(text)
         with pytest.raises(InputError, match="not the report of a run"):
-            films.run_of_folder(tmp_path)
+            movie_file.run_of_folder(tmp_path)
     report.write_text(json.dumps({"config": {"energy": "custom: Mine"}, "input": {"path": "a", "sha256": None}}))
     with pytest.raises(InputError, match="one of your own"):
-        films.run_of_folder(tmp_path)
+        movie_file.run_of_folder(tmp_path)
     (tmp_path / "b_report.json").write_text("{}")
     with pytest.raises(InputError, match="2 reports"):
-        films.run_of_folder(tmp_path)
+        movie_file.run_of_folder(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         (["-o", "a.avi"], "a.avi: .avi was given, expected .mp4, .gif, .webp"),
         (["-o", "a"], "no suffix was given"),
@@ -176,16 +176,16 @@ def test_folders_that_tell_of_no_run_are_refused(tmp_path):
         ([], "-o FILE, the movie, is missing"),
     ],
 )
-def test_bad_options_cost_one_line_and_no_file(image, tmp_path, capsys, monkeypatch, given, told):
+def test_bad_options_cost_one_line_and_no_file(image, tmp_path, capsys, monkeypatch, given, message):
     path, _ = image
     monkeypatch.chdir(tmp_path)
     assert cli.run(["movie", str(path), *given]) == 2
     error = capsys.readouterr().err
-    assert told in error and error.count("error:") == 1 and len(error.splitlines()) <= 2
+    assert message in error and error.count("error:") == 1 and len(error.splitlines()) <= 2
     assert [p.name for p in tmp_path.iterdir()] == ["ball.nii.gz"]
 
 
-def test_what_exists_is_kept_unless_told(image, tmp_path, capsys):
+def test_files_are_not_replaced_unless_asked_for(image, tmp_path, capsys):
     path, options = image
     out = tmp_path / "a.gif"
     out.write_bytes(b"mine")
@@ -199,20 +199,20 @@ def test_what_exists_is_kept_unless_told(image, tmp_path, capsys):
 def test_nothing_is_left_when_a_frame_fails(tmp_path):
     def frames():
         yield np.zeros((180, 320, 3), np.uint8)
-        raise InputError("the disc turned to stone")
+        raise InputError("the disk is full")
 
     for name in ("a.gif", "a.webp", *(["a.mp4"] if importlib.util.find_spec("imageio_ffmpeg") else [])):
-        with pytest.raises(InputError, match="stone"):
-            films.write(tmp_path / name, frames(), films.Film(size=(320, 180)))
+        with pytest.raises(InputError, match="disk is full"):
+            movie_file.write(tmp_path / name, frames(), movie_file.MovieSettings(size=(320, 180)))
         assert list(tmp_path.iterdir()) == []
 
 
 def test_mp4_without_its_encoder_is_one_line(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(UsageError, match="imageio-ffmpeg is not installed") as caught:
-        films.check_target(tmp_path / "a.mp4", (320, 180))
+        movie_file.check_target(tmp_path / "a.mp4", (320, 180))
     assert "accelsurf[viewer]" in caught.value.hint
-    films.check_target(tmp_path / "a.gif", (320, 180))
+    movie_file.check_target(tmp_path / "a.gif", (320, 180))
 
 
 # -- without a screen ---------------------------------------------------------------------------------------

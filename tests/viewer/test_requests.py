@@ -8,7 +8,7 @@ import pytest
 
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.requests import MAX_SIZE, MIN_SIZE, SETTINGS, Steering
+from accelsurf.viewer.frontends.requests import MAX_SIZE, MIN_SIZE, SETTINGS, RequestHandler
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
@@ -30,144 +30,144 @@ def scene_and_session():
 
 
 @pytest.fixture
-def steering(scene_and_session, tmp_path):
+def handler(scene_and_session, tmp_path):
     scene, session = scene_and_session
-    made = Steering(session, scene, tmp_path / "out")
+    made = RequestHandler(session, scene, tmp_path / "out")
     session.pause().result(60)
-    session.back(0).result(60)
+    session.go_to(0).result(60)
     session.wait(60)
     return made
 
 
-def settle(steering):
-    assert steering.session.wait(120)
-    steering.look_after()
+def finish(handler):
+    assert handler.session.wait(120)
+    handler.collect_results()
 
 
-def draw(steering):
-    view = steering.session.take()
+def draw(handler):
+    view = handler.session.next_view()
     for _ in range(400):
         if view is not None:
             break
         time.sleep(0.02)
-        view = steering.session.take()
-    steering.scene.update(view.frame, view.rows)
-    return steering.scene.screenshot()
+        view = handler.session.next_view()
+    handler.scene.update(view.frame, view.histories)
+    return handler.scene.screenshot()
 
 
-def test_run_pause_back_change_undo_save(steering, tmp_path):
-    steering.request("step")
-    settle(steering)
-    assert steering.session.status.step == 1
-    steering.request("toggle")
-    settle(steering)
-    assert steering.session.status.stop is not None
-    steering.request("back", 3)
-    settle(steering)
-    assert steering.session.status.step == 3
-    steering.request("set", "smoothness", "0.25")
-    settle(steering)
-    assert steering.session.status.settings.smoothness == 0.25 and not steering.message
-    steering.request("set", "flow", "gradient")
-    settle(steering)
-    assert steering.session.status.settings.flow == "gradient"
-    steering.request("undo")
-    settle(steering)
-    assert steering.session.status.settings.flow == "constant-density"
-    steering.request("save")
-    settle(steering)
-    assert steering.message == "" and {"run.toml", "ball_seg.nii.gz"} <= set(steering.files)
-    assert {path.parent for path in steering.files.values()} == {tmp_path / "out"}
-    steering.request("restart")
-    settle(steering)
-    assert steering.session.status.step == 0
+def test_run_pause_back_change_undo_save(handler, tmp_path):
+    handler.request("step")
+    finish(handler)
+    assert handler.session.status.step == 1
+    handler.request("toggle")
+    finish(handler)
+    assert handler.session.status.stop is not None
+    handler.request("go_to", 3)
+    finish(handler)
+    assert handler.session.status.step == 3
+    handler.request("set", "smoothness", "0.25")
+    finish(handler)
+    assert handler.session.status.settings.smoothness == 0.25 and not handler.message
+    handler.request("set", "flow", "gradient")
+    finish(handler)
+    assert handler.session.status.settings.flow == "gradient"
+    handler.request("undo")
+    finish(handler)
+    assert handler.session.status.settings.flow == "constant-density"
+    handler.request("save")
+    finish(handler)
+    assert handler.message == "" and {"run.toml", "ball_seg.nii.gz"} <= set(handler.files)
+    assert {path.parent for path in handler.files.values()} == {tmp_path / "out"}
+    handler.request("restart")
+    finish(handler)
+    assert handler.session.status.step == 0
 
 
 BAD = [
     None, True, -1, 1e308, -1e308, math.inf, math.nan, 10**400, "", "x" * 100_000, "../../etc/passwd", "a\x00b",
-    "\ud800", "<script>", [], {}, [[[[]]]], {"a": {"b": 1}}, b"\xff" * 1000, object(), ["run"], 3.5, "nan", "1e999",
+    "\ud800", "<script>", [], {}, [[[[]]]], {"a": {"b": 1}}, b"\xff" * 1000, object(), ["play"], 3.5, "nan", "1e999",
 ]  # fmt: skip
 
 
-def test_nothing_that_is_sent_raises_or_leaves_the_folder(steering, tmp_path):
+def test_nothing_that_is_sent_raises_or_leaves_the_folder(handler, tmp_path):
     """Each request with each bad value, alone and in company, and too many or too few of them."""
     outside = tmp_path / "secret"
     outside.write_text("mine")
-    steering.request("size", 640, 360)
-    for name in (*steering.names, "_set", "__init__", "request", "files", "nothing", None, 7, [], {}, ("run",)):
-        if name in ("run", "toggle", "save", "step"):
+    handler.request("size", 640, 360)
+    for name in (*handler.names, "_set", "__init__", "request", "files", "nothing", None, 7, [], {}, ("play",)):
+        if name in ("play", "toggle", "save", "step"):
             continue
         for bad in BAD:
             for values in ((bad,), (bad, bad), (bad, bad, bad), ("smoothness", bad), (bad, 0.5, 0.5), (0.5, 0.5, bad)):
-                steering.request(name, *values)
-                assert isinstance(steering.message, str) and len(steering.message) < 400
-        steering.request(name, *range(50))
-        steering.request(name)
-    settle(steering)
-    width, height = steering.scene.plotter.render_window.GetSize()
+                handler.request(name, *values)
+                assert isinstance(handler.message, str) and len(handler.message) < 400
+        handler.request(name, *range(50))
+        handler.request(name)
+    finish(handler)
+    width, height = handler.scene.plotter.render_window.GetSize()
     assert MIN_SIZE[0] <= width <= MAX_SIZE[0] and MIN_SIZE[1] <= height <= MAX_SIZE[1]
-    assert np.isfinite(steering.scene.cursor).all()
+    assert np.isfinite(handler.scene.cursor).all()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["secret"] and outside.read_text() == "mine"
-    steering.request("restart")
-    steering.request("size", 640, 360)
-    settle(steering)
-    steering.request("step")
-    settle(steering)
-    assert steering.session.status.ready and draw(steering).std() > 0
-    status = steering.session.status.settings
+    handler.request("restart")
+    handler.request("size", 640, 360)
+    finish(handler)
+    handler.request("step")
+    finish(handler)
+    assert handler.session.status.ready and draw(handler).std() > 0
+    status = handler.session.status.settings
     assert all(math.isfinite(float(getattr(status, key))) for key in ("smoothness", "cfl")), SETTINGS
 
 
 @pytest.mark.parametrize("what", ["../labels", "/etc", "labels/..", "", "RUN", ["labels"]])
-def test_only_what_there_is_can_be_saved(steering, tmp_path, what):
-    steering.request("save", what)
-    settle(steering)
-    assert "was given, expected labels" in steering.message and not (tmp_path / "out").exists()
+def test_only_what_there_is_can_be_saved(handler, tmp_path, what):
+    handler.request("save", what)
+    finish(handler)
+    assert "was given, expected labels" in handler.message and not (tmp_path / "out").exists()
 
 
-def test_dragging_turns_the_camera_and_moves_slices(steering):
-    steering.request("size", 800, 448)
-    draw(steering)
-    before = steering.scene.screenshot()
+def test_dragging_turns_the_camera_and_moves_slices(handler):
+    handler.request("size", 800, 448)
+    draw(handler)
+    before = handler.scene.screenshot()
     for name, values in (("press", (0.2, 0.5, False)), ("move", (0.3, 0.45)), ("release", ())):
-        steering.request(name, *values)
-        assert not steering.message
-    turned = steering.scene.screenshot()
+        handler.request(name, *values)
+        assert not handler.message
+    turned = handler.scene.screenshot()
     assert (turned != before).mean() > 0.01
-    steering.request("press", 0.2, 0.5, True)
-    steering.request("move", 0.25, 0.5)
-    steering.request("release")
-    assert (steering.scene.screenshot() != turned).any()
-    cursor = steering.scene.cursor
-    steering.request("press", 0.6, 0.27, False)
-    steering.request("release")
-    assert np.linalg.norm(steering.scene.cursor - cursor) > 1
-    cursor = steering.scene.cursor
-    steering.request("wheel", 0.6, 0.27, 1)
-    assert np.linalg.norm(steering.scene.cursor - cursor) > 0.5
-    zoomed = steering.scene.screenshot()
-    steering.request("wheel", 0.2, 0.5, 1)
-    assert (steering.scene.screenshot() != zoomed).any()
-    assert not steering.message
+    handler.request("press", 0.2, 0.5, True)
+    handler.request("move", 0.25, 0.5)
+    handler.request("release")
+    assert (handler.scene.screenshot() != turned).any()
+    cursor = handler.scene.cursor
+    handler.request("press", 0.6, 0.27, False)
+    handler.request("release")
+    assert np.linalg.norm(handler.scene.cursor - cursor) > 1
+    cursor = handler.scene.cursor
+    handler.request("wheel", 0.6, 0.27, 1)
+    assert np.linalg.norm(handler.scene.cursor - cursor) > 0.5
+    zoomed = handler.scene.screenshot()
+    handler.request("wheel", 0.2, 0.5, 1)
+    assert (handler.scene.screenshot() != zoomed).any()
+    assert not handler.message
 
 
-def test_a_ball_is_placed_where_the_mouse_is(steering):
-    steering.request("size", 800, 448)
-    draw(steering)
-    volume_before = steering.session.take() or steering.session.status
+def test_a_ball_is_placed_where_the_mouse_is(handler):
+    handler.request("size", 800, 448)
+    draw(handler)
+    volume_before = handler.session.next_view() or handler.session.status
     assert volume_before is not None
     for mode in ("add", "remove", "start"):
-        steering.request("mode", mode)
-        steering.request("radius", 3.0)
-        steering.request("press", 0.625, 0.25, False)  # the middle of the axial slice
-        steering.request("move", 0.626, 0.25)
-        steering.request("release")
-        settle(steering)
-        assert steering.message == ""
-        status = steering.session.status
+        handler.request("mode", mode)
+        handler.request("radius", 3.0)
+        handler.request("press", 0.625, 0.25, False)  # the middle of the axial slice
+        handler.request("move", 0.626, 0.25)
+        handler.request("release")
+        finish(handler)
+        assert handler.message == ""
+        status = handler.session.status
         if mode == "start":
             assert status.settings.start[0].startswith("ball:") and status.settings.start[0].endswith(",3")
         else:
             assert getattr(status.edits[-1], mode).startswith("ball:")
-    steering.request("undo")
-    settle(steering)
+    handler.request("undo")
+    finish(handler)

@@ -7,7 +7,6 @@ from accelsurf import Volume
 from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError, UsageError
 from accelsurf.viewer.scene import colors, shapes
-from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
 DIRECTIONS = {"straight": np.eye(3), "left-handed, oblique": viewing.TURN, "axes swapped": np.eye(3)[[2, 0, 1]]}
@@ -18,19 +17,6 @@ def graphics():
     viewing.needs_graphics()
 
 
-@pytest.fixture
-def scene_of():
-    made = []
-
-    def make(*args, **options):
-        made.append(Scene(*args, **options))
-        return made[-1]
-
-    yield make
-    for scene in made:
-        scene.close()
-
-
 # -- shapes: no plotter -------------------------------------------------------------------------------------
 
 
@@ -39,15 +25,15 @@ def scene_of():
 def test_the_surface_lies_in_the_world(name, levels):
     volume, center = viewing.ball_image((48, 52, 56), direction=DIRECTIONS[name], radius=16.0)
     frames, _ = viewing.run_frames(volume, center, levels=levels, max_steps=60)
-    assert {frame.row.level for frame in frames} == set(range(levels))
+    assert {frame.level for frame in frames} == set(range(levels))
     for frame in frames[-1], frames[2]:
-        mesh = shapes.isosurface(frame, volume.geometry)
+        mesh = shapes.isosurface(frame.surfaces[0], volume.geometry)
         radii = np.linalg.norm(mesh.points - center, axis=1)
-        assert radii.std() < 0.35, (frame.row.level, radii.std())
+        assert radii.std() < 0.35, (frame.level, radii.std())
         outward = (mesh.points - center) / radii[:, None]
         normals = np.asarray(mesh.point_data.active_normals)
         assert np.median((normals * outward).sum(axis=1)) > 0.97
-    radii = np.linalg.norm(shapes.isosurface(frames[-1], volume.geometry).points - center, axis=1)
+    radii = np.linalg.norm(shapes.isosurface(frames[-1].surfaces[0], volume.geometry).points - center, axis=1)
     assert abs(radii.mean() - 16.0) < 0.5
 
 
@@ -55,10 +41,10 @@ def test_the_surface_is_that_of_the_mesh_that_is_saved():
     volume, center = viewing.ball_image(direction=viewing.TURN)
     frames, _ = viewing.run_frames(volume, center, levels=1)
     psi = np.full(volume.geometry.shape, 9.0, np.float32)
-    frame = frames[-1]
-    psi[tuple(slice(o, o + n) for o, n in zip(frame.offset, frame.psi.shape, strict=True))] = frame.psi
+    (surface,) = frames[-1].surfaces
+    psi[tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))] = surface.psi
     saved = extract(psi, volume.geometry)
-    mesh = shapes.isosurface(frame, volume.geometry)
+    mesh = shapes.isosurface(surface, volume.geometry)
     assert np.allclose(mesh.bounds[::2], saved.bounds[0], atol=1e-3)
     assert np.allclose(mesh.bounds[1::2], saved.bounds[1], atol=1e-3)
     assert mesh.area == pytest.approx(saved.area, rel=0.01)
@@ -74,11 +60,11 @@ def test_an_object_cut_by_the_border_is_closed():
 def test_colours_on_the_surface_are_the_quantity():
     volume, center = viewing.ball_image()
     frames, _ = viewing.run_frames(volume, center, levels=1)
-    mesh = shapes.isosurface(frames[3], volume.geometry, "speed")
-    cells, values = frames[3].quantities["speed"]
+    mesh = shapes.isosurface(frames[3].surfaces[0], volume.geometry, "speed")
+    cells, values = frames[3].surfaces[0].quantities["speed"]
     near = np.abs(np.asarray(mesh["speed"]))
     assert near.max() > 0 and near.max() <= np.abs(values).max() * 1.0001
-    assert "density" not in shapes.isosurface(frames[3], volume.geometry, "density").point_data
+    assert "density" not in shapes.isosurface(frames[3].surfaces[0], volume.geometry, "density").point_data
 
 
 def test_contours_lie_on_the_circle():
@@ -105,7 +91,7 @@ def test_slices_cut_where_the_cursor_is(scene_of, name):
     array[voxel] = 1.0
     scene = scene_of(Volume(array, volume.geometry), size=(800, 450))
     world = volume.geometry.index_to_world(voxel)
-    scene.slices(*world)
+    scene.cursor = world
     assert np.allclose(scene.cursor, world)
     picture = scene.screenshot()
     height, width = picture.shape[:2]
@@ -118,7 +104,7 @@ def test_slices_cut_where_the_cursor_is(scene_of, name):
         assert picture[height - 1 - round(y), round(x)].max() > 100
         picked = scene.pick(x, y)
         assert np.linalg.norm(picked.world - world) < 1.0
-    scene.slices(*volume.geometry.index_to_world((12, 12, 30)))
+    scene.cursor = volume.geometry.index_to_world((12, 12, 30))
     assert (scene.screenshot() != picture).any()
 
 
@@ -144,7 +130,7 @@ def test_pictures_show_the_run(scene_of, theme):
     assert empty.shape == (540, 960, 3)
     seen = [empty]
     for number in (0, 3, len(frames) - 1):
-        scene.update(frames[number], history[: number + 1])
+        scene.update(frames[number], (history[: number + 1],))
         seen.append(scene.screenshot())
         assert all((seen[-1] != other).any() for other in seen[:-1])
     assert scene.dice > 0.97
@@ -166,22 +152,22 @@ def test_dice_of_coarse_frames_is_near(scene_of):
     frames, _ = viewing.run_frames(volume, center, levels=2, max_steps=60)
     truth = volume.with_array(volume.array > 0)
     scene = scene_of(volume, reference=truth)
-    coarse = [frame for frame in frames if frame.row.level == 1][-1]
+    coarse = [frame for frame in frames if frame.level == 1][-1]
     scene.update(coarse)
     assert scene.dice > 0.93
     scene.update(frames[-1])
     labels = np.zeros(volume.array.shape, bool)
-    frame = frames[-1]
-    labels[tuple(slice(o, o + n) for o, n in zip(frame.offset, frame.psi.shape, strict=True))] = frame.psi < 0
+    (surface,) = frames[-1].surfaces
+    labels[tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))] = surface.psi < 0
     common = (labels & (truth.array > 0)).sum()
     assert scene.dice == pytest.approx(2 * common / (labels.sum() + truth.array.sum()), abs=1e-12)
 
 
-def test_what_may_be_switched_changes_the_picture(scene_of):
+def test_switches_change_the_picture(scene_of):
     volume, center = viewing.ball_image()
     frames, history = viewing.run_frames(volume, center)
     scene = scene_of(volume, size=(640, 360))
-    scene.update(frames[-1], history)
+    scene.update(frames[-1], (history,))
     plain = scene.screenshot()
     for switch in (scene.show_volume, scene.show_planes):
         switch(True)
@@ -192,9 +178,6 @@ def test_what_may_be_switched_changes_the_picture(scene_of):
     assert (scene.screenshot() != plain).any()
     scene.mark_ball(None)
     assert np.array_equal(scene.screenshot(), plain)
-    scene.say("space: run or pause")
-    assert (scene.screenshot() != plain).any()
-    scene.say("")
     scene.orbit(30.0)
     turned = scene.screenshot()
     assert (turned != plain).any()
@@ -241,7 +224,7 @@ def test_one_slice_is_a_scene_too(scene_of, axis):
     scene = scene_of(volume, size=(800, 450), reference=volume)
     assert scene.space is None and len(scene.slice_tiles) == 1
     empty = scene.screenshot()
-    scene.update(frames[-1], history)
+    scene.update(frames[-1], (history,))
     assert (scene.screenshot() != empty).mean() > 0.01
     assert scene.dice > 0.97
     scene.show_volume(True)
@@ -254,13 +237,13 @@ def test_no_surface_and_no_history_are_drawn(scene_of):
     frames, history = viewing.run_frames(volume, center, smoothness=60, max_steps=150, levels=1)
     assert not frames[-1].has_surface
     scene = scene_of(volume)
-    scene.update(frames[0], history[:1])
+    scene.update(frames[0], (history[:1],))
     there = scene.screenshot()
-    scene.update(frames[-1], history)
+    scene.update(frames[-1], (history,))
     assert (scene.screenshot() != there).any()
 
 
-def test_bad_input_is_told(scene_of):
+def test_bad_input_is_an_error(scene_of):
     volume, _ = viewing.ball_image()
     with pytest.raises(UsageError, match="theme: pink"):
         scene_of(volume, theme="pink")
@@ -272,8 +255,8 @@ def test_bad_input_is_told(scene_of):
         scene.color_by("rainbow")
     for bad in (np.nan, np.inf):
         with pytest.raises(UsageError, match="cursor"):
-            scene.slices(0, 0, bad)
-    scene.slices(1e12, -1e12, 0)  # held to the image
+            scene.cursor = (0, 0, bad)
+    scene.cursor = (1e12, -1e12, 0)  # clipped to the image
     assert np.isfinite(scene.cursor).all()
 
 
@@ -291,8 +274,9 @@ def test_screenshots_are_files_too(scene_of, tmp_path):
 def test_triangles_face_the_way_of_their_normals(name):
     volume, center = viewing.ball_image(direction=DIRECTIONS[name])
     frames, _ = viewing.run_frames(volume, center, levels=1, max_steps=3)
+    (surface,) = frames[-1].surfaces
     for mesh in (
-        shapes.isosurface(frames[-1], volume.geometry), shapes.label_surface(volume.array > 0, volume.geometry)
+        shapes.isosurface(surface, volume.geometry), shapes.label_surface(volume.array > 0, volume.geometry)
     ):
         a, b, c = (np.asarray(mesh.points)[corner] for corner in np.asarray(mesh.faces).reshape(-1, 4)[:, 1:].T)
         outward = (np.cross(b - a, c - a) * (a - center)).sum(axis=1)

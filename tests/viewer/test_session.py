@@ -1,4 +1,4 @@
-"""Session: steered from another thread, and what it saves repeats the run, byte for byte."""
+"""Session: steered from another thread; what it saves repeats the run, byte for byte."""
 
 import json
 import threading
@@ -9,12 +9,13 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import run as command
+from accelsurf.energies.chan_vese import ChanVese
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
-from accelsurf.settings.flow_specs import FLOWS
-from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.run_config import FLOWS, RunConfig
+from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.session import Session
 
@@ -31,7 +32,7 @@ START = "ball:17,15,16,6"
 
 
 def at(session, step):
-    session.run_to(step).result(60)
+    session.play_to(step).result(60)
     assert session.wait(60) and session.status.step == step
     return session
 
@@ -57,23 +58,23 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
     start = "ball:" + ",".join(f"{v:.3f}" for v in center) + ",6"
     with Session(scan, RunConfig(start=start, flow=flow), name="scan") as session:
         at(session, 7)
-        session.push("add", "ball:25,15,10,4vox").result(60)
+        session.edit_ball("add", "ball:25,15,10,4vox").result(60)
         session.change(smoothness=0.3, diffusion=0.2)
         at(session, 12)
         session.change(smoothness=0.05).result(60)
-        session.push("remove", "ball:17,7,10,4vox").result(60)
+        session.edit_ball("remove", "ball:17,7,10,4vox").result(60)
         at(session, 15)
-        session.undo().result(60)  # the ball that was taken away
+        session.undo().result(60)  # the ball that was removed
         session.wait(60)
         assert session.status.step == 12
         at(session, 18)
-        session.back(9).result(60)
+        session.go_to(9).result(60)
         session.wait(60)
         session.change(flow=other, cfl=0.4).result(60)
         at(session, 14)
-        session.back(11).result(60)
+        session.go_to(11).result(60)
         at(session, 21)
-        session.push("add", "ball:9,15,10,4vox").result(60)  # in the very last state
+        session.edit_ball("add", "ball:9,15,10,4vox").result(60)  # in the very last state
         paths = session.save(tmp_path / "saved").result(120)
         status = session.status
     assert [path.name for path in paths] == [
@@ -100,7 +101,7 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
 
 
 def test_a_run_that_converged_says_so_when_repeated(session, tmp_path):
-    session.run().result(60)
+    session.play().result(60)
     assert session.wait(120)
     stop = session.status.stop
     assert stop.reason == "converged" and session.status.step == stop.steps
@@ -108,7 +109,7 @@ def test_a_run_that_converged_says_so_when_repeated(session, tmp_path):
     again = segment(volume(), config=RunConfig.from_toml(toml))
     assert again.labels.tobytes() == saved and again.stop == stop
     # It goes on when asked to, and that is repeated too.
-    session.run().result(60)
+    session.play().result(60)
     assert session.wait(120) and session.status.stop.steps > stop.steps
     saved, toml = labels_of(session, tmp_path)
     again = segment(volume(), config=RunConfig.from_toml(toml))
@@ -118,23 +119,23 @@ def test_a_run_that_converged_says_so_when_repeated(session, tmp_path):
 def test_going_back_keeps_what_comes_after_until_something_changes(session, tmp_path):
     at(session, 6).change(smoothness=0.3).result(60)
     straight = labels_of(at(session, 14), tmp_path / "a")[0]
-    session.back(3).result(60)
-    assert session.status.settings.smoothness == 0 and max(session.status.kept) == 14
-    session.back(14).result(60)
+    session.go_to(3).result(60)
+    assert session.status.settings.smoothness == 0 and max(session.status.checkpoints) == 14
+    session.go_to(14).result(60)
     assert labels_of(session, tmp_path / "b")[0] == straight and session.status.settings.smoothness == 0.3
-    session.back(6).result(60)
+    session.go_to(6).result(60)
     assert session.status.settings.smoothness == 0.3  # what the next step will be made with
     assert labels_of(at(session, 14), tmp_path / "c")[0] == straight
-    session.back(3).result(60)
+    session.go_to(3).result(60)
     session.change(cfl=0.4).result(60)
-    assert max(session.status.kept) == 3 and [edit.step for edit in session.status.edits] == [3]
+    assert max(session.status.checkpoints) == 3 and [edit.step for edit in session.status.edits] == [3]
     session.undo().result(60)
     session.wait(60)
     assert [edit.step for edit in session.status.edits] == [6]
     assert labels_of(at(session, 14), tmp_path / "d")[0] == straight
 
 
-def test_changes_at_one_step_are_one_edit_and_one_to_and_fro_is_none(session):
+def test_changes_at_one_step_are_one_edit_and_one_back_and_forth_is_none(session):
     at(session, 4)
     for value in (0.1, 0.2, 0.3):
         session.change(smoothness=value).result(60)
@@ -147,13 +148,13 @@ def test_changes_at_one_step_are_one_edit_and_one_to_and_fro_is_none(session):
     for _ in range(5):
         session.undo().result(60)
     assert session.status.edits == () and session.status.undoable == 0
-    with pytest.raises(UsageError, match="no change to take back"):
+    with pytest.raises(UsageError, match="no change to undo"):
         session.undo().result(60)
 
 
 def test_restart_keeps_the_settings_and_another_start_too(session, tmp_path):
     at(session, 5).change(smoothness=0.4).result(60)
-    session.push("add", "ball:25,15,16,4").result(60)
+    session.edit_ball("add", "ball:25,15,16,4").result(60)
     at(session, 8).restart().result(60)
     status = session.status
     assert status.step == 0 and [edit.model_dump() for edit in status.edits] == [{"step": 0, "smoothness": 0.4}]
@@ -169,7 +170,7 @@ def test_restart_keeps_the_settings_and_another_start_too(session, tmp_path):
 
 
 def test_a_start_made_by_hand_is_saved_without_a_step(session, tmp_path):
-    session.push("add", "ball:25,15,16,4").result(60)
+    session.edit_ball("add", "ball:25,15,16,4").result(60)
     saved, toml = labels_of(session, tmp_path)
     config = RunConfig.from_toml(toml)
     assert config.max_steps == 0 and segment(volume(), config=config).labels.tobytes() == saved
@@ -181,7 +182,7 @@ def test_noise_that_comes_later_has_a_seed_that_is_saved(session, tmp_path):
     saved, toml = labels_of(at(session, 12), tmp_path)
     config = RunConfig.from_toml(toml)
     assert config.seed is not None and segment(volume(), config=config).labels.tobytes() == saved
-    session.back(2).result(60)
+    session.go_to(2).result(60)
     assert labels_of(at(session, 12), tmp_path)[0] == saved
 
 
@@ -192,16 +193,16 @@ def test_levels_are_one_unless_asked_for(tmp_path):
         assert one.status.settings.levels == 1
     config = RunConfig(start="ball:17,15,16,9", levels=2)
     with Session(image, config) as two:
-        two.run().result(60)
+        two.play().result(60)
         assert two.wait(120)
         end = two.status.step
         straight = labels_of(two, tmp_path)[0]
-        assert min(two.status.kept) > 0  # those of the coarse level are gone
-        two.back(3).result(60)  # and are made again
+        assert min(two.status.checkpoints) > 0  # those of the coarse level are gone
+        two.go_to(3).result(60)  # and are made again
         assert two.wait(60) and two.status.step == 3
         two.change(smoothness=0.2).result(60)
         two.undo().result(60)
-        two.run_to(end).result(60)
+        two.play_to(end).result(60)
         assert two.wait(120)
         assert labels_of(two, tmp_path)[0] == straight
 
@@ -213,10 +214,10 @@ def test_bad_commands_are_one_line_and_change_nothing(session):
         (lambda: session.change(smoothness=-1), "smoothness: -1 was given"),
         (lambda: session.change(smothness=1), "there is no such setting"),
         (lambda: session.change(presmooth=1), "cannot change while a run runs"),
-        (lambda: session.push("add", "ball:900,0,0,3"), "no voxel centre is inside"),
-        (lambda: session.push("add", "box:0,0,0,3,3,3"), "expected ball"),
-        (lambda: session.back(99), "expected at most 3"),
-        (lambda: session.back(-1), "at least 0"),
+        (lambda: session.edit_ball("add", "ball:900,0,0,3"), "no voxel centre is inside"),
+        (lambda: session.edit_ball("add", "box:0,0,0,3,3,3"), "expected ball"),
+        (lambda: session.go_to(99), "expected at most 3"),
+        (lambda: session.go_to(-1), "at least 0"),
         (lambda: session.start_from(["ball:900,0,0,3"]), "no voxel centre is inside"),
         (lambda: session.start_from(["sphere"]), "unknown kind"),
     ]
@@ -231,28 +232,27 @@ def test_bad_commands_are_one_line_and_change_nothing(session):
     assert not session.status.failed
 
 
-def test_an_error_in_the_solver_is_one_line_and_a_kept_step_is_sound(session, tmp_path, monkeypatch):
+def test_an_error_in_the_solver_is_one_line_and_a_checkpoint_is_sound(session, tmp_path, monkeypatch):
     straight = labels_of(at(session, 8), tmp_path / "a")[0]
-    session.back(4).result(60)
-    energy = session._timeline.run.evolution._now.energy
-    monkeypatch.setattr(energy, "follow", lambda *a: 1 / 0)
-    session.run().result(60)
+    session.go_to(4).result(60)
+    monkeypatch.setattr(ChanVese, "follow", lambda *a: 1 / 0)
+    session.play().result(60)
     assert session.wait(60)
     assert session.status.failed and "ZeroDivisionError" in session.status.message
     assert "\n" not in session.status.message
     assert (tmp_path / "a/surface_seg.nii.gz").exists()
     monkeypatch.undo()
-    session.back(4).result(60)
+    session.go_to(4).result(60)
     assert labels_of(at(session, 8), tmp_path / "b")[0] == straight
 
 
-def test_an_image_that_cannot_be_run_is_told():
+def test_an_image_that_cannot_be_run_is_an_error():
     with Session(volume(), RunConfig(start="ball:900,0,0,3")) as session:
         with pytest.raises(InputError, match="no voxel centre"):
             session.ready.result(60)
         assert session.status.failed and not session.status.ready
         with pytest.raises(UsageError, match="no voxel centre"):
-            session.run().result(60)
+            session.play().result(60)
 
 
 def test_files_of_others_are_not_replaced_and_those_of_the_session_are(session, tmp_path):
@@ -269,117 +269,119 @@ def test_files_of_others_are_not_replaced_and_those_of_the_session_are(session, 
     second = session.save(tmp_path, ("labels", "run")).result(60)
     assert second == first and second[1].read_bytes() != old
     with pytest.raises(UsageError, match="no surface to save"):
-        session.push("remove", "ball:17,15,16,40").result(60)
+        session.edit_ball("remove", "ball:17,15,16,40").result(60)
         session.save(tmp_path / "none").result(60)
 
 
 def test_the_end_is_prompt_and_saves_first(tmp_path):
     session = Session(volume((60, 60, 60), (1, 1, 1)), RunConfig(start="ball:20,20,20,9", max_steps=10**6))
     session.ready.result(60)
-    session.run()
+    session.play()
     saved = session.save(tmp_path, ("labels",))
     began = time.perf_counter()
     assert session.close(20)
     assert time.perf_counter() - began < 10 and saved.result(0)[0].exists()
     with pytest.raises(UsageError, match="closed"):
-        session.run().result(1)
-    assert not [t for t in threading.enumerate() if t is session._thread]
+        session.play().result(1)
+    assert not session.is_alive and "accelsurf session" not in [t.name for t in threading.enumerate()]
 
 
 # ------------------------------------------------------------------------------------------------------- what is drawn
 
 
 def views(session, seconds=20.0):
-    """Look until it rests and nothing new comes."""
+    """All views until it is paused and nothing new comes."""
     seen, end = [], time.monotonic() + seconds
     while time.monotonic() < end:
-        view = session.take()
+        view = session.next_view()
         if view is not None:
             seen.append(view)
-        elif session.wait(0.0) and session._shown == session._version:
-            view = session.take()
+        elif session.wait(0.0) and not session.has_unseen_state:
+            view = session.next_view()
             if view is None:
                 return seen
             seen.append(view)
         time.sleep(0.005)
-    raise AssertionError("never came to rest")
+    raise AssertionError("never paused")
 
 
 def test_frames_come_when_asked_for_and_the_last_is_of_the_last_state(session):
     first = views(session)
-    assert first and first[-1].frame.row.step == 0
-    session.run_to(12).result(60)
+    assert first and first[-1].frame.step == 0
+    session.play_to(12).result(60)
     seen = views(session)
     last = seen[-1]
-    assert last.frame.row.step == 12 == last.status.step and not last.status.running
-    assert [row.step for row in last.rows] == list(range(13))
-    assert last.frame.quantities["speed"].values.any()
-    session.back(5).result(60)
+    assert last.frame.step == 12 == last.status.step and not last.status.playing
+    assert [record.step for record in last.histories[0]] == list(range(13))
+    assert last.frame.surfaces[0].quantities["speed"].values.any()
+    session.go_to(5).result(60)
     (back,) = views(session)[-1:]
-    assert back.frame.row.step == 5 and [row.step for row in back.rows] == list(range(6))
-    before = back.frame.psi
-    session.push("add", "ball:25,15,16,4").result(60)
-    pushed = views(session)[-1].frame
-    assert (pushed.psi < 0).sum() > (before < 0).sum() + 100
-    session.run().result(60)
+    assert back.frame.step == 5 and [record.step for record in back.histories[0]] == list(range(6))
+    before = back.frame.surfaces[0].psi
+    session.edit_ball("add", "ball:25,15,16,4").result(60)
+    edited = views(session)[-1].frame.surfaces[0]
+    assert (edited.psi < 0).sum() > (before < 0).sum() + 100
+    session.play().result(60)
     assert views(session, 120)[-1].status.stop.reason == "converged"
 
 
-def test_nothing_is_drawn_unasked_and_looking_changes_nothing(tmp_path):
+def test_frames_are_made_only_when_asked_for_and_change_nothing(tmp_path, monkeypatch):
+    made, of_run = [], Frame.of_run
+    monkeypatch.setattr(Frame, "of_run", lambda *given: made.append(given) or of_run(*given))
     with Session(volume(), RunConfig(start=START)) as unseen:
         at(unseen, 15)
-        assert unseen._shown == -1
+        assert not made
         labels = labels_of(unseen, tmp_path / "a")[0]
     with Session(volume(), RunConfig(start=START)) as seen:
-        seen.run_to(15)
-        assert len(views(seen)) >= 1
+        seen.play_to(15)
+        assert len(views(seen)) >= 1 and made
         assert labels_of(seen, tmp_path / "b")[0] == labels
 
 
 def test_frames_are_few_enough(session, monkeypatch):
-    session.run_to(60).result(60)
+    session.play_to(60).result(60)
     began = time.perf_counter()
-    running = [view for view in views(session, 60) if view.status.running]
+    running = [view for view in views(session, 60) if view.status.playing]
     spent = time.perf_counter() - began
     assert len(running) <= spent * 15 + 2
 
 
-# ------------------------------------------------------------------------------------------------------- kept states
+# ------------------------------------------------------------------------------------------------------- checkpoints
 
 
-def states(count, **options):
+def checkpoints(count, **options):
     run = Run(volume(), RunConfig(start=START, levels=1, max_steps=10**6, **options))
     for _ in range(count):
         yield run.checkpoint()
         run.step()
 
 
-def test_kept_states_stay_within_their_memory_fine_at_the_end_and_coarse_before():
-    all_of_them = list(states(40))
-    budget = sum(state.nbytes for state in all_of_them) / 4 / 1e6
-    kept = CheckpointHistory(budget)
-    for state in all_of_them:
-        kept.add(state)
-        assert kept.nbytes <= budget * 1e6 and kept.nbytes == sum(s.nbytes for s in kept)
-    steps = kept.steps
+def test_checkpoints_stay_within_their_memory_dense_at_the_end_and_sparse_before():
+    all_of_them = list(checkpoints(40))
+    budget = sum(checkpoint.nbytes for checkpoint in all_of_them) / 4 / 1e6
+    history = CheckpointHistory(budget)
+    for checkpoint in all_of_them:
+        history.add(checkpoint)
+        assert history.nbytes <= budget * 1e6 and history.nbytes == sum(s.nbytes for s in history)
+    steps = history.steps
     assert steps[0] == 0 and steps[-2:] == (38, 39)
     gaps = np.diff(steps)
     assert gaps.max() <= 16 and gaps[-4:].max() <= 2 and gaps[: len(gaps) // 2].mean() > gaps[-5:].mean()
-    assert kept.nearest(38, 0).step == 38 and kept.nearest(1, 0).step == 0 and kept.nearest(38, 1) is None
-    kept.drop_after(steps[2])
-    assert kept.steps == steps[:3] and kept.nbytes == sum(s.nbytes for s in kept)
-    kept.add(all_of_them[0])
-    assert len(kept) == 3
+    assert history.nearest(38, 0).step == 38 and history.nearest(1, 0).step == 0 and history.nearest(38, 1) is None
+    history.drop_after(steps[2])
+    assert history.steps == steps[:3] and history.nbytes == sum(s.nbytes for s in history)
+    history.add(all_of_them[0])
+    assert len(history) == 3
 
 
 def test_a_session_with_little_memory_goes_back_to_any_step(tmp_path):
-    with Session(volume(), RunConfig(start=START), kept_mb=1) as small:
+    with Session(volume(), RunConfig(start=START), checkpoint_mb=1) as small:
         at(small, 4).change(smoothness=0.2)
         straight = {}
         for step in range(5, 22):
             straight[step] = labels_of(at(small, step), tmp_path)[0]
-        assert len(small.status.kept) < 15
+        assert len(small.status.checkpoints) < 15
         for step in (20, 7, 13, 5):
-            small.back(step).result(60)
+            small.go_to(step).result(60)
             assert small.wait(60) and small.status.step == step
             assert labels_of(small, tmp_path)[0] == straight[step]

@@ -1,1 +1,1 @@
-"""What the viewer knows without drawing anything: the session, its timeline, the frames to be drawn."""
+"""The viewer without pictures: the session, its timeline, the frames to be drawn."""

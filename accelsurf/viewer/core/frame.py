@@ -1,129 +1,138 @@
-"""Frame: what is drawn of one step, copied, so that the solver may go on while somebody draws."""
+"""Frame: what is drawn of one step, copied, so that the solver can continue while it is drawn."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.evolution.records import Step, StepRecord
+from accelsurf.evolution.records import Step, StepFields, StepRecord
 from accelsurf.flows import Flow
+from accelsurf.flows.flowable_mass import FlowableMass
 from accelsurf.grid import pyramid
-from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
+from accelsurf.segmentation.run import Run
 
 #: What the surface can be coloured by; ``plain`` is one colour.
 COLORS = ("plain", "speed", "force", "density")
 
 Floats = NDArray[np.float64]
+Index = tuple[int, int, int]
 
 
-class OnBand(NamedTuple):
-    """A quantity on the band: ``cells`` (n,), raveled on the grid of the level, in raster order; ``values`` (n,)."""
+class DrawableObject(Protocol):
+    """What a frame needs to know of each object of a run.
+
+    Attributes
+    ----------
+    id : int
+        Its label.
+    surface : LevelSet
+        On a grid of its own, a box of the level's grid.
+    corner : (int, int, int)
+        Index (z, y, x) on the level's grid of the first voxel of the surface's grid.
+    step_fields : StepFields or None
+        What acted in the last step; None before the first step on this level.
+    flow : Flow or None
+        What moves it; a density is shown if the flow has one.
+    """
+
+    @property
+    def id(self) -> int: ...  # noqa: D102
+
+    @property
+    def surface(self) -> LevelSet: ...  # noqa: D102
+
+    @property
+    def corner(self) -> Index: ...  # noqa: D102
+
+    @property
+    def step_fields(self) -> StepFields | None: ...  # noqa: D102
+
+    @property
+    def flow(self) -> Flow | None: ...  # noqa: D102
+
+
+class ObjectState(NamedTuple):
+    """An object as `DrawableObject` describes it."""
+
+    id: int
+    surface: LevelSet
+    corner: Index
+    step_fields: StepFields | None = None
+    flow: Flow | None = None
+
+
+class BandQuantity(NamedTuple):
+    """A quantity on the band: ``cells`` (n,), raveled on the surface's grid, in raster order; ``values`` (n,)."""
 
     cells: NDArray[np.int64]
     values: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
-    """What is drawn of one step; nothing in it changes when the run goes on.
+class SurfaceFrame:
+    """What is drawn of one object.
 
     Attributes
     ----------
-    row : Row
-        The line of the trace; ``row.step`` is the step's number.
-    grid : Level
-        The grid that the step was made on, the image's own or a coarser one.
-    offset : (int, int, int)
-        Index (z, y, x) on ``grid`` of the first voxel of ``psi``.
-    step : int
-        Voxels of ``grid`` from one voxel of ``psi`` to the next, along each axis of more than one voxel.
+    id : int
+        The object's label.
+    record : StepRecord
+        Of the step.
+    level : Level
+        The grid that the step was made on, that of the region of interest or a coarser one.
     psi : ndarray, float32
         psi, mm, negative inside, in a box around the band; of shape (0, 0, 0) when there is no surface.
-    quantities : mapping of str to OnBand
+    offset : (int, int, int)
+        Index (z, y, x) on ``level`` of the first voxel of ``psi``.
+    stride : int
+        Voxels of ``level`` from one voxel of ``psi`` to the next, along each axis of more than one voxel.
+    corner, shape : (int, int, int)
+        First voxel, an index (z, y, x) on ``level``, and size of the surface's grid, on which the cells of
+        ``quantities`` are raveled.
+    quantities : mapping of str to BandQuantity
         What the surface can be coloured by besides ``plain``: ``speed`` (mm per unit of flow time) and ``force``
-        along the *outward* normal, so that above 0 the surface grows, as the last step on this grid had them;
+        along the *outward* normal, so that above 0 the surface grows, as the last step on this level had them;
         ``density`` for a flow that has one. Empty before the first step.
     first : (int, int, int)
-        Index (z, y, x) in the image of the first voxel of the finest grid: other than 0 where the run sees a region of
-        interest only.
+        Index (z, y, x) in the image of the first voxel of the region of interest.
     """
 
-    row: StepRecord
-    grid: pyramid.Level
-    offset: tuple[int, int, int]
-    step: int
+    id: int
+    record: StepRecord
+    level: pyramid.Level
     psi: NDArray[np.float32]
-    quantities: Mapping[str, OnBand] = field(default_factory=dict)
-    first: tuple[int, int, int] = (0, 0, 0)
+    offset: Index
+    stride: int
+    corner: Index
+    shape: Index
+    quantities: Mapping[str, BandQuantity] = field(default_factory=dict)
+    first: Index = (0, 0, 0)
 
     @classmethod
     def of(
-        cls, step: Step, geometry: Geometry, flow: Flow | None = None, most_voxels: int | None = None,
-        first: tuple[int, int, int] = (0, 0, 0),
-    ) -> Frame:
-        """The frame of a step that the loop yielded; call it before the loop goes on.
-
-        Costs O(band) and a copy of the box around it, and changes nothing.
-
-        Parameters
-        ----------
-        step : Step
-        geometry : Geometry
-            Of the image, or of the region of interest.
-        flow : Flow, optional
-            Of the run, for its density.
-        most_voxels : int, optional
-            If the box has more voxels, psi is taken at every second one along each axis, or third, ...: pictures of a
-            large volume while it runs. Parts thinner than that may be missing from them.
-        first : (int, int, int), optional
-            Index (z, y, x) in the image of the region's first voxel.
-
-        Examples
-        --------
-        >>> import accelsurf
-        >>> image = np.zeros((24, 24, 24))
-        >>> image[6:18, 6:18, 6:18] = 1
-        >>> volume = accelsurf.Volume.from_array(image)
-        >>> for step in accelsurf.evolve(volume, start="ball:11,11,11,4", max_steps=2):
-        ...     frame = Frame.of(step, volume.geometry)
-        >>> frame.row.step, frame.psi.shape, sorted(frame.quantities)
-        (2, (18, 18, 18), ['force', 'speed'])
-        """
-        surface, row = step.surface, step.row
-        grid = pyramid.levels(geometry.shape, geometry.spacing, row.level + 1)[row.level]
-        quantities = {}
-        if step.step_fields is not None:
-            quantities["speed"] = OnBand(step.step_fields.cells, -step.step_fields.speed)
-            quantities["force"] = OnBand(step.step_fields.cells, -np.asarray(step.step_fields.force, np.float32))
-        density = getattr(flow, "density", None)
-        if density is not None and density.size == surface.size:
-            quantities["density"] = OnBand(surface.band.cells, density.copy())
-        ranges = _box(surface)
+        cls, an_object: DrawableObject, record: StepRecord, level: pyramid.Level, max_voxels: int | None, first: Index
+    ) -> SurfaceFrame:
+        """Copy what is drawn of an object; parameters as of `Frame.of`."""
+        surface, corner = an_object.surface, an_object.corner
+        quantities = _quantities(an_object)
+        ranges = _band_box(surface)
         if ranges is None:
-            return cls(row, grid, (0, 0, 0), 1, np.zeros((0, 0, 0), np.float32), quantities, first)
+            nothing = np.zeros((0, 0, 0), np.float32)
+            return cls(an_object.id, record, level, nothing, corner, 1, corner, surface.shape, quantities, first)
         stride = 1
-        if most_voxels is not None:
-            while math.prod(-(-(b - a) // stride) for a, b in ranges) > most_voxels:
+        if max_voxels is not None:
+            while math.prod(-(-(b - a) // stride) for a, b in ranges) > max_voxels:
                 stride += 1
         psi = surface.psi[tuple(slice(a, b, stride) for a, b in ranges)].copy()
-        return cls(row, grid, (ranges[0][0], ranges[1][0], ranges[2][0]), stride, psi, quantities, first)
-
-    @classmethod
-    def of_psi(cls, psi: NDArray[np.float32], geometry: Geometry, row: StepRecord) -> Frame:
-        """The frame of a run that has ended, of its last ``row`` and psi (nz, ny, nx) on the image's grid."""
-        grid = pyramid.levels(geometry.shape, geometry.spacing, 1)[0]
-        inside = psi < 0
-        box = bounding_box(inside, 2)
-        if box is None or inside.all():
-            return cls(row, grid, (0, 0, 0), 1, np.zeros((0, 0, 0), np.float32))
-        return cls(row, grid, corner_of(box), 1, psi[box].copy())
+        offset = (corner[0] + ranges[0][0], corner[1] + ranges[1][0], corner[2] + ranges[2][0])
+        return cls(an_object.id, record, level, psi, offset, stride, corner, surface.shape, quantities, first)
 
     @property
     def has_surface(self) -> bool:
@@ -132,38 +141,36 @@ class Frame:
 
     def to_image(self, places: ArrayLike) -> Floats:
         """Where (continuous) indices (z, y, x) of ``psi`` lie in the image, as indices of its voxels, (..., 3)."""
-        factors = np.array(self.grid.factors, float)
-        on_grid = np.asarray(self.offset) + self.step * np.asarray(places, float)
-        return np.asarray(on_grid * factors + 0.5 * (factors - 1.0) + np.asarray(self.first))
+        factors = np.array(self.level.factors, float)
+        on_level = np.asarray(self.offset) + self.stride * np.asarray(places, float)
+        return np.asarray(on_level * factors + 0.5 * (factors - 1.0) + np.asarray(self.first))
 
     def from_image(self, indices: ArrayLike) -> Floats:
         """The inverse of `to_image`."""
-        factors = np.array(self.grid.factors, float)
-        on_grid = (np.asarray(indices, float) - np.asarray(self.first) - 0.5 * (factors - 1.0)) / factors
-        return np.asarray((on_grid - np.asarray(self.offset)) / self.step)
+        factors = np.array(self.level.factors, float)
+        on_level = (np.asarray(indices, float) - np.asarray(self.first) - 0.5 * (factors - 1.0)) / factors
+        return np.asarray((on_level - np.asarray(self.offset)) / self.stride)
 
     def middle(self) -> Floats:
-        """Index (z, y, x) in the image of the middle of what is inside; where no voxel is, of the box."""
+        """Index (z, y, x) in the image of the centroid of the object; of the box's centre if no voxel is inside."""
         inside = self.psi < 0
         if not inside.any():
             return self.to_image(0.5 * (np.array(self.psi.shape) - 1.0))
         counts = [inside.sum(axis=tuple(other for other in range(3) if other != axis)) for axis in range(3)]
         return self.to_image([np.average(np.arange(len(c)), weights=c) for c in counts])
 
-    def dice(self, labels: NDArray[np.bool_], voxels: int) -> float:
-        """Dice of what is inside and ``labels`` (nz, ny, nx) on the image's grid, ``voxels`` of which are true.
+    def overlap(self, labels: NDArray[np.bool_]) -> tuple[int, int]:
+        """Voxels of the image that the object has in common with ``labels`` (nz, ny, nx), and its voxels.
 
-        A frame of a coarser level, or with not all voxels, counts its own, each for those that it stands for.
+        A voxel of a coarser level, or of a psi with a stride, counts as all those that it stands for.
         """
         inside = self.psi < 0
         places = [
             np.clip(np.rint(self.to_image(np.stack([np.arange(m)] * 3, axis=-1))[:, axis]), 0, n - 1).astype(int)
             for axis, (m, n) in enumerate(zip(self.psi.shape, labels.shape, strict=True))
         ]
-        each = math.prod(self.grid.factors) * math.prod(self.step if n > 1 else 1 for n in self.grid.shape)
-        common = each * int((inside & labels[np.ix_(*places)]).sum())
-        total = each * int(inside.sum()) + voxels
-        return 2.0 * common / total if total else 1.0
+        each = math.prod(self.level.factors) * math.prod(self.stride if n > 1 else 1 for n in self.level.shape)
+        return each * int((inside & labels[np.ix_(*places)]).sum()), each * int(inside.sum())
 
     def sample(self, name: str, places: ArrayLike) -> NDArray[np.float32]:
         """A quantity at places on the surface.
@@ -184,15 +191,15 @@ class Frame:
         places = np.asarray(places, float)
         if cells.size == 0:
             return np.zeros(len(places), np.float32)
-        shape = np.array(self.grid.shape)
-        at = np.clip(np.asarray(self.offset) + self.step * places, 0, shape - 1)
-        # A corner lies on an edge: along two axes it is at a voxel, but for rounding.
+        last = np.array(self.shape) - 1
+        at = np.clip(np.asarray(self.offset) - np.asarray(self.corner) + self.stride * places, 0, last)
+        # A corner of the isosurface lies on an edge: along two axes it is at a voxel, but for rounding.
         low = np.floor(at + 1e-4).astype(np.int64)
-        high = np.minimum(np.ceil(at - 1e-4).astype(np.int64), shape - 1)
+        high = np.minimum(np.ceil(at - 1e-4).astype(np.int64), last)
         share = np.clip((at - low).max(axis=1), 0.0, 1.0).astype(np.float32)
         total, weights = np.zeros(len(at), np.float32), np.zeros(len(at), np.float32)
-        for corner, weight in ((low, 1.0 - share), (high, share)):
-            raveled = np.ravel_multi_index((corner[:, 0], corner[:, 1], corner[:, 2]), self.grid.shape)
+        for end, weight in ((low, 1.0 - share), (high, share)):
+            raveled = np.ravel_multi_index((end[:, 0], end[:, 1], end[:, 2]), self.shape)
             slot = np.minimum(np.searchsorted(cells, raveled), cells.size - 1)
             weight = np.where(cells[slot] == raveled, weight + np.float32(1e-6), np.float32(0.0))
             total += weight * values[slot]
@@ -200,14 +207,136 @@ class Frame:
         return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0)
 
 
-def _box(surface: LevelSet) -> list[tuple[int, int]] | None:
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What is drawn of one step; it does not change when the run continues.
+
+    Attributes
+    ----------
+    surfaces : tuple of SurfaceFrame
+        One for each object, in order of ids; at least one.
+    """
+
+    surfaces: tuple[SurfaceFrame, ...]
+
+    @classmethod
+    def of(
+        cls, objects: Sequence[DrawableObject], records: Sequence[StepRecord], geometry: Geometry,
+        max_voxels: int | None = None, first: Index = (0, 0, 0),
+    ) -> Frame:
+        """The frame of the present state of some objects; call it between two steps.
+
+        Costs O(band) and a copy of the box around it for each object, and changes nothing.
+
+        Parameters
+        ----------
+        objects : sequence of DrawableObject
+            At least one, in order of ids.
+        records : sequence of StepRecord
+            Of the step, for each object.
+        geometry : Geometry
+            Of the image, or of the region of interest.
+        max_voxels : int, optional
+            If an object's box has more voxels, psi is taken at every second one along each axis, or third, ...:
+            pictures of a large volume while it runs. Parts thinner than that may be missing from them.
+        first : (int, int, int), optional
+            Index (z, y, x) in the image of the region's first voxel.
+        """
+        number = records[0].level
+        level = pyramid.levels(geometry.shape, geometry.spacing, number + 1)[number]
+        pairs = zip(objects, records, strict=True)
+        return cls(tuple(SurfaceFrame.of(each, record, level, max_voxels, first) for each, record in pairs))
+
+    @classmethod
+    def of_run(cls, run: Run, step: Step, max_voxels: int | None = None) -> Frame:
+        """The frame of a step that a run has made; call it before the next one.
+
+        Examples
+        --------
+        >>> from accelsurf import Volume
+        >>> from accelsurf.settings.run_config import RunConfig
+        >>> image = np.zeros((24, 24, 24))
+        >>> image[6:18, 6:18, 6:18] = 1
+        >>> run = Run(Volume.from_array(image), RunConfig(start="ball:11,11,11,4", max_steps=2, threads=1))
+        >>> for step in run:
+        ...     frame = Frame.of_run(run, step)
+        >>> run.workers.close()
+        >>> surface = frame.surfaces[0]
+        >>> frame.step, surface.psi.shape, sorted(surface.quantities)
+        (2, (18, 18, 18), ['force', 'speed'])
+        """
+        only = ObjectState(1, step.surface, (0, 0, 0), step.step_fields, run.evolution.flow)
+        return cls.of([only], [step.row], run.geometry, max_voxels, run.prepared.first)
+
+    @classmethod
+    def of_psi(cls, psi: NDArray[np.float32], geometry: Geometry, record: StepRecord) -> Frame:
+        """The frame of a run that has ended, of the last ``record`` and psi (nz, ny, nx) on the image's grid."""
+        level = pyramid.levels(geometry.shape, geometry.spacing, 1)[0]
+        inside, corner = psi < 0, (0, 0, 0)
+        if not inside.any() or inside.all():
+            nothing = np.zeros((0, 0, 0), np.float32)
+            return cls((SurfaceFrame(1, record, level, nothing, corner, 1, corner, level.shape),))
+        ends = [np.flatnonzero(inside.any(axis=tuple(b for b in range(3) if b != a)))[[0, -1]] for a in range(3)]
+        box = [(max(int(a) - 2, 0), min(int(b) + 3, n)) for (a, b), n in zip(ends, psi.shape, strict=True)]
+        part = psi[tuple(slice(a, b) for a, b in box)].copy()
+        return cls((SurfaceFrame(1, record, level, part, (box[0][0], box[1][0], box[2][0]), 1, corner, level.shape),))
+
+    @property
+    def step(self) -> int:
+        """Number of the step."""
+        return self.surfaces[0].record.step
+
+    @property
+    def level(self) -> int:
+        """Number of the level that the step was made on; 0 is the finest."""
+        return self.surfaces[0].record.level
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of all objects, mm3."""
+        return sum(surface.record.volume_mm3 for surface in self.surfaces)
+
+    @property
+    def has_surface(self) -> bool:
+        """Whether there is something to draw."""
+        return any(surface.has_surface for surface in self.surfaces)
+
+    def middle(self) -> Floats:
+        """Index (z, y, x) in the image of the centroid of the first object that has a surface."""
+        return next((s for s in self.surfaces if s.has_surface), self.surfaces[0]).middle()
+
+    def dice(self, labels: NDArray[np.bool_], voxels: int) -> float:
+        """Dice of all objects and ``labels`` (nz, ny, nx) on the image's grid, ``voxels`` of which are true."""
+        parts = [surface.overlap(labels) for surface in self.surfaces]
+        total = sum(own for _, own in parts) + voxels
+        return 2.0 * sum(common for common, _ in parts) / total if total else 1.0
+
+
+def histories_of_run(run: Run, last: StepRecord | None = None) -> tuple[tuple[StepRecord, ...], ...]:
+    """The records so far of each object of a run, as copies; ``last`` is one more, of a step not made yet."""
+    return ((*run.evolution.history, *(() if last is None else (last,))),)
+
+
+def _quantities(an_object: DrawableObject) -> dict[str, BandQuantity]:
+    """Copies of what the surface can be coloured by."""
+    quantities, fields, flow = {}, an_object.step_fields, an_object.flow
+    if fields is not None:
+        quantities["speed"] = BandQuantity(fields.cells, -fields.speed)
+        quantities["force"] = BandQuantity(fields.cells, -np.asarray(fields.force, np.float32))
+    # Between two grids the flow's density may still be that of the other band.
+    if isinstance(flow, FlowableMass) and flow.density.size == an_object.surface.size:
+        quantities["density"] = BandQuantity(an_object.surface.band.cells, flow.density.copy())
+    return quantities
+
+
+def _band_box(surface: LevelSet) -> list[tuple[int, int]] | None:
     """First and one past the last index along z, y, x of the band, and a voxel around it; None without a surface."""
     cells = surface.band.cells
     if cells.size == 0:
         return None
     _, ny, nx = surface.shape
-    # Raster order: the planes of the first and the last cell; the other two axes have to be looked at.
-    row = cells // nx
-    column, line = cells - row * nx, row % ny
-    ends = [(cells[0] // (ny * nx), cells[-1] // (ny * nx)), (line.min(), line.max()), (column.min(), column.max())]
+    # Raster order: the planes of the first and the last cell; the other two axes have to be searched.
+    line = cells // nx
+    column, row = cells - line * nx, line % ny
+    ends = [(cells[0] // (ny * nx), cells[-1] // (ny * nx)), (row.min(), row.max()), (column.min(), column.max())]
     return [(max(int(a) - 1, 0), min(int(b) + 2, n)) for (a, b), n in zip(ends, surface.shape, strict=True)]

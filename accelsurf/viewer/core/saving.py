@@ -9,8 +9,7 @@ from pathlib import Path
 
 from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
-from accelsurf.io.files import write_bytes
-from accelsurf.report import document, file_entries, outputs
+from accelsurf.report import document, outputs
 from accelsurf.segmentation.api import Result, result_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -21,9 +20,9 @@ RUN_FILE = "run.toml"
 
 
 def save(
-    run: Run, folder: Path, name: str, source: Path | None, what: Collection[str], own: Collection[Path] | None
+    run: Run, folder: Path, name: str, source: Path | None, what: Collection[str], replaceable: Collection[Path] | None
 ) -> list[Path]:
-    """Write what a run has reached into a folder.
+    """Write the present result of a run into a folder.
 
     Parameters
     ----------
@@ -36,7 +35,7 @@ def save(
         The image's file, for the report and the format of the labels.
     what : collection of str
         Of `KINDS`.
-    own : collection of Path or None
+    replaceable : collection of Path or None
         Files that may be replaced; None: all.
 
     Returns
@@ -61,58 +60,69 @@ def save(
     suffix = "" if source is None else io.split_name(source)[1]
     labels = outputs.label_format(config, suffix)
     outputs.check(config, labels, run.volume.geometry)
-    names = {
-        kind: f"{name}_{last}"
-        for kind, last in outputs.names(config, labels, run.volume.geometry.slice_axis is not None).items()
-        if _kind(kind) in what
-    }
+    is_2d = run.volume.geometry.slice_axis is not None
+    all_names = outputs.names(config, labels, is_2d).items()
+    names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
     paths = {kind: folder / last for kind, last in names.items()}
     paths |= {"run": folder / RUN_FILE} if "run" in what else {}
     paths |= {"report": folder / f"{name}_report.json"} if "report" in what else {}
-    outputs.refuse_existing({k: p for k, p in paths.items() if own is not None and p not in own}, overwrite=False)
-    outputs.refuse_existing(paths, overwrite=True)
+    _check_paths(paths, replaceable)
     written = []
     if "run" in paths:
-        write_bytes(paths["run"], _toml(config, result, source).encode())
+        outputs.write_bytes(paths["run"], _toml(config, result, source).encode())
         written.append(("run", paths["run"]))
-    picture = outputs.preview_content(result, outputs.outcome_title(name, result))
+    picture = outputs.scene(result, outputs.told(name, result))
     written += list(outputs.write_result(result, folder, names, picture))
     if "report" in paths:
-        contents = document.build(
-            status="ok",
-            exit_code=0,
-            argv=sys.argv,
-            config=config,
-            source=None if source is None else file_entries.describe_input(source, geometry=result.geometry),
-            result=result,
-            outputs=[file_entries.describe_output(path, kind) for kind, path in written],
-        )
-        write_bytes(paths["report"], (document.to_json(contents) + "\n").encode())
+        _write_report(paths["report"], config, source, result, written)
         written.append(("report", paths["report"]))
     return [path for _, path in written]
 
 
+def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -> None:
+    """Refuse to replace other files, and folders that cannot be written."""
+    others = {kind: path for kind, path in paths.items() if replaceable is not None and path not in replaceable}
+    outputs.refuse_existing(others, overwrite=False)
+    outputs.refuse_existing(paths, overwrite=True)
+
+
+def _write_report(
+    path: Path, config: RunConfig, source: Path | None, result: Result, written: Collection[tuple[str, Path]]
+) -> None:
+    """Write the report that names the files ``written`` before it, (kind, path) each."""
+    contents = document.build(
+        status="ok",
+        exit_code=0,
+        argv=sys.argv,
+        config=config,
+        source=None if source is None else document.describe_input(source, geometry=result.geometry),
+        result=result,
+        outputs=[document.describe_output(path, kind) for kind, path in written],
+    )
+    outputs.write_bytes(path, (document.to_json(contents) + "\n").encode())
+
+
 def _kind(output: str) -> str:
-    """What an output is saved under."""
+    """The one of `KINDS` that an output belongs to."""
     return {"labels": "labels", "sdf": "labels", "trace": "trace", "preview": "picture"}.get(output, "mesh")
 
 
 def repeating(run: Run) -> RunConfig:
-    """Return the configuration that makes this run, up to where it is, from the start."""
+    """Return the configuration that repeats this run from the start up to the present step."""
     stop = run.stop
     steps = run.step_number if stop is None else stop.steps
     edits = tuple(edit for edit in run.config.edit if edit.step <= steps)
-    # A run that has ended by itself does so again; one that was paused ends here.
+    # A run that met its stop rule meets it again; a paused one ends here.
     ends = stop is not None and stop.reason not in ("interrupted", "max-steps")
     return run.config.replace(edit=edits, max_steps=max(run.config.max_steps, steps + 1) if ends else steps)
 
 
 def _toml(config: RunConfig, result: Result, source: Path | None) -> str:
     image = "INPUT" if source is None else source.name
-    told = [
+    lines = [
         f"# accelsurf {__version__}: {result.stop.reason} after {result.stop.steps} steps.",
         f"# The same run: accelsurf segment {image} --config {RUN_FILE} -o DIR",
     ]
     if result.stop.reason == "interrupted":
-        told.append("# max_steps ends it where it was saved; raise it to let the run go on.")
-    return "\n".join(told) + "\n\n" + config.to_toml()
+        lines.append("# max_steps ends it where it was saved; raise it to continue the run.")
+    return "\n".join(lines) + "\n\n" + config.to_toml()

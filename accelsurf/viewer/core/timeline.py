@@ -1,115 +1,98 @@
-"""Timeline: a run that goes to and fro over its steps, and the changes that make it what it is; without a thread."""
+"""Timeline: a run that can go back and forward over its steps, and the user's changes to it; has no thread."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.volume import Volume
-from accelsurf.segmentation.run import Run, RunCheckpoint
+from accelsurf.segmentation.run import Run
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.history import CheckpointHistory
 
-#: Why a run ended for good: there is nothing to go on from.
-ENDED = ("vanished", "filled", "diverged", "leaked")
+#: Why a run has ended for good: there is nothing to continue from.
+FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
 
 
 class Timeline:
-    """A run, its kept states and its past changes.
+    """A run, its checkpoints and its past changes.
 
-    A state is kept at each step, before the edits of that step. Going back keeps what comes after, edits too, so going
-    on makes the same steps again; a change made then takes their place.
+    A checkpoint is taken at each step, before the edits of that step. Going back keeps the later checkpoints and
+    edits, so playing on makes the same steps again; a change made then replaces them.
 
     Parameters
     ----------
     volume : Volume
     config : RunConfig
-    kept_mb : float
-        Memory for kept states, MB.
+    checkpoint_mb : float
+        Memory for checkpoints, MB.
     channels : sequence of Volume, optional
         Further channels of the image.
 
     Attributes
     ----------
     run : Run
-    kept : CheckpointHistory
-    running : bool
-        Whether more steps are to be made (by `advance`).
-    until : int
-        Step to rest at; -1: none.
-    message : str
-        One line: what was done last.
+    checkpoints : CheckpointHistory
     """
 
     def __init__(
-        self, volume: Volume, config: RunConfig, kept_mb: float, channels: Sequence[Volume] = ()
+        self, volume: Volume, config: RunConfig, checkpoint_mb: float, channels: Sequence[Volume] = ()
     ) -> None:
-        self.volume, self._channels, self.kept = volume, tuple(channels), CheckpointHistory(kept_mb)
-        self.running, self.until, self.message = False, -1, ""
-        self._past: list[tuple[RunConfig, int]] = []
-        self._own: set[Path] = set()
-        self._here: RunCheckpoint
+        self.volume, self._channels = volume, tuple(channels)
+        self.checkpoints = CheckpointHistory(checkpoint_mb)
+        self._playing, self._last_step, self._message = False, -1, ""
+        self._changes: list[tuple[RunConfig, int]] = []
+        self._written: set[Path] = set()
         self.run = Run(volume, config, None, self._channels)
-        self._arrive()
+        self._present = self.run.checkpoint()
+        self.checkpoints.add(self._present)
+
+    # -- where it stands -----------------------------------------------------------------------------------
 
     @property
-    def place(self) -> int:
+    def step_number(self) -> int:
         """Steps made so far."""
-        return self._here.step
+        return self._present.step
+
+    @property
+    def is_playing(self) -> bool:
+        """Whether more steps are to be made, by `step`."""
+        return self._playing
+
+    @property
+    def message(self) -> str:
+        """One line: what was done last."""
+        return self._message
 
     @property
     def undoable(self) -> int:
-        """How many changes can be taken back."""
-        return len(self._past)
+        """How many changes can be undone."""
+        return len(self._changes)
 
     def close(self) -> None:
         """End the run's threads."""
+        self.pause()
         self.run.workers.close()
 
-    def advance(self) -> None:
-        """Make one step, and rest when the run has ended or the wanted step is there."""
+    # -- play and pause ------------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Make one step; pause when the run has ended or the wanted step is reached."""
         self.run.step()
         stop = self.run.stop
         if stop is not None:
-            self.running, self.message = False, f"{stop.reason}: {stop.message}"
+            self._playing, self._message = False, f"{stop.reason}: {stop.message}"
             return
-        self._keep()
-        if 0 <= self.until <= self.place:
-            self.running = False
-            self.settle()
+        self._add_checkpoint()
+        if 0 <= self._last_step <= self.step_number:
+            self._playing = False
 
-    def settle(self) -> None:
-        """Apply the edits of the present step to a run that rests, so that they are seen."""
-        if not self.running:
-            self.run.apply()
-
-    def _build(self, config: RunConfig) -> None:
-        """Begin another run; the present one goes on to exist until that one is ready."""
-        before, self.run = self.run, Run(self.volume, config, None, self._channels)
-        before.workers.close()
-        self._arrive()
-
-    def _arrive(self) -> None:
-        """At the start of a run."""
-        self.kept.clear()
-        self._here = self.run.checkpoint()
-        self.kept.add(self._here)
-
-    def _keep(self) -> None:
-        """Keep the state before the edits of the coming step."""
-        state = self.run.checkpoint()
-        if state.level != self._here.level:
-            # States of a coarser level cannot be taken back on this one.
-            self.kept.clear()
-        self._here = state
-        self.kept.add(state)
-
-    def go_on(self, until: int) -> None:
-        """Have steps made until so many are, or with -1 until the end; one that has converged goes on all the same.
+    def play(self, last_step: int = -1) -> None:
+        """Have steps made until there are ``last_step``, or with -1 until the end; a converged run continues.
 
         Raises
         ------
@@ -118,32 +101,38 @@ class Timeline:
         """
         run = self.run
         stop = run.stop
-        if stop is not None and stop.reason in ENDED:
+        if stop is not None and stop.reason in FINAL_REASONS:
             raise UsageError(f"the run has ended: {stop.message}", "go back, change the settings, or restart")
         if stop is not None and stop.reason == "max-steps":
-            run.restore(self._here)
+            run.restore(self._present)
         elif stop is not None:
-            self._edit((*self._edits_so_far(), Edit(step=self.place)))
-        if self.place >= run.evolution.max_steps:
-            run.evolution.extend(self.place + max(run.config.max_steps, 1))
-        if 0 <= until <= self.place:
-            # Asked of a run without an end.
-            until = self.place + 1 if self.running else until
-        if 0 <= until <= self.place:
-            return
-        self.running, self.until = True, until
-        self.message = ""
+            self._replace_edits((*self._edits_so_far(), Edit(step=self.step_number)))
+        if self.step_number >= run.evolution.max_steps:
+            run.evolution.extend(self.step_number + max(run.config.max_steps, 1))
+        if 0 <= last_step <= self.step_number:
+            if not self._playing:
+                return
+            # It plays without an end: one more step, then it pauses.
+            last_step = self.step_number + 1
+        self._playing, self._last_step, self._message = True, last_step, ""
 
-    def one_more(self) -> None:
-        """One step more than was asked for; a run without an end rests after it."""
-        self.go_on(1 + (self.until if self.running else self.place))
+    def single_step(self) -> None:
+        """Have one step more made than was asked for; pause after it."""
+        self.play(1 + (self._last_step if self._playing else self.step_number))
 
     def pause(self) -> None:
         """Have no more steps made."""
-        self.running, self.until = False, -1
+        self._playing, self._last_step = False, -1
 
-    def go_back(self, step: int) -> None:
-        """Go to a step that has been made; also forward again.
+    def apply_edits(self) -> None:
+        """Apply the edits of the present step, so that their effect is seen; not while it plays, which does that."""
+        if not self._playing:
+            self.run.apply()
+
+    # -- back and forward ----------------------------------------------------------------------------------
+
+    def go_to(self, step: int) -> None:
+        """Go back, or forward again, to a step that has been made.
 
         Raises
         ------
@@ -152,81 +141,12 @@ class Timeline:
         """
         if not 0 <= step:
             raise UsageError(f"step {step} was given, expected a number at least 0")
-        kept = self.kept.steps
-        if step > max(self.place, kept[-1] if kept else 0):
-            raise UsageError(f"step {step} was given, expected at most {max(self.place, kept[-1])}", "run on to it")
+        last = max((self.step_number, *self.checkpoints.steps))
+        if step > last:
+            raise UsageError(f"step {step} was given, expected at most {last}", "make more steps first")
         self.pause()
-        self._go(step)
-        self.message = f"step {step}"
-
-    def _go(self, step: int) -> None:
-        """To the state before the edits of a step; runs there from the last kept one."""
-        run = self.run
-        state = self._here if step == self.place else None
-        state = state or self.kept.nearest(step, self._here.level)
-        if state is None:
-            self._build(run.config)
-        else:
-            run.restore(state)
-            self._here = state
-        if self.place < step:
-            self.running, self.until = True, step
-
-    def _edits_so_far(self) -> tuple[Edit, ...]:
-        return tuple(edit for edit in self.run.config.edit if edit.step <= self.place)
-
-    def _edit(self, edits: tuple[Edit, ...]) -> None:
-        """Go on with other edits from the present step; what came after it is forgotten."""
-        run, place = self.run, self.place
-        before = run.config
-        if edits == before.edit and run.stop is None:
-            return
-        for edit in edits:
-            if edit.step >= place:
-                run.check(edit)
-        before.replace(edit=edits)
-        if run.stop is not None or run.edits_done > self._here.done:
-            run.restore(self._here)
-        run.set_edits(edits)
-        self.kept.drop_after(place)
-        self._past.append((before, place))
-
-    def change(self, settings: dict[str, Any]) -> None:
-        """Change settings from here on.
-
-        Raises
-        ------
-        UsageError
-            When one makes no sense; nothing is changed then.
-        """
-        run, place = self.run, self.place
-        edits = self._edits_so_far()
-        # Several changes at one step are one edit: a slider that is drawn to and fro.
-        last = edits[-1] if edits and edits[-1].step == place and not edits[-1].balls else None
-        earlier = edits if last is None else edits[:-1]
-        run.check(Edit(step=place, **settings))
-        run.config.replace(edit=(*earlier, Edit(step=place, **settings)))
-        before = run.config.replace(edit=earlier).at(place)
-        after = before.replace(**{**(last.settings if last else {}), **settings})
-        changed = {
-            key: getattr(after, key) for key in RunConfig.model_fields if getattr(after, key) != getattr(before, key)
-        }
-        goes_on = last is not None and not last.settings
-        altered = (*earlier, Edit(step=place, **changed)) if changed or goes_on else earlier
-        if altered != edits:
-            self._edit(altered)
-        self.message = ", ".join(f"{key} {value}" for key, value in settings.items())
-
-    def push(self, kind: str, ball: str) -> None:
-        """Unite the object with a ball (``add``), or take one away from it (``remove``).
-
-        Raises
-        ------
-        UsageError, InputError
-            When it is no ball or lies outside.
-        """
-        self._edit((*self._edits_so_far(), *RunConfig(edit=[{"step": self.place, kind: ball}]).edit))
-        self.message = f"{'added' if kind == 'add' else 'took away'} {ball}"
+        self._restore(step)
+        self._message = f"step {step}"
 
     def restart(self) -> None:
         """Go to the start and forget all edits but the settings in force."""
@@ -235,52 +155,147 @@ class Timeline:
         changed = {key: getattr(now, key) for key in RunConfig.model_fields if getattr(now, key) != getattr(base, key)}
         changed.pop("seed", None)
         self.pause()
-        self._go(0)
+        self._restore(0)
         edits = (Edit(step=0, **changed),) if changed else ()
         if edits != config.edit:
-            self._edit(edits)
-        self.message = "at the start"
+            self._replace_edits(edits)
+        self._message = "at the start"
+
+    def _restore(self, step: int) -> None:
+        """Restore the state before the edits of a step: from the last checkpoint before it, steps are made again."""
+        run = self.run
+        present = self._present if step == self.step_number else None
+        checkpoint = present or self.checkpoints.nearest(step, self._present.level)
+        if checkpoint is None:
+            self._replace_run(run.config)
+        else:
+            run.restore(checkpoint)
+            self._present = checkpoint
+        self._catch_up(step)
+
+    def _catch_up(self, step: int) -> None:
+        """Have steps made up to one that was made before."""
+        if self.step_number < step:
+            self._playing, self._last_step = True, step
+
+    def _add_checkpoint(self) -> None:
+        """Take a checkpoint before the edits of the coming step."""
+        checkpoint = self.run.checkpoint()
+        if checkpoint.level != self._present.level:
+            # Checkpoints of a coarser level cannot be restored on this one.
+            self.checkpoints.clear()
+        self._present = checkpoint
+        self.checkpoints.add(checkpoint)
+
+    def _replace_run(self, config: RunConfig) -> None:
+        """Begin another run; the present one stays until that one is ready."""
+        before, self.run = self.run, Run(self.volume, config, None, self._channels)
+        before.workers.close()
+        self.checkpoints.clear()
+        self._present = self.run.checkpoint()
+        self.checkpoints.add(self._present)
+
+    # -- changes -------------------------------------------------------------------------------------------
+
+    def change(self, settings: dict[str, Any]) -> None:
+        """Change settings from here on.
+
+        Raises
+        ------
+        UsageError
+            When a setting is not valid; nothing is changed then.
+        """
+        run, step = self.run, self.step_number
+        edits = self._edits_so_far()
+        # Several changes at one step are one edit, as when a slider is dragged back and forth.
+        last = edits[-1] if edits and edits[-1].step == step and not edits[-1].balls else None
+        earlier = edits if last is None else edits[:-1]
+        run.check(Edit(step=step, **settings))
+        run.config.replace(edit=(*earlier, Edit(step=step, **settings)))
+        before = run.config.replace(edit=earlier).at(step)
+        after = before.replace(**{**(last.settings if last else {}), **settings})
+        changed = {
+            key: getattr(after, key) for key in RunConfig.model_fields if getattr(after, key) != getattr(before, key)
+        }
+        # An edit without settings makes a converged run continue.
+        continues = last is not None and not last.settings
+        altered = (*earlier, Edit(step=step, **changed)) if changed or continues else earlier
+        if altered != edits:
+            self._replace_edits(altered)
+        self._message = ", ".join(f"{key} {value}" for key, value in settings.items())
+
+    def edit_ball(self, kind: Literal["add", "remove"], ball: str) -> None:
+        """Add a ball to the object (``add``), or remove one from it (``remove``).
+
+        Raises
+        ------
+        UsageError, InputError
+            When it is no ball or lies outside.
+        """
+        edit = RunConfig(edit=[{"step": self.step_number, kind: ball}]).edit
+        self._replace_edits((*self._edits_so_far(), *edit))
+        self._message = f"{'added' if kind == 'add' else 'removed'} {ball}"
 
     def start_from(self, start: tuple[str, ...]) -> None:
         """Begin another run, with the settings in force."""
         run = self.run
         before = run.config
         self.pause()
-        self._build(run.now.replace(start=start))
-        self._past.append((before, 0))
-        self.message = "start: " + " + ".join(start)
+        self._replace_run(run.now.replace(start=start))
+        self._changes.append((before, 0))
+        self._message = "start: " + " + ".join(start)
 
     def undo(self) -> None:
-        """Take the last change back, and go to where it was made.
+        """Undo the last change, and go to the step where it was made.
 
         Raises
         ------
         UsageError
             When there is none.
         """
-        if not self._past:
-            raise UsageError("there is no change to take back")
+        if not self._changes:
+            raise UsageError("there is no change to undo")
         run = self.run
-        config, place = self._past.pop()
+        config, step = self._changes.pop()
         self.pause()
-        state = self.kept.nearest(min(place, self.place), self._here.level)
-        if config.at(-1) != run.config.at(-1) or state is None:
-            self._build(config)
+        checkpoint = self.checkpoints.nearest(min(step, self.step_number), self._present.level)
+        if config.at(-1) != run.config.at(-1) or checkpoint is None:
+            self._replace_run(config)
         else:
-            place = min(place, self.place)
-            self.kept.drop_after(place)
-            self._go(place)
+            step = min(step, self.step_number)
+            self.checkpoints.drop_after(step)
+            self._restore(step)
             run.set_edits(config.edit)
-        if self.place < place:
-            self.running, self.until = True, place
-        self.message = f"took the last change back, at step {place}"
+        self._catch_up(step)
+        self._message = f"undid the last change, at step {step}"
+
+    def _edits_so_far(self) -> tuple[Edit, ...]:
+        return tuple(edit for edit in self.run.config.edit if edit.step <= self.step_number)
+
+    def _replace_edits(self, edits: tuple[Edit, ...]) -> None:
+        """Continue with other edits from the present step; the steps made after it are forgotten."""
+        run, step = self.run, self.step_number
+        before = run.config
+        if edits == before.edit and run.stop is None:
+            return
+        for edit in edits:
+            if edit.step >= step:
+                run.check(edit)
+        before.replace(edit=edits)
+        if run.stop is not None or run.edits_done > self._present.done:
+            run.restore(self._present)
+        run.set_edits(edits)
+        self.checkpoints.drop_after(step)
+        self._changes.append((before, step))
+
+    # -- files ---------------------------------------------------------------------------------------------
 
     def save(
         self, folder: Path, name: str, source: Path | None, what: tuple[str, ...], overwrite: bool
     ) -> list[Path]:
         """Write files, see `saving.save`; those written before may be replaced."""
         self.run.apply()
-        written = saving.save(self.run, folder, name, source, what, None if overwrite else self._own)
-        self._own.update(written)
-        self.message = f"saved {len(written)} files in {folder}"
+        written = saving.save(self.run, folder, name, source, what, None if overwrite else self._written)
+        self._written.update(written)
+        self._message = f"saved {len(written)} files in {folder}"
         return written

@@ -1,4 +1,4 @@
-"""How the window looks: colours of its controls, and the page of keys."""
+"""Colours of the window's controls, and the page of keys."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from PySide6.QtGui import QColor, QPalette
 from accelsurf.viewer.scene.colors import SURFACE
 
 
-class Coat(NamedTuple):
-    """Colours of controls: ground, fields, raised parts, text, weak text, lines."""
+class ControlColors(NamedTuple):
+    """Colours of controls: background, fields, raised parts, text, weak text, lines."""
 
-    ground: str
+    background: str
     field: str
     raised: str
     ink: str
@@ -20,18 +20,18 @@ class Coat(NamedTuple):
     lines: str
 
 
-COATS = {
-    "dark": Coat("#1D2128", "#14171C", "#2B313B", "#F2F2F2", "#8A93A0", "#3A424E"),
-    "light": Coat("#F3F4F6", "#FFFFFF", "#FFFFFF", "#1A1A1A", "#70767E", "#C4C9D0"),
+CONTROL_COLORS = {
+    "dark": ControlColors("#1D2128", "#14171C", "#2B313B", "#F2F2F2", "#8A93A0", "#3A424E"),
+    "light": ControlColors("#F3F4F6", "#FFFFFF", "#FFFFFF", "#1A1A1A", "#70767E", "#C4C9D0"),
 }
-#: Red that is told from the rest by the word before it too.
+#: Of error messages, which also begin with a word that says so.
 ALARM = {"dark": "#FF9A7A", "light": "#B03A00"}
 
 _KEYS = (
     ("Space", "run, pause"),
     ("Right, Left", "one step, back one step"),
     ("Home", "restart with the settings in force"),
-    ("Ctrl+Z", "take the last change back"),
+    ("Ctrl+Z", "undo the last change"),
     ("Ctrl+S", "save labels, mesh, picture, run.toml"),
     ("V  B  P  G  K", "look, ball, points, grow, shrink"),
     ("[  ]", "smaller, larger ball and brush"),
@@ -44,7 +44,7 @@ _KEYS = (
 )
 _MOUSE = (
     ("surface", "left turns, middle moves, wheel zooms"),
-    ("slices", "drag moves the slices, wheel leafs"),
+    ("slices", "drag moves the slices, wheel changes the slice"),
     ("ball, points", "press (and drag) where the run starts"),
     ("grow, shrink", "drag over the surface or in a slice"),
 )
@@ -59,43 +59,43 @@ HELP = f"<h3>Keys</h3><table>{_rows(_KEYS)}</table><h3>Mouse</h3><table>{_rows(_
 
 def palette(theme: str) -> QPalette:
     """Return Qt's colours for a theme."""
-    coat = COATS[theme]
+    ui = CONTROL_COLORS[theme]
     made = QPalette()
     roles = QPalette.ColorRole
     for role, color in {
-        roles.Window: coat.ground, roles.Base: coat.field, roles.AlternateBase: coat.raised, roles.Button: coat.raised,
-        roles.Text: coat.ink, roles.WindowText: coat.ink, roles.ButtonText: coat.ink, roles.ToolTipBase: coat.field,
-        roles.ToolTipText: coat.ink, roles.Highlight: SURFACE, roles.HighlightedText: "#101010",
-        roles.PlaceholderText: coat.weak,
+        roles.Window: ui.background, roles.Base: ui.field, roles.AlternateBase: ui.raised, roles.Button: ui.raised,
+        roles.Text: ui.ink, roles.WindowText: ui.ink, roles.ButtonText: ui.ink, roles.ToolTipBase: ui.field,
+        roles.ToolTipText: ui.ink, roles.Highlight: SURFACE, roles.HighlightedText: "#101010",
+        roles.PlaceholderText: ui.weak,
     }.items():
         made.setColor(role, QColor(color))
     for role in (roles.Text, roles.WindowText, roles.ButtonText):
-        made.setColor(QPalette.ColorGroup.Disabled, role, QColor(coat.weak))
+        made.setColor(QPalette.ColorGroup.Disabled, role, QColor(ui.weak))
     return made
 
 
 def sheet(theme: str) -> str:
     """Return the style sheet of the window."""
-    coat = COATS[theme]
+    ui = CONTROL_COLORS[theme]
     return f"""
     QWidget {{ font-size: 13px; }}
-    QGroupBox {{ border: 1px solid {coat.lines}; border-radius: 6px; margin-top: 14px; padding-top: 4px; }}
-    QGroupBox::title {{ subcontrol-origin: margin; left: 8px; padding: 0 3px; color: {coat.weak}; }}
-    QPushButton {{ background: {coat.raised}; border: 1px solid {coat.lines}; border-radius: 5px; padding: 4px 8px; }}
+    QGroupBox {{ border: 1px solid {ui.lines}; border-radius: 6px; margin-top: 14px; padding-top: 4px; }}
+    QGroupBox::title {{ subcontrol-origin: margin; left: 8px; padding: 0 3px; color: {ui.weak}; }}
+    QPushButton {{ background: {ui.raised}; border: 1px solid {ui.lines}; border-radius: 5px; padding: 4px 8px; }}
     QPushButton:hover {{ border-color: {SURFACE}; }}
-    QPushButton:disabled {{ color: {coat.weak}; }}
+    QPushButton:disabled {{ color: {ui.weak}; }}
     QPushButton:checked, QPushButton#play {{ background: {SURFACE}; color: #101010; border-color: {SURFACE}; }}
-    QPushButton#play:disabled {{ background: {coat.raised}; color: {coat.weak}; }}
-    QSlider::groove:horizontal {{ height: 4px; border-radius: 2px; background: {coat.lines}; }}
+    QPushButton#play:disabled {{ background: {ui.raised}; color: {ui.weak}; }}
+    QSlider::groove:horizontal {{ height: 4px; border-radius: 2px; background: {ui.lines}; }}
     QSlider::sub-page:horizontal {{ background: {SURFACE}; border-radius: 2px; }}
-    QSlider::sub-page:horizontal:disabled {{ background: {coat.lines}; }}
+    QSlider::sub-page:horizontal:disabled {{ background: {ui.lines}; }}
     QSlider::handle:horizontal {{ width: 14px; height: 14px; margin: -5px 0; border-radius: 7px;
-        background: {coat.ink}; }}
-    QSlider::handle:horizontal:disabled {{ background: {coat.weak}; }}
-    QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {coat.weak}; border-radius: 3px;
-        background: {coat.field}; }}
+        background: {ui.ink}; }}
+    QSlider::handle:horizontal:disabled {{ background: {ui.weak}; }}
+    QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {ui.weak}; border-radius: 3px;
+        background: {ui.field}; }}
     QCheckBox::indicator:checked {{ background: {SURFACE}; border-color: {SURFACE}; }}
-    QLabel#help {{ background: {coat.field}; border: 1px solid {SURFACE}; border-radius: 8px; padding: 14px 22px; }}
-    QLabel#message {{ color: {coat.weak}; }}
+    QLabel#help {{ background: {ui.field}; border: 1px solid {SURFACE}; border-radius: 8px; padding: 14px 22px; }}
+    QLabel#message {{ color: {ui.weak}; }}
     QLabel#message[failed="true"] {{ color: {ALARM[theme]}; font-weight: bold; }}
     """

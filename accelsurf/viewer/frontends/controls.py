@@ -1,4 +1,4 @@
-"""The panel beside the scene: sliders and choices for what can be steered. Knows no session; tells what was asked."""
+"""The panel beside the scene: sliders and choices for what can be steered. Knows no session; emits what was asked."""
 
 from __future__ import annotations
 
@@ -24,27 +24,30 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.settings.catalogue import help_of, sliders
-from accelsurf.settings.energy_terms import examples
-from accelsurf.settings.entry import Slider
-from accelsurf.settings.flow_specs import FLOWS
-from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.energy_expression import SIMPLE
+from accelsurf.settings.run_config import FLOWS, RunConfig
 from accelsurf.viewer.core.frame import COLORS
 
-#: Positions of a slider; and how long it rests before what it says is taken up, milliseconds.
-TICKS, SETTLE_MS = 1000, 250
+#: Positions of a slider; and how long after the last change its value is emitted, milliseconds.
+TICKS, DELAY_MS = 1000, 250
+UNITS = {
+    "smoothness": "Smoothness (mm)",
+    "diffusion": "Diffusion (mm2 per unit of time)",
+    "friction": "Friction of momentum (per unit of time)",
+    "cfl": "Largest motion in a step (CFL, voxels)",
+}
 #: Tool -> (its key, what is written on it, what it does).
 TOOLS = {
     "look": ("V", "Look", "Turn the surface; drag in a slice to move the slices"),
     "ball": ("B", "Ball", "Press in a slice or on the surface and drag: a ball to start from"),
     "points": ("P", "Points", "Click in a slice: small balls to start from, one for each point"),
     "grow": ("G", "Grow", "Press and drag in a slice or on the surface: add what the brush covers"),
-    "shrink": ("K", "Shrink", "Press and drag in a slice or on the surface: take away what the brush covers"),
+    "shrink": ("K", "Shrink", "Press and drag in a slice or on the surface: remove what the brush covers"),
 }
 
 
 class Amount(QWidget):
-    """A number on a slider and in a box, one of some words beside it if there are any.
+    """A number on a slider and in a box; optionally words that may stand for it.
 
     Parameters
     ----------
@@ -90,10 +93,10 @@ class Amount(QWidget):
             line.addWidget(self.word)
         line.addWidget(self.slider, 1)
         line.addWidget(self.box)
-        self._settling = QTimer(self, singleShot=True, interval=SETTLE_MS)
-        self._settling.timeout.connect(self._tell)
+        self._delay = QTimer(self, singleShot=True, interval=DELAY_MS)
+        self._delay.timeout.connect(self._emit)
         self.slider.valueChanged.connect(self._slid)
-        self.slider.sliderReleased.connect(self._tell)
+        self.slider.sliderReleased.connect(self._emit)
         self.box.valueChanged.connect(self._typed)
 
     @property
@@ -105,11 +108,11 @@ class Amount(QWidget):
 
     @property
     def is_being_moved(self) -> bool:
-        """Whether a hand is on it: what the run says has to wait."""
-        return self.slider.isSliderDown() or self._settling.isActive() or self.box.hasFocus()
+        """Whether the user is changing it now, so that it does not show the value in force."""
+        return self.slider.isSliderDown() or self._delay.isActive() or self.box.hasFocus()
 
     def show_value(self, value: float | str) -> None:
-        """Show what is in force; tells nobody."""
+        """Show the value in force, without emitting it."""
         blockers = [QSignalBlocker(part) for part in (self.slider, self.box, self.word) if part is not None]
         if isinstance(value, str) and self.word is not None:
             self.word.setCurrentText(value)
@@ -134,28 +137,28 @@ class Amount(QWidget):
         value = self._low + (self._high - self._low) * (tick / TICKS) ** self._power
         with QSignalBlocker(self.box):
             self.box.setValue(value)
-        # A drag is one change, told when the hand lets go; keys and clicks beside the handle after a moment.
+        # A drag is one change, emitted at its end; keys and clicks beside the handle are emitted after a delay.
         if not self.slider.isSliderDown():
-            self._settling.start()
+            self._delay.start()
 
     def _typed(self, value: float) -> None:
         with QSignalBlocker(self.slider):
             self.slider.setValue(self._tick(value))
-        self._settling.start()
+        self._delay.start()
 
     def _chosen(self) -> None:
         self._enable()
         if self.word is not None and self.word.currentText() == "value" and self.box.value() <= 0:
             self.box.setValue(0.25 * self._high)
-        self._tell()
+        self._emit()
 
-    def _tell(self) -> None:
-        self._settling.stop()
+    def _emit(self) -> None:
+        self._delay.stop()
         self.changed.emit(self.value)
 
 
 class Panel(QWidget):
-    """All that can be steered. Each signal says what somebody asked for."""
+    """All that can be steered. Each signal says what the user asked for."""
 
     setting = Signal(str, object)
     tool_chosen = Signal(str)
@@ -175,16 +178,21 @@ class Panel(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 6, 8, 6)
         column.setSpacing(6)
-        self.choices = {"energy": _choice(examples()), "flow": _choice(tuple(FLOWS))}
+        self.choices = {"energy": _choice(SIMPLE), "flow": _choice(FLOWS)}
         finest = min(steps)
-        self.amounts = {key: _amount(slider, finest) for key, slider in sliders().items()}
+        self.amounts = {
+            "smoothness": Amount(0.0, 5.0 * finest, power=2.0),
+            "diffusion": Amount(0.0, 20.0 * finest**2, ("auto", "free"), power=2.0),
+            "friction": Amount(0.01, 5.0, ("t",), power=2.0),
+            "cfl": Amount(0.05, 1.0, digits=2, limit=1.0),
+        }
         column.addWidget(self._settings())
         column.addWidget(self._tools(finest, min(extents or [finest])))
-        column.addWidget(self._looks())
+        column.addWidget(self._appearance())
         column.addStretch(1)
         line = QHBoxLayout()
         self.undo = QPushButton("Undo")
-        self.undo.setToolTip("Take the last change back (Ctrl+Z)")
+        self.undo.setToolTip("Undo the last change (Ctrl+Z)")
         self.save = QPushButton("Save")
         self.save.setToolTip("Labels, mesh, picture, report and run.toml (Ctrl+S)")
         for button, signal in ((self.undo, self.undo_wanted), (self.save, self.save_wanted)):
@@ -203,8 +211,8 @@ class Panel(QWidget):
             form.addRow(key.capitalize(), choice)
         for key, amount in self.amounts.items():
             amount.changed.connect(lambda value, key=key: self.setting.emit(key, value))
-            amount.setToolTip(help_of(key))
-            form.addRow(QLabel(sliders()[key].label))
+            amount.setToolTip(RunConfig.model_fields[key].description or "")
+            form.addRow(QLabel(UNITS[key]))
             form.addRow(amount)
         return group
 
@@ -215,10 +223,10 @@ class Panel(QWidget):
         grid.setContentsMargins(8, 4, 8, 6)
         self._buttons = QButtonGroup(self)
         self.tools: dict[str, QPushButton] = {}
-        for place, (name, (key, text, told)) in enumerate(TOOLS.items()):
+        for place, (name, (key, text, tip)) in enumerate(TOOLS.items()):
             button = QPushButton(text)
             button.setCheckable(True)
-            button.setToolTip(f"{told} ({key})")
+            button.setToolTip(f"{tip} ({key})")
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             button.clicked.connect(lambda _, name=name: self.tool_chosen.emit(name))
             self._buttons.addButton(button)
@@ -231,7 +239,7 @@ class Panel(QWidget):
         grid.addWidget(self.radius, 3, 0, 1, 6)
         return group
 
-    def _looks(self) -> QGroupBox:
+    def _appearance(self) -> QGroupBox:
         group = QGroupBox("Show")
         form = QFormLayout(group)
         form.setSpacing(5)
@@ -254,14 +262,14 @@ class Panel(QWidget):
         form.addRow("Theme", self.theme)
         return group
 
-    # -- what is in force ----------------------------------------------------------------------------------
+    # -- settings in force ----------------------------------------------------------------------------------
 
     def show_settings(self, settings: RunConfig, undoable: int) -> None:
-        """Show what is in force; what a hand is on is left alone."""
+        """Show the settings in force, except where the user is changing one."""
         for key, choice in self.choices.items():
             if not choice.view().isVisible():
                 if choice.findText(getattr(settings, key)) < 0:
-                    # An expression of the run's own.
+                    # The run's energy may be an expression that is not in the list.
                     choice.addItem(getattr(settings, key))
                 choice.setCurrentText(getattr(settings, key))
         for key, amount in self.amounts.items():
@@ -272,17 +280,9 @@ class Panel(QWidget):
         self.undo.setEnabled(undoable > 0)
 
     def scale_radius(self, factor: float) -> None:
-        """Make ball and brush larger or smaller."""
+        """Multiply the radius of ball and brush."""
         value = float(self.radius.value) * factor
         self.radius.show_value(min(max(value, self.radius.box.minimum()), 1e5) if math.isfinite(value) else 1.0)
-
-
-def _amount(slider: Slider, finest: float) -> Amount:
-    """The widget of a setting, in an image whose smallest spacing is ``finest`` mm."""
-    unit = finest**slider.voxel_power
-    return Amount(
-        slider.low * unit, slider.high * unit, slider.words, slider.power, slider.digits, slider.limit
-    )
 
 
 def _choice(names: Sequence[str]) -> QComboBox:

@@ -1,4 +1,4 @@
-"""Whether a window can be opened here: told in one line, where Qt itself would end the process."""
+"""What a window or a page needs of this machine; checked first, because Qt would end the process."""
 
 from __future__ import annotations
 
@@ -9,10 +9,23 @@ import sys
 
 from accelsurf.viewer.scene.headless import GraphicsError
 
-#: Packages that only the window needs.
-PACKAGES = ("PySide6", "pyvistaqt")
+#: Packages that only the window needs, and those that only the page needs.
+WINDOW_PACKAGES, PAGE_PACKAGES = ("PySide6", "pyvistaqt"), ("trame",)
+INSTALL = 'pip install "accelsurf[viewer]"'
 _PROBE = "from PySide6.QtWidgets import QApplication; QApplication([]); print('opened')"
 _SECONDS = 60
+
+
+def lacks_window_packages() -> str:
+    """Return in one sentence what packages the window lacks; empty when it lacks none."""
+    missing = _missing(WINDOW_PACKAGES)
+    verb = "is" if len(missing) == 1 else "are"
+    return f"the window needs {' and '.join(missing)}, which {verb} not installed" if missing else ""
+
+
+def has_page_packages() -> bool:
+    """Whether the packages of the page are installed."""
+    return not _missing(PAGE_PACKAGES)
 
 
 def require_display() -> None:
@@ -23,19 +36,15 @@ def require_display() -> None:
     GraphicsError
         When a package or a library is missing, or there is no screen; with what to do.
     """
-    missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
-    if missing:
-        raise GraphicsError(
-            f"the window needs {' and '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed",
-            'pip install "accelsurf[viewer]"; accelsurf segment needs no window',
-        )
+    if lack := lacks_window_packages():
+        raise GraphicsError(lack, f"{INSTALL}; accelsurf segment needs no window")
     screens = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in screens):
         raise GraphicsError(
             "no screen was found: neither DISPLAY nor WAYLAND_DISPLAY is set",
             "log in to a desktop or with ssh -X; accelsurf segment needs no screen",
         )
-    # Qt ends the process when it cannot open a window: asked where that does not hurt.
+    # Qt ends the process when it cannot open a window, so another process tries it first.
     try:
         done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=_SECONDS)
     except (OSError, subprocess.TimeoutExpired):
@@ -55,6 +64,10 @@ def require_display() -> None:
     )
 
 
+def _missing(packages: tuple[str, ...]) -> list[str]:
+    return [name for name in packages if importlib.util.find_spec(name) is None]
+
+
 def _shortened(words: str) -> str:
-    """The first sentence of Qt's complaint, without the names of its parts."""
-    return words.removeprefix("qt.qpa.xcb: ").removeprefix("qt.qpa.plugin: ")[:160] or "Qt says nothing"
+    """The first sentence of Qt's message, without the names of its parts."""
+    return words.removeprefix("qt.qpa.xcb: ").removeprefix("qt.qpa.plugin: ")[:160] or "Qt gives no reason"

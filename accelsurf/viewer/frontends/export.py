@@ -1,4 +1,4 @@
-"""A scene as one HTML file that turns in any browser, without this program and without the internet."""
+"""A scene as one HTML file that can be turned in any browser, without this program and without the internet."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from accelsurf.analysis.surface_mesh import write_atomically
 from accelsurf.errors import UsageError
 from accelsurf.grid.orientation import LETTERS
-from accelsurf.viewer.scene.colors import REFERENCE, SHADES, SURFACE, color_range
+from accelsurf.viewer.scene.colors import REFERENCE, SHADES, color_range, object_color
 from accelsurf.viewer.scene.grey_images import png_bytes
 from accelsurf.viewer.scene.scene import Scene
 
@@ -36,8 +36,9 @@ def html_page(scene: Scene) -> str:
     middle = scene.geometry.center_world()
     theme = scene.theme
     meshes = [_lines(space.box, theme.lines, middle)]
-    if space.mesh.n_points:
-        meshes.append(_triangles(space.mesh, SURFACE, middle, 1.0, space.color))
+    for position, mesh in enumerate(space.meshes):
+        if mesh.n_points:
+            meshes.append(_triangles(mesh, object_color(position), middle, 1.0, space.color))
     if space.reference is not None and space.reference.n_points:
         meshes.append(_triangles(space.reference, REFERENCE, middle, 0.35, "plain"))
     picture = scene.screenshot()
@@ -51,18 +52,18 @@ def html_page(scene: Scene) -> str:
         "letters": LETTERS if scene.anatomical else (("-x", "+x"), ("-y", "+y"), ("-z", "+z")),
     }
     page = resources.files("accelsurf.viewer").joinpath("export.html").read_text(encoding="utf-8")
-    told = "\n".join((*space.title.text.split("\n"), *scene.legend))
+    caption = "\n".join((*space.title.text.split("\n"), *scene.legend))
     parts = {
         "TITLE": html.escape(scene.title or "accelsurf"),
-        "TOLD": html.escape(told),
+        "CAPTION": html.escape(caption),
         "GROUND": theme.background,
         "INK": theme.ink,
         "PICTURE": base64.b64encode(png_bytes(picture[:, picture.shape[1] // 2 :])).decode(),
-        # What stands in a script must not end it.
+        # The data must not end the script that holds them.
         "SCENE": json.dumps(document).replace("<", "\\u003c"),
     }
-    # In one go: what is put in may look like a mark itself.
-    return re.sub("__(" + "|".join(parts) + ")__", lambda mark: parts[mark.group(1)], page)
+    # In one pass: the text that is put in may look like a placeholder itself.
+    return re.sub("__(" + "|".join(parts) + ")__", lambda found: parts[found.group(1)], page)
 
 
 def write_html(scene: Scene, path: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""Movies of a run: frames off screen into mp4, gif or webp; nothing is left half written."""
+"""Movies of a run: pictures into mp4, gif or webp; no file is left incomplete."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from PIL import Image, features
 
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.io.files import staging
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.core.frame import Frame, histories_of_run
 from accelsurf.viewer.scene.scene import SIZE, Scene
 
 FORMATS = (".mp4", ".gif", ".webp")
-#: Smallest and largest side of a movie, pixels: below text cannot be read, above encoders give up.
+#: Smallest and largest side of a movie, pixels: smaller text cannot be read, larger pictures encoders refuse.
 MIN_SIDE, MAX_SIDE = 160, 4096
 
 Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class Film:
-    """How a run becomes a movie.
+class MovieSettings:
+    """How a run is shown as a movie.
 
     Parameters
     ----------
     every : int
-        Frames are drawn of each so many steps, of the first and of the last.
+        A frame is drawn of every so many steps, and of the first and the last.
     fps : float
         Frames per second.
     orbit : float
-        Degrees that the camera turns per second of movie; 0 stands still.
+        Degrees that the camera turns per second of movie; 0 does not turn it.
     hold : float
-        Seconds that the last frame is shown longer; the camera goes on turning.
+        Seconds that the last frame is shown longer, while the camera turns on.
     size : (int, int)
         Width and height, pixels.
 
@@ -90,50 +90,53 @@ def check_target(path: Path, size: tuple[int, int]) -> None:
 
 
 def pictures(
-    run: Run, scene: Scene, film: Film, on_step: Callable[[StepRecord], bool | None] | None = None
+    run: Run, scene: Scene, movie: MovieSettings, on_step: Callable[[StepRecord], bool | None] | None = None
 ) -> Iterator[Picture]:
-    """Run, drawing as it goes.
+    """Run to the end and draw the steps.
 
     Parameters
     ----------
     run : Run
-        Made ready; it is run to its end.
+        Without a step yet.
     scene : Scene
         Of the same image.
-    film : Film
+    movie : MovieSettings
     on_step : callable, optional
-        Called with each row; a true return value ends the run.
+        Called with each record; a true return value ends the run.
 
     Yields
     ------
     ndarray (height, width, 3), uint8
     """
-    turn, evolution = film.orbit / film.fps, run.evolution
+    turn = movie.orbit / movie.fps
     with run.workers:
-        for step in run:
-            if on_step is not None and on_step(step.row):
-                evolution.ask_to_stop()
-            if step.row.step % film.every == 0 or evolution.stop is not None:
-                scene.update(Frame.of(step, run.geometry, evolution.flow, first=run.prepared.first), evolution.history)
+        for step in _steps(run, on_step):
+            if step.row.step % movie.every == 0 or run.stop is not None:
+                scene.update(Frame.of_run(run, step), histories_of_run(run))
                 yield scene.screenshot()
                 scene.orbit(turn)
-    for _ in range(math.ceil(film.hold * film.fps)):
+    for _ in range(math.ceil(movie.hold * movie.fps)):
         yield scene.screenshot()
         scene.orbit(turn)
 
 
 def run_to_last(run: Run, scene: Scene, on_step: Callable[[StepRecord], bool | None] | None = None) -> None:
-    """Run to the end and put its last frame into a scene; parameters as of `pictures`."""
-    evolution = run.evolution
+    """Run to the end and draw the last step in a scene; parameters as of `pictures`."""
     with run.workers:
-        for step in run:
-            if on_step is not None and on_step(step.row):
-                evolution.ask_to_stop()
-            if evolution.stop is not None:
-                scene.update(Frame.of(step, run.geometry, evolution.flow, first=run.prepared.first), evolution.history)
+        for step in _steps(run, on_step):
+            if run.stop is not None:
+                scene.update(Frame.of_run(run, step), histories_of_run(run))
 
 
-def write(path: Path, frames: Iterable[Picture], film: Film) -> int:
+def _steps(run: Run, on_step: Callable[[StepRecord], bool | None] | None) -> Iterator[Step]:
+    """The steps of a run, which ends early when ``on_step`` asks for it."""
+    for step in run:
+        if on_step is not None and on_step(step.row):
+            run.evolution.ask_to_stop()
+        yield step
+
+
+def write(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
     """Write frames as a movie by suffix; the file appears whole or not at all. Returns how many there were.
 
     Raises
@@ -143,20 +146,20 @@ def write(path: Path, frames: Iterable[Picture], film: Film) -> int:
     OutputError
         When the file cannot be written.
     """
-    check_target(path, film.size)
+    check_target(path, movie.size)
     encode = _mp4 if path.suffix.lower() == ".mp4" else _animation
     with staging(path) as folder:
         draft = folder / path.name
-        count = encode(draft, frames, film)
+        count = encode(draft, frames, movie)
         os.replace(draft, path)
     return count
 
 
-def _mp4(path: Path, frames: Iterable[Picture], film: Film) -> int:
+def _mp4(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
     ffmpeg = _ffmpeg()
     # yuv420p and faststart: what any browser and any slide show plays.
     writer = ffmpeg.write_frames(
-        str(path), film.size, fps=film.fps, codec="libx264", quality=8, macro_block_size=2,
+        str(path), movie.size, fps=movie.fps, codec="libx264", quality=8, macro_block_size=2,
         ffmpeg_log_level="error", output_params=["-movflags", "+faststart", "-threads", "2"],
     )
     writer.send(None)
@@ -166,13 +169,13 @@ def _mp4(path: Path, frames: Iterable[Picture], film: Film) -> int:
             writer.send(np.ascontiguousarray(frame))
             count += 1
     except OSError as error:
-        raise OutputError(f"{path.name}: ffmpeg gave up ({error})", "is there space on the disk?") from error
+        raise OutputError(f"{path.name}: ffmpeg failed ({error})", "is there space on the disk?") from error
     finally:
         writer.close()
     return count
 
 
-def _animation(path: Path, frames: Iterable[Picture], film: Film) -> int:
+def _animation(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
     count = 0
 
     def images() -> Iterator[Image.Image]:
@@ -183,8 +186,8 @@ def _animation(path: Path, frames: Iterable[Picture], film: Film) -> int:
 
     stream = images()
     first = next(stream)
-    # A GIF counts hundredths of a second; two are the least that viewers obey.
-    duration = max(20, round(1000 / film.fps))
+    # A GIF counts hundredths of a second; viewers ignore less than two.
+    duration = max(20, round(1000 / movie.fps))
     options: dict[str, Any] = {"quality": 80, "method": 4} if path.suffix.lower() == ".webp" else {"disposal": 1}
     first.save(path, save_all=True, append_images=stream, duration=duration, loop=0, **options)
     return count
@@ -200,11 +203,11 @@ def _ffmpeg() -> Any:
     return imageio_ffmpeg
 
 
-# -- from a result folder -----------------------------------------------------------------------------------
+# -- from a folder of results -----------------------------------------------------------------------------------
 
 
 def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
-    """The image and the settings of the run that left its results in a folder: with them it repeats, byte for byte.
+    """Image and settings of the run whose results are in a folder: they repeat it, byte for byte.
 
     Parameters
     ----------
@@ -214,8 +217,8 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
     Raises
     ------
     InputError
-        When there is no report or more than one, it tells of no run that can be repeated, or the image is not there
-        or not the same any more.
+        When there is no report or more than one, it is not of a run that can be repeated, or the image is missing or
+        has changed.
     """
     reports = sorted(folder.glob("*_report.json"))
     if len(reports) != 1:
@@ -229,12 +232,12 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         if not isinstance(settings, dict):
             raise TypeError
     except (OSError, ValueError, KeyError, TypeError):
-        told = f"{path}: not the report of a run that can be repeated"
-        raise InputError(told, "run accelsurf segment anew") from None
+        message = f"{path}: not the report of a run that can be repeated"
+        raise InputError(message, "run accelsurf segment again") from None
     if str(settings.get("energy", "")).startswith("custom: "):
         raise InputError(f"{path}: the energy was one of your own ({settings['energy']})", "make the movie in Python")
     if not image.is_file():
         raise InputError(f"{path}: the image {image} is not there any more", "give the image and --config instead")
     if checksum is not None and io.sha256(image) != checksum:
-        raise InputError(f"{image}: has changed, it is not the image of {path.name} any more", "run segment anew")
+        raise InputError(f"{image}: has changed, it is not the image of {path.name} any more", "run segment again")
     return image, RunConfig(**settings)

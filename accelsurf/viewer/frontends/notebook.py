@@ -1,4 +1,4 @@
-"""Show a result, or an image, in a notebook or a window, or put it into a file."""
+"""Show a result, or an image, in a notebook or a window, or write it to a file."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 import pyvista as pv
 
 from accelsurf.errors import UsageError, check_known
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import Result
 from accelsurf.viewer.core.frame import Frame
@@ -53,61 +54,72 @@ def show(
         Write to this file instead: a picture (.png), or a page whose surface can be turned in any browser, without
         the internet (.html).
     backend : str, optional
-        In a notebook: one of PyVista's Jupyter backends in place of a page that needs nothing.
+        In a notebook: one of PyVista's Jupyter backends instead of a page without a server.
 
     Returns
     -------
     object
-        In a notebook what shows itself there; otherwise None, once the window is closed or the file written.
+        In a notebook the output of the cell; otherwise None, once the window is closed or the file written.
 
     Raises
     ------
     UsageError
-        For something else than these, an unknown theme, backend or suffix.
+        For another type, an unknown theme, backend or suffix.
     InputError
         When the reference is on another grid.
     GraphicsError
         When nothing can be drawn here.
     """
+    suffix = _check(what, to, backend)
+    image = what.volume if isinstance(what, Result) else what
+    plotter = None if to is not None else _plotter(image.geometry, size, backend)
+    scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size)
+    if isinstance(what, Result):
+        scene.update(Frame.of_psi(what.psi, what.geometry, what.history[-1]), (what.history,))
+    scene.show_volume(volume)
+    scene.show_planes(planes)
+    if plotter is not None:
+        return _show_in_pyvista(scene, backend)
+    try:
+        return SceneOutput(scene) if to is None else _write(scene, to, suffix)
+    finally:
+        scene.close()
+
+
+def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None) -> pv.Plotter | None:
+    """A plotter for a window or for a backend of PyVista; None in a notebook that gets a page of our own."""
+    notebook = in_notebook()
+    if not notebook and not _has_screen():
+        raise GraphicsError("no screen was found for a window", "write a picture or a page: to='a.png', to='a.html'")
+    if notebook and backend is None:
+        return None
+    if notebook:
+        require_graphics()
+    return pv.Plotter(off_screen=notebook, notebook=notebook, window_size=list(size), **Scene.layout(geometry))
+
+
+def _write(scene: Scene, path: str | Path, suffix: str) -> None:
+    """Write a scene to a file, by suffix."""
+    if suffix == ".png":
+        scene.screenshot(path)
+    else:
+        write_html(scene, path)
+
+
+def _check(what: Result | Volume, to: str | Path | None, backend: str | None) -> str:
+    """Refuse what cannot be shown; returns the suffix of the file to be written."""
     if not isinstance(what, (Result, Volume)):
         raise UsageError(f"show: a {type(what).__name__} was given, expected a Result or a Volume")
     if backend is not None:
         check_known("backend", backend, BACKENDS)
-    image = what.volume if isinstance(what, Result) else what
     suffix = "" if to is None else Path(to).suffix.lower()
     if to is not None and suffix not in (".png", ".html", ".htm"):
         raise UsageError(f"{Path(to).name}: {suffix or 'no suffix'} was given, expected .png or .html")
-    notebook = to is None and in_notebook()
-    if to is None and not notebook and not _has_screen():
-        raise GraphicsError("no screen was found for a window", "write a picture or a page: to='a.png', to='a.html'")
-    plotter = None
-    if to is None and (backend is not None or not notebook):
-        if notebook:
-            require_graphics()
-        plotter = pv.Plotter(
-            off_screen=notebook, notebook=notebook, window_size=list(size), **Scene.layout(image.geometry)
-        )
-    scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size)
-    if isinstance(what, Result):
-        scene.update(Frame.of_psi(what.psi, what.geometry, what.history[-1]), what.history)
-    scene.show_volume(volume)
-    scene.show_planes(planes)
-    if plotter is not None:
-        return _shown(scene, backend)
-    try:
-        if to is None:
-            return Shown(scene)
-        if suffix == ".png":
-            scene.screenshot(to)
-        else:
-            write_html(scene, to)
-    finally:
-        scene.close()
-    return None
+    return suffix
 
 
-def _shown(scene: Scene, backend: str | None) -> Any:
-    """Leave it to PyVista: a window, or one of its backends."""
+def _show_in_pyvista(scene: Scene, backend: str | None) -> Any:
+    """Show a scene in a window of PyVista, or by one of its backends."""
     try:
         return scene.plotter.show(jupyter_backend=backend) if backend is not None else scene.plotter.show()
     except ImportError as error:
@@ -115,8 +127,8 @@ def _shown(scene: Scene, backend: str | None) -> Any:
                          ) from None
 
 
-class Shown:
-    """What a notebook shows: the page whose surface can be turned; of one slice, the picture.
+class SceneOutput:
+    """The output of a notebook cell: a page whose surface can be turned; of one slice, a picture.
 
     Parameters
     ----------
@@ -129,7 +141,7 @@ class Shown:
         self._height = scene.plotter.render_window.GetSize()[1]
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
-        """What Jupyter asks for."""
+        """The output in the formats that Jupyter asks for."""
         picture = base64.b64encode(self.picture).decode()
         if not self._page:
             return {"image/png": picture}

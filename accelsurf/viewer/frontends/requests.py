@@ -1,7 +1,7 @@
-"""What a page may ask of a session: each request checked before anything is done, each answer one line.
+"""What a page may ask of a session: each request is checked before anything is done.
 
-A page is not trusted: it may send any name with any values. What comes out of here is finite, within bounds, and of
-the types that session and scene expect; whatever else came is told as an error and changes nothing.
+A page is not trusted: it may send any name with any values. What is passed on is finite, within bounds, and of the
+types that session and scene expect; everything else is reported as an error and changes nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.settings.catalogue import choices, sliders
 from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.saving import KINDS
 from accelsurf.viewer.core.session import Session
@@ -22,16 +21,17 @@ from accelsurf.viewer.scene.mouse import Mouse
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.space import VIEWS
 
-#: Settings that a page may change, those of sliders and lists, and the most letters of a value.
-SETTINGS = (*sliders(), *choices())
+#: Settings that a page may change, those of sliders and lists, and the largest number of letters of a value.
+SETTINGS = ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")
 MAX_LETTERS = 40
 #: Smallest and largest size of a picture, pixels.
 MIN_SIZE, MAX_SIZE = (480, 272), (2560, 1600)
-_FAR = 1e6
+#: Largest magnitude of a setting.
+_MAX_SETTING = 1e6
 
 
-class Steering:
-    """Carries out requests.
+class RequestHandler:
+    """Checks and carries out the requests of a page.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Steering:
     Attributes
     ----------
     changed : bool
-        Whether the scene looks otherwise than when it was drawn last; whoever draws resets it.
+        Whether the scene has changed since it was drawn last; whoever draws it resets this.
     message : str
         What went wrong last, in one line; empty when nothing did.
     files : dict of str to Path
@@ -60,11 +60,11 @@ class Steering:
         self.color, self.theme, self.volume, self.planes = "plain", "dark", False, False
         self._waiting: list[tuple[Future[Any], Callable[[Any], None] | None]] = []
         self._requests: dict[str, Callable[..., None]] = {
-            "run": lambda: self._ask(session.run()),
+            "play": lambda: self._ask(session.play()),
             "pause": lambda: self._ask(session.pause()),
             "toggle": self._toggle,
             "step": lambda: self._ask(session.single_step()),
-            "back": lambda step: self._ask(session.back(_whole(step, 0, 10**9))),
+            "go_to": lambda step: self._ask(session.go_to(_whole(step, 0, 10**9))),
             "restart": lambda: self._ask(session.restart()),
             "undo": lambda: self._ask(session.undo()),
             "set": self._set,
@@ -106,8 +106,8 @@ class Steering:
         except Exception as error:
             self.message = f"internal error: {type(error).__name__}: {error}"[:300]
 
-    def look_after(self) -> None:
-        """Take note of commands that have been carried out, well or not."""
+    def collect_results(self) -> None:
+        """Read the results and errors of the commands that have been carried out."""
         waiting, self._waiting = self._waiting, []
         for future, then in waiting:
             if not future.done():
@@ -124,12 +124,12 @@ class Steering:
         self._waiting.append((future, then))
 
     def _toggle(self) -> None:
-        self._ask(self.session.pause() if self.session.status.running else self.session.run())
+        self._ask(self.session.pause() if self.session.status.playing else self.session.play())
 
     def _set(self, key: Any, value: Any) -> None:
         key = _word(key, SETTINGS)
         if isinstance(value, (int, float)) and not isinstance(value, bool):
-            value = str(_number(value, -_FAR, _FAR))
+            value = str(_number(value, -_MAX_SETTING, _MAX_SETTING))
         if not isinstance(value, str) or len(value) > MAX_LETTERS or not value.isprintable():
             raise UsageError(f"{key}: {_short(value)} was given, expected a number or a word")
         self._ask(self.session.change(**{key: value.strip()}))
@@ -140,7 +140,7 @@ class Steering:
 
     def _saved(self, paths: list[Path]) -> None:
         home = self.folder.resolve()
-        # Names are the session's own; still, what lay elsewhere would not be handed out.
+        # The session chooses the names; a file elsewhere would not be served all the same.
         self.files |= {path.name: path for path in paths if path.resolve().parent == home}
 
     def _radius(self, mm: Any) -> None:
@@ -153,10 +153,8 @@ class Steering:
         mode, ball = placed
         if mode == "start":
             self._ask(self.session.start_from((ball,)))
-        elif mode == "add":
-            self._ask(self.session.push("add", ball))
         else:
-            self._ask(self.session.push("remove", ball))
+            self._ask(self.session.edit_ball("add" if mode == "add" else "remove", ball))
 
     def _color(self, name: Any) -> None:
         self.color = _word(name, COLORS)
@@ -175,7 +173,7 @@ class Steering:
         self.scene.show_planes(self.planes)
 
     def _size(self, width: Any, height: Any) -> None:
-        # In steps, so that a window that is drawn larger is not drawn anew for every pixel.
+        # In steps of 8, so that resizing a window does not redraw the scene for every pixel.
         sides = [
             int(min(max(_number(side, 0, 1e6), low), high)) // 8 * 8
             for side, low, high in zip((width, height), MIN_SIZE, MAX_SIZE, strict=True)
@@ -183,7 +181,7 @@ class Steering:
         self.scene.resize(*sides)
 
     def _pixel(self, x: Any, y: Any) -> tuple[float, float]:
-        """Pixels from the lower left corner, of parts of the width and of the height from above."""
+        """Pixels from the lower left corner, of fractions of the width and of the height from the top."""
         width, height = self.scene.plotter.render_window.GetSize()
         return _number(x, 0.0, 1.0) * width, (1.0 - _number(y, 0.0, 1.0)) * height
 
@@ -210,6 +208,6 @@ def _word(value: Any, words: tuple[str, ...]) -> str:
 
 
 def _short(value: Any) -> str:
-    """What was given, in a few letters."""
+    """A value in a few letters, for messages."""
     text = value if isinstance(value, str) else type(value).__name__ if isinstance(value, (list, dict)) else repr(value)
     return "".join(c if c.isprintable() else "?" for c in text[:MAX_LETTERS])

@@ -5,14 +5,34 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import groupby
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
 from accelsurf.evolution.records import StepRecord
-from accelsurf.viewer.scene.colors import Theme
+from accelsurf.viewer.scene.colors import Theme, object_color
 from accelsurf.viewer.scene.overlay import MIN_TEXT, TEXT, round_length
+
+
+class _Curve(NamedTuple):
+    """A curve of the object at this ``position`` in the order of ids: ``values`` against ``steps``."""
+
+    position: int
+    steps: list[float]
+    values: list[float]
+
+    @classmethod
+    def of(cls, position: int, records: Sequence[StepRecord], column: Literal["potential", "kinetic"]) -> _Curve:
+        """The curve of an energy."""
+        values = [record.potential if column == "potential" else record.kinetic for record in records]
+        return cls(position, [float(record.step) for record in records], values)
+
+    def points(self) -> tuple[list[float], list[float]]:
+        """Steps and values, at least two of each, all finite, as the chart needs them."""
+        x, y = self.steps, [float(np.nan_to_num(value)) for value in self.values]
+        return (x, y) if len(x) > 1 else ([x[0], x[0] + 1e-3], [y[0], y[0]])
 
 
 class EnergyChart:
@@ -34,30 +54,54 @@ class EnergyChart:
             chart.grid = True
             plotter.add_chart(chart)
         self._charts[1].x_label = "step"
-        self._segments: list[pv.LinePlot2D] = []
-        self._kinetic = self._charts[1].line([0.0, 1.0], [0.0, 0.0], width=2.0)
+        self._potential: list[pv.LinePlot2D] = []
+        self._kinetic: list[pv.LinePlot2D] = []
+        self._curves: tuple[list[_Curve], list[_Curve]] = ([], [])
+        self._is_single = True
+        self._theme = theme
+        self._draw([], [])
         self.paint(theme)
 
-    def update(self, history: Sequence[StepRecord]) -> None:
-        """Show the rows of a run. Each level has its own image, with energies of its own: the line has gaps there."""
-        top, below = self._charts
-        groups = [list(rows) for _, rows in groupby(history, key=lambda row: row.level)]
-        while len(self._segments) < len(groups):
-            self._segments.append(top.line([0.0, 1.0], [0.0, 0.0], color=self._theme.potential, width=2.0))
-        while len(self._segments) > len(groups):
-            top.remove_plot(self._segments.pop())
-        if not groups:
-            self._kinetic.update([0.0, 1.0], [0.0, 0.0])
-            return
-        for line, rows in zip(self._segments, groups, strict=True):
-            line.update(*_pair([row.step for row in rows], [row.potential for row in rows]))
-        self._kinetic.update(*_pair([row.step for row in history], [row.kinetic for row in history]))
-        last = float(max(history[-1].step, 1))
-        for chart, values in ((top, [r.potential for r in history]), (below, [r.kinetic for r in history])):
-            chart.x_range = (0.0, last)
-            chart.y_range = _range(values, from_zero=chart is below)
-            _set_ticks(chart.x_axis, chart.x_range, 4, whole=True)
-            _set_ticks(chart.y_axis, chart.y_range, 3, whole=False)
+    def update(self, histories: Sequence[Sequence[StepRecord]]) -> None:
+        """Show the histories of the objects of a run, a line for each.
+
+        Each level has an image of its own, with energies of its own: lines of the potential have gaps there.
+        """
+        self._is_single = len(histories) < 2
+        numbered = [(position, list(history)) for position, history in enumerate(histories) if history]
+        potential = [
+            _Curve.of(position, list(records), "potential")
+            for position, history in numbered
+            for _, records in groupby(history, key=lambda record: record.level)
+        ]
+        kinetic = [_Curve.of(position, history, "kinetic") for position, history in numbered]
+        self._draw(potential, kinetic)
+        last = max((1.0, *(history[-1].step for _, history in numbered)))
+        for chart, curves in zip(self._charts, (potential, kinetic), strict=True):
+            if curves:
+                chart.x_range = (0.0, float(last))
+                chart.y_range = _range([v for curve in curves for v in curve.values], from_zero=curves is kinetic)
+                _set_ticks(chart.x_axis, chart.x_range, 4, whole=True)
+                _set_ticks(chart.y_axis, chart.y_range, 3, whole=False)
+
+    def _draw(self, potential: list[_Curve], kinetic: list[_Curve]) -> None:
+        """Draw the curves, in place of those before; a chart needs at least one line of kinetic energy."""
+        self._curves = (potential, kinetic or [_Curve(0, [0.0, 1.0], [0.0, 0.0])])
+        for chart, lines, curves in zip(self._charts, (self._potential, self._kinetic), self._curves, strict=True):
+            while len(lines) < len(curves):
+                lines.append(chart.line([0.0, 1.0], [0.0, 0.0], width=2.0))
+            while len(lines) > len(curves):
+                chart.remove_plot(lines.pop())
+            for line, curve in zip(lines, curves, strict=True):
+                line.update(*curve.points())
+        self._paint_lines()
+
+    def _paint_lines(self) -> None:
+        """Colour the lines: of one object as the theme has it, of several each in the colour of its surface."""
+        colors = (self._theme.potential, self._theme.kinetic)
+        for lines, curves, color in zip((self._potential, self._kinetic), self._curves, colors, strict=True):
+            for line, curve in zip(lines, curves, strict=True):
+                line.color = color if self._is_single else object_color(curve.position)
 
     def fit(self, height: int) -> None:
         """Make text readable in a window of so many pixels."""
@@ -69,7 +113,7 @@ class EnergyChart:
                 axis.GetTitleProperties().SetFontSize(size)
 
     def paint(self, theme: Theme) -> None:
-        """Take up a theme."""
+        """Use a theme."""
         self._theme = theme
         ink = pv.Color(theme.ink).float_rgb
         for chart in self._charts:
@@ -83,13 +127,11 @@ class EnergyChart:
                 axis.pen.color = theme.lines
                 axis.GetGridPen().SetColor(*pv.Color(theme.lines).int_rgb)
                 axis.GetGridPen().SetOpacity(90)
-        for line in self._segments:
-            line.color = theme.potential
-        self._kinetic.color = theme.kinetic
+        self._paint_lines()
 
 
 def _set_ticks(axis: pv.plotting.charts.Axis, ends: tuple[float, float], parts: int, whole: bool) -> None:
-    """Put ticks at round numbers: VTK's own would be at odd places, with many digits."""
+    """Put ticks at round numbers; those of VTK have many digits."""
     low, high = ends
     gap = round_length((high - low) / parts) if high > low else 1.0
     gap = max(gap, 1.0) if whole else gap
@@ -98,12 +140,6 @@ def _set_ticks(axis: pv.plotting.charts.Axis, ends: tuple[float, float], parts: 
         positions.InsertNextValue(number * gap)
         labels.InsertNextValue(f"{number * gap:.4g}")
     axis.SetCustomTickPositions(positions, labels)
-
-
-def _pair(x: Sequence[float], y: Sequence[float]) -> tuple[list[float], list[float]]:
-    """At least two points, as the chart wants them."""
-    x, y = [float(v) for v in x], [float(np.nan_to_num(v)) for v in y]
-    return (x, y) if len(x) > 1 else ([x[0], x[0] + 1e-3], [y[0], y[0]])
 
 
 def _range(values: Sequence[float], from_zero: bool) -> tuple[float, float]:

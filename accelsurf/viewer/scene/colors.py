@@ -1,4 +1,4 @@
-"""Colours of the scene, dark and light, and of quantities on the surface; all safe for any colour vision."""
+"""Colours of the scene, dark and light, and of quantities on the surface; told apart with any colour vision."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.report.canvas import BLUE, ORANGE, SKY, VERMILION
+from accelsurf.report.preview import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 
 class Theme(NamedTuple):
@@ -26,24 +26,37 @@ THEMES = {
     "dark": Theme("#14171C", "#1D2128", "#F2F2F2", "#5A6270", SKY, ORANGE),
     "light": Theme("#FFFFFF", "#FFFFFF", "#1A1A1A", "#9AA0A8", BLUE, VERMILION),
 }
-#: The surface and its contour; the reference and its; the cursor's lines; a start that is being placed.
-SURFACE, REFERENCE, CURSOR, MARK = ORANGE, SKY, "#F0E442", "#CC79A7"
+#: Surfaces and contours of the objects, in order of their ids.
+OBJECT_COLORS = (ORANGE, GREEN, BLUE, VERMILION, PURPLE)
+#: The first object, also the accent of controls; the reference; the cursor's lines; a ball that is being placed.
+SURFACE, REFERENCE, CURSOR, MARK = ORANGE, SKY, "#F0E442", PURPLE
 
 
 class Shade(NamedTuple):
-    """How a quantity is shown: title of its scale, matplotlib's colour map, whether 0 is the middle of the map."""
+    """How a quantity is shown: title of its scale, colour map of matplotlib, whether 0 is the middle of the map."""
 
     title: str
     cmap: str
     signed: bool
 
 
-#: Purple to orange, and cividis, were made for people who do not tell red from green.
+#: Purple to orange, and cividis, can be read without telling red from green.
 SHADES = {
     "speed": Shade("outward speed, mm per unit time (above 0: grows)", "PuOr", True),
     "force": Shade("outward force (above 0: grows)", "PuOr", True),
     "density": Shade("density, mass per mm2", "cividis", False),
 }
+
+
+def object_color(position: int) -> str:
+    """Return the colour of the object at this position in the order of ids; colours repeat after five objects.
+
+    Examples
+    --------
+    >>> object_color(0) == SURFACE, object_color(5) == SURFACE
+    (True, True)
+    """
+    return OBJECT_COLORS[position % len(OBJECT_COLORS)]
 
 
 def theme_named(name: str) -> Theme:
@@ -60,7 +73,7 @@ def theme_named(name: str) -> Theme:
 
 
 def color_range(values: NDArray[np.float32], signed: bool) -> tuple[float, float]:
-    """Return the values at both ends of the scale: round numbers, so that it does not flicker from step to step.
+    """Return the values at both ends of the scale: round numbers, so that it seldom changes from step to step.
 
     Examples
     --------

@@ -17,7 +17,7 @@ GREY_PERCENTILES = (1.0, 99.0)
 
 
 def grey_values(volume: Volume) -> NDArray[np.uint8]:
-    """Return the image as grey values (nz, ny, nx); plane by plane, so that no second volume of floats is held."""
+    """Return the image as grey values (nz, ny, nx); plane by plane, so that no second volume of floats is needed."""
     sample = volume.array[tuple(slice(None, None, max(1, n // 128)) for n in volume.array.shape)]
     sample = sample[np.isfinite(sample)] if sample.dtype.kind == "f" else sample
     low, high = np.percentile(sample, GREY_PERCENTILES) if sample.size else (0.0, 1.0)
@@ -30,14 +30,14 @@ def grey_values(volume: Volume) -> NDArray[np.uint8]:
     return out
 
 
-def grabbed(window: vtkRenderWindow) -> NDArray[np.uint8]:
-    """Return what a window shows that has been rendered, (height, width, 3)."""
-    grab = vtkWindowToImageFilter()
-    grab.SetInput(window)
-    grab.ReadFrontBufferOff()
-    grab.ShouldRerenderOff()
-    grab.Update()
-    image = pv.wrap(grab.GetOutput())
+def grab(window: vtkRenderWindow) -> NDArray[np.uint8]:
+    """Return what a rendered window shows, (height, width, 3)."""
+    filter_ = vtkWindowToImageFilter()
+    filter_.SetInput(window)
+    filter_.ReadFrontBufferOff()
+    filter_.ShouldRerenderOff()
+    filter_.Update()
+    image = pv.wrap(filter_.GetOutput())
     width, height, _ = image.dimensions
     return np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
 

@@ -1,7 +1,7 @@
-"""Pictures without a screen: whether VTK can draw here at all, asked where it cannot hurt.
+"""Pictures without a screen: whether VTK can draw on this machine at all.
 
-VTK looks for a screen, then for EGL, then for OSMesa by itself; where it finds nothing the process dies. So it is
-asked in another process first.
+VTK looks for a screen, then for EGL, then for OSMesa; where it finds none of them, it ends the process. So this is
+tried in another process first.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class GraphicsError(AccelsurfError):
 
 
 def require_graphics() -> str:
-    """Make sure that pictures can be drawn without a screen, and keep VTK's warnings about the search off stderr.
+    """Make sure that pictures can be drawn without a screen, and keep VTK's warnings about its search off stderr.
 
     Returns
     -------
@@ -63,11 +63,11 @@ def require_graphics() -> str:
 
 @functools.cache
 def _probed() -> str:
-    """Name of the window that drew in another process, or nothing; a machine does not change while we run."""
+    """Name of the render window that drew in another process, or nothing; does not change while we run."""
     try:
         done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=_SECONDS)
     except (OSError, subprocess.TimeoutExpired):
         return ""
     before, found, name = done.stdout.partition("drew with ")
-    # What drew nothing names the base class.
+    # The base class draws nothing.
     return name.strip() if done.returncode == 0 and found and name.strip() != "vtkRenderWindow" else ""

@@ -1,6 +1,6 @@
 """What a mouse does to a scene: turn, shift and zoom in 3D, drag slices, place balls; for pages, which send events.
 
-Places are pixels of the picture, counted from its lower left corner.
+Positions are pixels of the picture, counted from its lower left corner.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import check_known
 from accelsurf.viewer.scene.scene import Scene
 
-#: What a drag of the left button does: look around, or place a ball that becomes the start, is added or taken away.
+#: What a drag of the left button does: look around, or place a ball that becomes the start, is added or removed.
 MODES = ("look", "start", "add", "remove")
 #: Degrees that the camera turns per pixel of a picture 720 high; zoom per notch of the wheel.
 TURN, ZOOM = 0.45, 1.12
@@ -40,7 +40,7 @@ class Mouse:
         self._ball: NDArray[np.float64] | None = None
 
     def set_mode(self, mode: str) -> None:
-        """Take up one of `MODES`.
+        """Use one of `MODES`.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Mouse:
         return self.mode, text
 
     def wheel(self, x: float, y: float, notches: float) -> None:
-        """Zoom in 3D; go through the slices elsewhere."""
+        """Zoom in 3D; change the slice elsewhere."""
         picked = self._scene.pick(x, y)
         if picked.tile in self._scene.slice_tiles:
             self._scene.step_slice(picked.tile, 1 if notches > 0 else -1)

@@ -11,7 +11,7 @@ from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMa
 
 from accelsurf.grid.orientation import LETTERS
 
-#: Height of text, parts of the window's height, and the least that can be read, pixels.
+#: Height of text, parts of the window's height, and the smallest that can be read, pixels.
 TEXT, MIN_TEXT = 1 / 50, 12
 
 
@@ -23,7 +23,8 @@ class Label:
     renderer : pyvista.Renderer
     color : str
     place : (float, float)
-        Of the text's left end; past the middle of its right end; at the middle of its middle.
+        Of the text's left end in the left part of the renderer, of its centre in the middle, of its right end in the
+        right part.
     text : str, optional
     boxed : bool, optional
         Bold on a dark ground, to be read on any image; the place is that of its middle.
@@ -76,11 +77,11 @@ class Label:
         self._actor.GetTextProperty().SetFontSize(max(MIN_TEXT, round(height * TEXT)))
 
     def move(self, right: float, up: float) -> None:
-        """Go to another place."""
+        """Change the place."""
         self._actor.SetPosition(right, up)
 
     def paint(self, color: str) -> None:
-        """Take another colour."""
+        """Change the colour."""
         self._actor.GetTextProperty().SetColor(pv.Color(color).float_rgb)
 
 
@@ -114,21 +115,21 @@ class ScaleBar:
         self._label.text = f"{length:g} mm"
 
     def paint(self, color: str) -> None:
-        """Take another colour."""
+        """Change the colour."""
         self._actor.GetProperty().SetColor(pv.Color(color).float_rgb)
         self._label.paint(color)
 
 
-def round_length(most: float) -> float:
-    """Return the largest of 1, 2, 5, 10, ... (and tenths, ...) that is at most ``most``.
+def round_length(largest: float) -> float:
+    """Return the largest of 1, 2, 5, 10, ... (and tenths, ...) that is at most ``largest``.
 
     Examples
     --------
     >>> round_length(73.0), round_length(0.21)
     (50.0, 0.2)
     """
-    decade = 10.0 ** math.floor(math.log10(most))
-    return float(f"{max(step * decade for step in (1, 2, 5) if step * decade <= most * (1 + 1e-9)):g}")
+    decade = 10.0 ** math.floor(math.log10(largest))
+    return float(f"{max(step * decade for step in (1, 2, 5) if step * decade <= largest * (1 + 1e-9)):g}")
 
 
 def orientation_cube(anatomical: bool) -> vtkAnnotatedCubeActor:
@@ -139,7 +140,7 @@ def orientation_cube(anatomical: bool) -> vtkAnnotatedCubeActor:
         getattr(cube, f"Set{axis}MinusFaceText")(low)
         getattr(cube, f"Set{axis}PlusFaceText")(high)
     cube.SetFaceTextScale(0.6 if anatomical else 0.45)
-    # Upright seen from any side, and from above for whoever stands in front.
+    # The letters stand upright seen from any side, and from above seen from the front.
     cube.SetZFaceTextRotation(-90)
     cube.GetCubeProperty().SetColor(0.30, 0.33, 0.38)
     cube.GetTextEdgesProperty().SetColor(1.0, 1.0, 1.0)

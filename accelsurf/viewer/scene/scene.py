@@ -1,8 +1,8 @@
-"""The scene: surface in 3D, three slices, chart of the energies; the same for desktop, browser, movie and preview.
+"""The scene: surfaces in 3D, three slices, chart of the energies; the same for desktop, browser, movie and preview.
 
     +---------------+-------+-------+
     |               | axial | coro- |
-    |  surface, mm  |       | nal   |      an image of one slice:      +-----------+------+
+    | surfaces, mm  |       | nal   |      an image of one slice:      +-----------+------+
     |               +-------+-------+                                  |   slice   | ener-|
     |               | sagit-| ener- |                                  |           | gies |
     |               | tal   | gies  |                                  +-----------+------+
@@ -15,46 +15,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.analysis.surface_mesh import write_atomically
-from accelsurf.errors import InputError, UsageError, check_known
+from accelsurf.errors import UsageError, check_known
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.orientation import DisplayOrientation
+from accelsurf.grid.orientation import Upright
 from accelsurf.grid.volume import Volume
 from accelsurf.io.headers import is_anatomical
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.scene.chart import EnergyChart
-from accelsurf.viewer.scene.colors import REFERENCE, SURFACE, Theme, theme_named
-from accelsurf.viewer.scene.grey_images import grabbed, grey_values, png_bytes
+from accelsurf.viewer.scene.colors import REFERENCE, Theme, object_color, theme_named
+from accelsurf.viewer.scene.grey_images import grab, grey_values, png_bytes
 from accelsurf.viewer.scene.headless import require_graphics
-from accelsurf.viewer.scene.overlay import Label
-from accelsurf.viewer.scene.shapes import label_surface, slice_of
+from accelsurf.viewer.scene.legend import Legend
+from accelsurf.viewer.scene.picking import Picked, place_in_renderer
+from accelsurf.viewer.scene.reference import Reference
+from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import VIEWS, SpaceTile
 
 #: Size of a window or picture unless another is asked for, pixels.
 SIZE = (1280, 720)
 TILES = ("axial", "coronal", "sagittal")
-_LEGEND = ((SURFACE, 0.985), (REFERENCE, 0.955))
-
-
-class Picked(NamedTuple):
-    """What lies under a pixel: the ``tile`` (space, axial, coronal, sagittal, energies), and the ``world`` point
-    (x, y, z), mm, in a slice or on the surface; None beside them.
-    """
-
-    tile: str
-    world: NDArray[np.float64] | None
 
 
 class Scene:
-    """Everything that is drawn of one image and the surface in it.
+    """Everything that is drawn of one image and the surfaces in it.
 
     Parameters
     ----------
@@ -98,20 +90,13 @@ class Scene:
         title: str | None = None,
     ) -> None:
         self._theme = theme_named(theme)
-        if reference is not None and not volume.geometry.matches(reference.geometry):
-            raise InputError(
-                f"the reference is not on the image's grid: {volume.geometry.difference(reference.geometry)}",
-                "resample it to the image's grid",
-            )
+        self._reference = None if reference is None else Reference(reference, volume.geometry)
         self.volume, self.geometry = volume, volume.geometry
         self.frame: Frame | None = None
-        self._history: Sequence[StepRecord] = ()
         self._color = "plain"
         self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
-        self._reference = None if reference is None else np.asarray(reference.array > 0)
-        self._reference_voxels = 0 if self._reference is None else int(self._reference.sum())
         self.anatomical = is_anatomical(volume.metadata)
         if plotter is None:
             require_graphics()
@@ -129,7 +114,7 @@ class Scene:
         return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
 
     def _build(self) -> None:
-        plotter, upright, grey = self.plotter, DisplayOrientation.of(self.geometry), grey_values(self.volume)
+        plotter, upright, grey = self.plotter, Upright.of(self.geometry), grey_values(self.volume)
         flat = self.geometry.slice_axis
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
@@ -137,7 +122,7 @@ class Scene:
             plotter.subplot(0, 0)
             self.space = SpaceTile(plotter, self.geometry, grey, self.anatomical, self._theme)
             if self._reference is not None:
-                self.space.show_reference(label_surface(self._reference, self.geometry))
+                self.space.show_reference(label_surface(self._reference.inside, self.geometry))
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
@@ -148,31 +133,29 @@ class Scene:
         self._chart_renderer.SetInteractive(False)
         self._chart = EnergyChart(plotter, self._theme)
         plotter.subplot(0, 0)
-        self._soft_reference = None if self._reference is None else np.float32(0.5) - self._reference
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
-        self._legend = [Label(largest, color, (0.985, high), top=True) for color, high in _LEGEND]
-        self._note = Label(largest, self._theme.ink, (0.5, 0.015))
+        self._legend = Legend(largest)
         self._show_slices()
 
     # -- what is drawn -------------------------------------------------------------------------------------
 
-    def update(self, frame: Frame, history: Sequence[StepRecord] = ()) -> None:
+    def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = ()) -> None:
         """Draw a frame.
 
         Parameters
         ----------
         frame : Frame
             Of this image.
-        history : sequence of Row, optional
-            The rows up to this frame, for the chart.
+        histories : sequence of sequences of StepRecord, optional
+            The records of each object up to this frame, for the chart.
         """
-        self.frame, self._history = frame, history
+        self.frame = frame
         if frame.has_surface and not self._cursor_is_set:
             self._cursor = np.clip(frame.middle(), 0.0, np.array(self.geometry.shape) - 1.0)
             self._cursor_is_set = True
             self._show_slices()
         self._show_frame()
-        self._chart.update(history)
+        self._chart.update(histories)
 
     def _show_frame(self) -> None:
         frame = self.frame
@@ -181,25 +164,32 @@ class Scene:
         if self.space is not None:
             self.space.show(frame, self._color)
         for tile in self.slice_tiles.values():
-            tile.draw_contour("surface", slice_of(frame, tile.axis, self._cursor_on(tile)), frame, SURFACE)
-        if self._reference is not None:
-            value = self.dice
-            self._legend[0].text = "surface"
-            self._legend[1].text = "reference" if value is None else f"reference, Dice {value:.3f}"
-        lines = [line for line in (self.title, *self._told(frame)) if line]
+            tile.draw_objects(frame)
+        self._legend.show(self._legend_lines(frame))
+        lines = [line for line in (self.title, *self._caption(frame)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
             next(iter(self.slice_tiles.values())).title.text = "   ".join(lines)
 
-    def _told(self, frame: Frame) -> list[str]:
-        """What is written about a frame."""
-        row = frame.row
-        where = f"step {row.step}" + (f", level {row.level} (coarse grid)" if row.level else "")
-        thickness = self.geometry.spacing[self.geometry.slice_axis] if self.geometry.slice_axis is not None else None
-        if thickness is None:
-            return [where, f"volume {_number(row.volume_mm3)} mm3"]
-        return [where, f"area {_number(row.volume_mm3 / thickness)} mm2"]
+    def _legend_lines(self, frame: Frame) -> list[tuple[str, str]]:
+        """Text and colour of each line of the legend; none for one object without a reference."""
+        several = len(frame.surfaces) > 1
+        if not several and self._reference is None:
+            return []
+        lines = [
+            (f"object {surface.id}" if several else "surface", object_color(position))
+            for position, surface in enumerate(frame.surfaces)
+        ]
+        return lines if self._reference is None else [*lines, (f"reference, Dice {self.dice:.3f}", REFERENCE)]
+
+    def _caption(self, frame: Frame) -> list[str]:
+        """Step, level, and the volume (of an image of one slice the area) of the objects."""
+        step = f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
+        axis = self.geometry.slice_axis
+        if axis is None:
+            return [step, f"volume {_number(frame.volume_mm3)} mm3"]
+        return [step, f"area {_number(frame.volume_mm3 / self.geometry.spacing[axis])} mm2"]
 
     @property
     def theme(self) -> Theme:
@@ -208,19 +198,16 @@ class Scene:
 
     @property
     def legend(self) -> tuple[str, ...]:
-        """What is written about the reference: what each colour is, and Dice; empty without one."""
-        return tuple(label.text for label in self._legend if label.text)
+        """What each colour is, and Dice; empty for one object without a reference."""
+        return self._legend.lines
 
     @property
     def dice(self) -> float | None:
-        """Dice of the surface drawn now and the reference; None without either. Coarse frames count their voxels."""
-        frame = self.frame
-        if self._reference is None or frame is None:
-            return None
-        return frame.dice(self._reference, self._reference_voxels)
+        """Dice of the objects drawn now and the reference; None without either. Coarse frames count their voxels."""
+        return None if self._reference is None or self.frame is None else self._reference.dice(self.frame)
 
     def color_by(self, name: str) -> None:
-        """Colour the surface by a quantity, ``plain``, ``speed``, ``force`` or ``density``.
+        """Colour the surfaces by a quantity, ``plain``, ``speed``, ``force`` or ``density``.
 
         A frame that lacks it is drawn plain.
 
@@ -243,13 +230,9 @@ class Scene:
         if self.space is not None:
             self.space.show_planes(on, self._cursor)
 
-    def slices(self, x: float, y: float, z: float) -> None:
-        """Put the cursor, through which the slices go, at a world point, mm (LPS); held to the image."""
-        self.cursor = (x, y, z)
-
     @property
     def cursor(self) -> NDArray[np.float64]:
-        """The world point (x, y, z), mm LPS, through which the slices go; may be set."""
+        """The world point (x, y, z), mm LPS, through which the slices go; clipped to the image when set."""
         return self.geometry.index_to_world(self._cursor)
 
     @cursor.setter
@@ -263,38 +246,31 @@ class Scene:
         self._show_frame()
 
     def step_slice(self, name: str, count: int) -> None:
-        """Go ``count`` slices on in a tile, one of ``slice_tiles``; towards the world's larger coordinate."""
+        """Go ``count`` slices further in a tile, one of ``slice_tiles``, towards larger world coordinates."""
         tile = self.slice_tiles[name]
         index = self._cursor.copy()
-        sign = -1 if DisplayOrientation.of(self.geometry).flips[tile.plane] else 1
+        sign = -1 if Upright.of(self.geometry).flips[tile.plane] else 1
         index[tile.axis] = round(index[tile.axis]) + sign * count
         self.cursor = self.geometry.index_to_world(index)
 
     def _show_slices(self) -> None:
         for tile in self.slice_tiles.values():
             tile.show(self._cursor)
-            if self._soft_reference is not None:
-                tile.draw_labels("reference", self._soft_reference, REFERENCE)
+            if self._reference is not None:
+                tile.draw_reference(self._reference.contour_function)
         if self.space is not None:
             self.space.move_planes(self._cursor)
 
-    def _cursor_on(self, tile: SliceTile) -> float:
-        return float(tile.index)
-
     def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
-        """Draw a ball that is to be the start (world mm), in 3D and where it cuts the slices; None takes it away."""
+        """Draw a ball that is being placed (world mm), in 3D and where it cuts the slices; None removes it."""
         middle = None if center is None else np.asarray(center, float)
         if self.space is not None:
             self.space.mark_ball(middle, radius)
         for tile in self.slice_tiles.values():
             tile.mark_ball(middle, radius, self.geometry)
 
-    def say(self, text: str) -> None:
-        """Write a line or more at the lower edge of the largest tile, in place of the last: help, warnings."""
-        self._note.text = text
-
     def paint(self, theme: str) -> None:
-        """Take up a theme.
+        """Use a theme.
 
         Raises
         ------
@@ -307,7 +283,6 @@ class Scene:
         for tile in (self.space, *self.slice_tiles.values(), self._chart):
             if tile is not None:
                 tile.paint(self._theme)
-        self._note.paint(self._theme.ink)
 
     # -- pictures ------------------------------------------------------------------------------------------
 
@@ -331,7 +306,7 @@ class Scene:
     def pick(self, x: float, y: float) -> Picked:
         """What lies under a pixel, counted from the lower left corner of the window."""
         for name, tile in self.slice_tiles.items():
-            inside = _within(tile.renderer, x, y)
+            inside = place_in_renderer(tile.renderer, x, y)
             if inside is not None:
                 right, up = tile.to_plane(*inside)
                 left, far, bottom, top = tile.extent
@@ -339,20 +314,20 @@ class Scene:
                     index = tile.from_tile(right, up, self._cursor)
                     return Picked(name, self.geometry.index_to_world(index))
                 return Picked(name, None)
-        if self.space is not None and _within(self.space.renderer, x, y) is not None:
+        if self.space is not None and place_in_renderer(self.space.renderer, x, y) is not None:
             return Picked("space", self.space.pick(x, y))
         return Picked("energies", None)
 
     def smooth_edges(self, on: bool) -> None:
-        """Draw edges smoothly (the default), or two to four times faster, where there is no graphics card."""
+        """Draw edges smoothly (the default), or not: two to four times faster where there is no graphics card."""
         self.plotter.render_window.SetMultiSamples(8 if on else 0)
 
     def resize(self, width: int, height: int) -> None:
-        """Take another size, pixels."""
-        before = None if self.space is None else self.space.fitted()
+        """Change the size of the picture, pixels."""
+        before = None if self.space is None else self.space.fitted_scale()
         self.plotter.render_window.SetSize(width, height)
         if self.space is not None and before is not None:
-            self.space.zoom(before / self.space.fitted())
+            self.space.zoom(before / self.space.fitted_scale())
 
     def render(self) -> None:
         """Draw what has changed."""
@@ -361,13 +336,13 @@ class Scene:
     def screenshot(self, path: str | Path | None = None) -> NDArray[np.uint8]:
         """Render, and return the picture (height, width, 3), uint8; with a path write it there as PNG."""
         self.render()
-        picture = grabbed(self.plotter.render_window)
+        picture = grab(self.plotter.render_window)
         if path is not None:
             write_atomically(Path(path), png_bytes(picture))
         return picture
 
     def close(self) -> None:
-        """Let everything go."""
+        """Free the plotter and its memory."""
         self.plotter.close()
 
     def _fit(self) -> None:
@@ -376,19 +351,10 @@ class Scene:
         for tile in (self.space, *self.slice_tiles.values()):
             if tile is not None:
                 tile.fit(height)
-        for label in (self._note, *self._legend):
-            label.fit(height)
+        self._legend.fit(height)
         self._chart.fit(height)
 
 
 def _number(value: float) -> str:
     """A measure with four digits, or all before the point, in groups of three."""
     return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}".replace(",", " ")
-
-
-def _within(renderer: pv.Renderer, x: float, y: float) -> tuple[float, float] | None:
-    """Place of a pixel in a renderer, each from 0 to 1; None outside it."""
-    width, height = renderer.GetRenderWindow().GetSize()
-    left, bottom, right, top = renderer.GetViewport()
-    place = ((x / width - left) / (right - left), (y / height - bottom) / (top - bottom))
-    return place if all(0 <= part < 1 for part in place) else None

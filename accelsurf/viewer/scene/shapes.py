@@ -1,4 +1,4 @@
-"""From a Frame to what VTK draws: the surface in world mm, the contour in a slice; no plotter here."""
+"""From psi to what VTK draws: the surface in world mm, the contour in a slice; no plotter here."""
 
 from __future__ import annotations
 
@@ -10,42 +10,42 @@ from vtkmodules.vtkFiltersCore import vtkFlyingEdges2D, vtkFlyingEdges3D
 from vtkmodules.vtkRenderingCore import vtkTexture
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.core.frame import SurfaceFrame
 
 #: Standard deviation, voxels, of the Gaussian that turns a label map into something with a smooth surface.
 SMOOTH_LABELS = 0.8
 
 
-def isosurface(frame: Frame, geometry: Geometry, color: str = "plain") -> pv.PolyData:
-    """The surface of a frame.
+def isosurface(surface: SurfaceFrame, geometry: Geometry, color: str = "plain") -> pv.PolyData:
+    """The surface of an object.
 
     Parameters
     ----------
-    frame : Frame
+    surface : SurfaceFrame
     geometry : Geometry
         Of the image.
     color : str, optional
-        A quantity of the frame to put on the points; one that it lacks is left out.
+        A quantity of the surface to put on the points; one that it lacks is left out.
 
     Returns
     -------
     pyvista.PolyData
         In world mm (LPS), closed at the volume's border, with normals, which point outward; empty without a surface.
     """
-    mesh = closed_surface(frame.psi)
+    mesh = closed_surface(surface.psi)
     if mesh.n_points == 0:
         return mesh
     places = np.asarray(mesh.points, float)[:, ::-1]
-    if color in frame.quantities:
-        mesh.point_data[color] = frame.sample(color, places)
+    if color in surface.quantities:
+        mesh.point_data[color] = surface.sample(color, places)
         mesh.set_active_scalars(color)
-    steps = np.array(frame.grid.factors) * frame.step * np.array(geometry.spacing)
-    _to_world(mesh, geometry.index_to_world(frame.to_image(places)), geometry, steps)
+    steps = np.array(surface.level.factors) * surface.stride * np.array(geometry.spacing)
+    _to_world(mesh, geometry.index_to_world(surface.to_image(places)), geometry, steps)
     return mesh
 
 
 def label_surface(labels: NDArray[np.bool_], geometry: Geometry) -> pv.PolyData:
-    """The surface of a label map in world mm (LPS), its voxels' steps smoothed away."""
+    """The surface of a label map in world mm (LPS), with the stair steps of its voxels smoothed away."""
     inside = np.argwhere(labels)
     if not len(inside):
         return pv.PolyData()
@@ -103,23 +103,23 @@ def contour(plane: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(lines.points, float)[ends][:, :, 1::-1]
 
 
-def slice_of(frame: Frame, axis: int, index: float) -> NDArray[np.float32] | None:
+def slice_of(surface: SurfaceFrame, axis: int, index: float) -> NDArray[np.float32] | None:
     """The plane of psi at an image ``index`` along an array axis, linear between planes; None beside the box."""
-    n = frame.psi.shape[axis]
+    n = surface.psi.shape[axis]
     if n == 0:
         return None
-    ask = np.zeros(3)
-    ask[axis] = index
-    place = float(frame.from_image(ask)[axis])
+    at = np.zeros(3)
+    at[axis] = index
+    place = float(surface.from_image(at)[axis])
     if not -0.5 <= place <= n - 0.5:
         return None
     place = min(max(place, 0.0), n - 1.0)
     low = min(int(place), max(n - 2, 0))
     share = np.float32(place - low)
-    first = frame.psi.take(low, axis=axis)
+    first = surface.psi.take(low, axis=axis)
     if share == 0:
         return np.asarray(first)
-    return np.asarray((1 - share) * first + share * frame.psi.take(low + 1, axis=axis))
+    return np.asarray((1 - share) * first + share * surface.psi.take(low + 1, axis=axis))
 
 
 class GreyTexture:
@@ -132,7 +132,7 @@ class GreyTexture:
         self.show(np.zeros((2, 2), np.uint8))
 
     def show(self, rows: NDArray[np.uint8]) -> None:
-        """Take a picture, its first row at the lower edge of the quad."""
+        """Show a picture, its first row at the lower edge of the quad."""
         image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
         image.point_data["grey"] = np.repeat(rows.reshape(-1, 1), 3, axis=1)
         self.texture.SetInputData(image)
@@ -144,7 +144,7 @@ def _to_world(
     """Move points and normals from indices to the world; ``steps`` (hz, hy, hx) is the mm per index."""
     normals = mesh.point_data.active_normals
     mesh.points = points.astype(np.float32)
-    # Triangles that do not turn the way of the normals would be lit from behind; a left-handed grid mirrors them.
+    # The order of corners must agree with the normals, or triangles are lit from behind; a left-handed grid flips it.
     corners = np.asarray(mesh.faces).reshape(-1, 4)
     if np.linalg.det(geometry.direction) > 0:
         corners = corners[:, [0, 1, 3, 2]]

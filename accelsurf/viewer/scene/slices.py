@@ -10,9 +10,9 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrientation
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import CURSOR, MARK, Theme
+from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, Theme, object_color
 from accelsurf.viewer.scene.overlay import Label, ScaleBar
-from accelsurf.viewer.scene.shapes import GreyTexture, contour
+from accelsurf.viewer.scene.shapes import GreyTexture, contour, slice_of
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
 FILL = 0.82
@@ -53,6 +53,7 @@ class SliceTile:
         self.axis = upright.order[plane]
         self._index = -1
         self._lines: dict[str, pv.Actor] = {}
+        self._drawn_objects = 0
         self._texture = GreyTexture()
         left, right, bottom, top = self.extent
         middle = (0.5 * (left + right), 0.5 * (bottom + top), 0.0)
@@ -98,7 +99,7 @@ class SliceTile:
         return out
 
     def from_tile(self, right: float, up: float, cursor: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Index (z, y, x) of a place in the tile, on the slice of the index ``cursor``, held to the image."""
+        """Index (z, y, x) of a place in the tile, on the slice of the index ``cursor``, clipped to the image."""
         out = np.array(cursor, float)
         for value, axis in ((right, self._horizontal), (-up if self._down else up, self._vertical)):
             n = self._image.shape[axis]
@@ -113,7 +114,7 @@ class SliceTile:
         x, y, _ = self.renderer.camera.focal_point
         return x + (right - 0.5) * width * mm, y + (up - 0.5) * height * mm
 
-    # -- what it shows -------------------------------------------------------------------------------------
+    # -- what is drawn -------------------------------------------------------------------------------------
 
     def show(self, cursor: NDArray[np.float64]) -> None:
         """Go to the slice nearest to an index (z, y, x) of the image, and draw the cursor's lines."""
@@ -128,7 +129,7 @@ class SliceTile:
         left, right, bottom, top = self.extent
         x, y = self.to_tile(np.asarray(cursor, float))
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
-        self.draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
+        self._draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
         name = PLANES[self.plane] if self._anatomical else "Slice"
         where = self._up.coordinate(self.plane, turned)
         self.title.text = f"{name}  {self._up.names[self.plane]} = {where:.4g} mm"
@@ -139,23 +140,28 @@ class SliceTile:
         n = self._image.shape[self.plane]
         return n - 1 - self._index if self._up.flips[self.plane] else self._index
 
-    def draw_contour(self, name: str, frame_slice: NDArray[np.float32] | None, frame: Frame, color: str) -> None:
-        """Draw the zero level of psi in this slice, from `shapes.slice_of`."""
-        lines = np.zeros((0, 2, 2)) if frame_slice is None else contour(frame_slice)
-        places = np.zeros((len(lines), 2, 3))
-        rows, columns = (axis for axis in range(3) if axis != self.axis)
-        if len(lines):
-            places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
-        self.draw_lines(name, self.to_tile(frame.to_image(places)), color, 2.2)
+    def draw_objects(self, frame: Frame) -> None:
+        """Draw the contour of each object of a frame in this slice."""
+        for position, surface in enumerate(frame.surfaces):
+            part = slice_of(surface, self.axis, self.index)
+            places = self._in_slice(np.zeros((0, 2, 2)) if part is None else contour(part))
+            lines = self.to_tile(surface.to_image(places))
+            self._draw_lines(f"object {position}", lines, object_color(position), 2.2)
+        for position in range(len(frame.surfaces), self._drawn_objects):
+            self._lines[f"object {position}"].SetVisibility(False)
+        self._drawn_objects = len(frame.surfaces)
 
-    def draw_labels(self, name: str, labels: NDArray[np.float32], color: str) -> None:
+    def draw_reference(self, function: NDArray[np.float32]) -> None:
         """Draw where a function of the whole image, negative inside, is 0 in this slice."""
-        lines = contour(np.asarray(labels.take(self.index, axis=self.axis)))
+        places = self._in_slice(contour(np.asarray(function.take(self.index, axis=self.axis))))
+        self._draw_lines("reference", self.to_tile(places), REFERENCE, 1.8)
+
+    def _in_slice(self, lines: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Ends (n, 2, 3) as indices (z, y, x), 0 along the slice's axis, of segments (n, 2, 2) of rows and columns."""
         places = np.zeros((len(lines), 2, 3))
         rows, columns = (axis for axis in range(3) if axis != self.axis)
-        if len(lines):
-            places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
-        self.draw_lines(name, self.to_tile(places), color, 1.8)
+        places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
+        return places
 
     def mark_ball(self, center: NDArray[np.float64] | None, radius: float, geometry: Geometry) -> None:
         """Draw the circle in which a ball (world mm) cuts this slice; nothing for None or beside it."""
@@ -167,12 +173,12 @@ class SliceTile:
                 turn = np.linspace(0.0, 2.0 * np.pi, 65)
                 ring = self.to_tile(index) + np.sqrt(radius**2 - off**2) * np.stack([np.cos(turn), np.sin(turn)], -1)
                 lines = np.stack([ring[:-1], ring[1:]], axis=1)
-        self.draw_lines("ball", lines, MARK, 2.2)
+        self._draw_lines("ball", lines, MARK, 2.2)
 
-    def draw_lines(
+    def _draw_lines(
         self, name: str, lines: NDArray[np.float64], color: str, width: float, opacity: float = 1.0
     ) -> None:
-        """Draw segments (n, 2, 2) in the tile's plane; with none, what has this name goes."""
+        """Draw segments (n, 2, 2) in the tile's plane, in place of those drawn before under this name."""
         depth = {"cursor": 1.0, "reference": 2.0}.get(name, 3.0)
         points = np.column_stack([lines.reshape(-1, 2), np.full(2 * len(lines), depth)])
         mesh = pv.PolyData()
@@ -200,7 +206,7 @@ class SliceTile:
         self._bar.fit(window_height)
 
     def paint(self, theme: Theme) -> None:
-        """Take up another theme."""
+        """Use another theme."""
         self._theme = theme
         self.renderer.background_color = theme.background
         for part in (self.title, self._bar):

@@ -1,4 +1,4 @@
-"""The tile in 3D: the surface in world mm, the image around it on request, the scale, the directions."""
+"""The tile in 3D: the surfaces in world mm, the image around it on request, the scale, the directions."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
+from accelsurf.viewer.scene.colors import MARK, REFERENCE, SHADES, Theme, color_range, object_color
 from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
 
-#: Voxels along an axis of the image as it is drawn in 3D: more take longer than a person wants to wait.
+#: Most voxels along an axis of the image as it is drawn in 3D; more take too long.
 MAX_ALONG = 160
-#: Where the camera looks from, as a direction (x, y, z) in LPS, and what is up there; `corner` is where it begins.
+#: Where the camera is, as a direction (x, y, z) in LPS, and which direction is up; it begins at `corner`.
 VIEWS = {
     "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
     "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -29,7 +29,7 @@ VIEWS = {
 
 
 class SpaceTile:
-    """The renderer that shows the surface.
+    """The renderer that shows the surfaces.
 
     Parameters
     ----------
@@ -49,11 +49,9 @@ class SpaceTile:
     ) -> None:
         self.renderer, self._plotter = plotter.renderer, plotter
         self._geometry, self._grey = geometry, grey
-        self._mesh = pv.PolyData()
+        self._meshes: list[pv.PolyData] = []
         self._color = "plain"
-        self._surface = self._add(self._mesh, SURFACE)
-        style = self._surface.prop
-        style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
+        self._surfaces = [self._add_surface(0)]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
         self.box = _box(geometry)
         self.reference: pv.PolyData | None = None
@@ -76,16 +74,24 @@ class SpaceTile:
     # -- the surface ---------------------------------------------------------------------------------------
 
     def show(self, frame: Frame, color: str) -> None:
-        """Draw the surface of a frame, coloured by a quantity; plain where the frame lacks it."""
-        self._mesh = mesh = isosurface(frame, self._geometry, color)
-        mapper = self._surface.mapper
-        mapper.SetInputData(mesh)
-        self._surface.SetVisibility(mesh.n_points > 0)
-        shaded = color in mesh.point_data
-        mapper.SetScalarVisibility(shaded)
-        self._scale.SetVisibility(shaded)
-        self._quantity.text = SHADES[color].title if shaded else ""
-        if not shaded:
+        """Draw the surfaces of a frame, coloured by a quantity; each in its own colour where it lacks that."""
+        self._meshes = [isosurface(surface, self._geometry, color) for surface in frame.surfaces]
+        while len(self._surfaces) < len(self._meshes):
+            self._surfaces.append(self._add_surface(len(self._surfaces)))
+        for actor in self._surfaces[len(self._meshes) :]:
+            actor.SetVisibility(False)
+        for actor, mesh in zip(self._surfaces, self._meshes, strict=False):
+            actor.mapper.SetInputData(mesh)
+            actor.SetVisibility(mesh.n_points > 0)
+            actor.mapper.SetScalarVisibility(color in mesh.point_data)
+        self._show_scale(color)
+
+    def _show_scale(self, color: str) -> None:
+        """Colour the surfaces that have this quantity on a common scale, and draw the scale."""
+        values = [np.asarray(mesh.point_data[color]) for mesh in self._meshes if color in mesh.point_data]
+        self._scale.SetVisibility(bool(values))
+        self._quantity.text = SHADES[color].title if values else ""
+        if not values:
             for label in self._ends:
                 label.text = ""
             return
@@ -93,24 +99,25 @@ class SpaceTile:
         if color != self._color:
             self._table.apply_cmap(shade.cmap, 256)
             self._color = color
-        mapper.SetLookupTable(self._table)
-        mapper.SetScalarModeToUsePointData()
-        low, high = color_range(mesh.point_data[color], shade.signed)
+        low, high = color_range(np.concatenate(values), shade.signed)
         self._table.scalar_range = low, high
         for label, value in zip(self._ends, (low, 0.5 * (low + high), high), strict=True):
             label.text = f"{value:.3g}"
-        mapper.SetUseLookupTableScalarRange(True)
+        for actor in self._surfaces:
+            actor.mapper.SetLookupTable(self._table)
+            actor.mapper.SetScalarModeToUsePointData()
+            actor.mapper.SetUseLookupTableScalarRange(True)
         self._scale.SetLookupTable(self._table)
 
     @property
     def color(self) -> str:
-        """The quantity that colours the surface drawn now, or ``plain``."""
-        return self._color if self._color in self._mesh.point_data else "plain"
+        """The quantity that colours the surfaces drawn now, or ``plain``."""
+        return self._color if any(self._color in mesh.point_data for mesh in self._meshes) else "plain"
 
     @property
-    def mesh(self) -> pv.PolyData:
-        """The surface drawn now, world mm."""
-        return self._mesh
+    def meshes(self) -> tuple[pv.PolyData, ...]:
+        """The surfaces drawn now, one for each object, world mm."""
+        return tuple(self._meshes)
 
     def show_reference(self, mesh: pv.PolyData) -> None:
         """Draw a second surface, translucent."""
@@ -131,11 +138,11 @@ class SpaceTile:
     def show_volume(self, on: bool) -> None:
         """Draw the image translucent, bright parts denser, or not."""
         if on and self._volume is None:
-            self._volume = self._made_volume()
+            self._volume = self._make_volume()
         if self._volume is not None:
             self._volume.SetVisibility(on)
 
-    def _made_volume(self) -> pv.Volume:
+    def _make_volume(self) -> pv.Volume:
         stride = [max(1, -(-n // MAX_ALONG)) for n in self._grey.shape]
         grey = np.ascontiguousarray(self._grey[tuple(slice(None, None, s) for s in stride)])
         steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
@@ -191,12 +198,12 @@ class SpaceTile:
         toward, upright = VIEWS[view]
         camera = self.renderer.camera
         middle, corners = self._geometry.center_world(), self._geometry.corners_world()
-        reach = float(np.linalg.norm(corners - middle, axis=1).max()) or 1.0
+        radius = float(np.linalg.norm(corners - middle, axis=1).max()) or 1.0
         camera.parallel_projection = True
         camera.focal_point = tuple(middle)
-        camera.position = tuple(middle + 4.0 * reach * np.array(toward) / np.linalg.norm(toward))
+        camera.position = tuple(middle + 4.0 * radius * np.array(toward) / np.linalg.norm(toward))
         camera.up = upright
-        camera.parallel_scale = self.fitted()
+        camera.parallel_scale = self.fitted_scale()
         self.renderer.camera_set = True
         self.renderer.ResetCameraClippingRange()
 
@@ -205,7 +212,7 @@ class SpaceTile:
         self.renderer.camera.Azimuth(degrees)
         self.renderer.ResetCameraClippingRange()
 
-    def fitted(self) -> float:
+    def fitted_scale(self) -> float:
         """Half the mm that the tile must be high for the whole image to be seen from where the camera is."""
         camera = self.renderer.camera
         toward = np.array(camera.position) - np.array(camera.focal_point)
@@ -227,9 +234,9 @@ class SpaceTile:
         self.renderer.ResetCameraClippingRange()
 
     def zoom(self, factor: float) -> None:
-        """Show things larger by a factor; within reason."""
-        camera, reach = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
-        camera.parallel_scale = float(np.clip(camera.parallel_scale / factor, 1e-3 * reach, 10.0 * reach))
+        """Enlarge by a factor, within limits."""
+        camera, diagonal = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
+        camera.parallel_scale = float(np.clip(camera.parallel_scale / factor, 1e-3 * diagonal, 10.0 * diagonal))
 
     def shift(self, right: float, up: float) -> None:
         """Shift the picture by pixels."""
@@ -241,19 +248,22 @@ class SpaceTile:
         side /= max(float(np.linalg.norm(side)), 1e-30)
         upward = np.cross(side, focus - position)
         upward /= max(float(np.linalg.norm(upward)), 1e-30)
-        way = -mm * (right * side + up * upward)
-        # Never so far that the image is lost.
-        if np.linalg.norm(focus + way - self._geometry.center_world()) < 3.0 * np.linalg.norm(self._geometry.extent_mm):
-            camera.focal_point, camera.position = tuple(focus + way), tuple(position + way)
+        shift = -mm * (right * side + up * upward)
+        # Never so far that the image is out of sight.
+        distance = np.linalg.norm(focus + shift - self._geometry.center_world())
+        if distance < 3.0 * np.linalg.norm(self._geometry.extent_mm):
+            camera.focal_point, camera.position = tuple(focus + shift), tuple(position + shift)
             self.renderer.ResetCameraClippingRange()
 
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
-        """Point (x, y, z) of the surface under a pixel of the window; None beside it."""
+        """Point (x, y, z) of a surface under a pixel of the window; None beside them."""
         picker = vtkCellPicker()
         picker.SetTolerance(0.0)
         picker.PickFromListOn()
-        picker.AddPickList(self._surface)
-        if self._mesh.n_points == 0 or not picker.Pick(x, y, 0.0, self.renderer):
+        for actor, mesh in zip(self._surfaces, self._meshes, strict=False):
+            if mesh.n_points:
+                picker.AddPickList(actor)
+        if not any(mesh.n_points for mesh in self._meshes) or not picker.Pick(x, y, 0.0, self.renderer):
             return None
         return np.asarray(picker.GetPickPosition())
 
@@ -267,12 +277,19 @@ class SpaceTile:
             label.fit(window_height)
 
     def paint(self, theme: Theme) -> None:
-        """Take up a theme."""
+        """Use a theme."""
         self.renderer.background_color = theme.background
         for label in (self.title, self._quantity, *self._ends):
             label.paint(theme.ink)
         self._bar.paint(theme.ink)
         self._box.prop.color = theme.lines
+
+    def _add_surface(self, position: int) -> pv.Actor:
+        """Add an empty surface for the object at this position in the order of ids."""
+        actor = self._add(pv.PolyData(), object_color(position))
+        style = actor.prop
+        style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
+        return actor
 
     def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
         mapper = vtkPolyDataMapper()

@@ -1,0 +1,96 @@
+"""What a session shows to a front end: its status, and the views that are to be drawn."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from accelsurf.errors import AccelsurfError
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.settings.edits import Edit
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.core.timeline import Timeline
+
+
+class Status(NamedTuple):
+    """The state of a session.
+
+    Attributes
+    ----------
+    ready : bool
+        The image is prepared; before that `step` and so on mean nothing.
+    playing : bool
+        Steps are being made.
+    step : int
+        Steps made so far, the number of the coming one.
+    checkpoints : tuple of int
+        Steps that can be restored at once.
+    settings : RunConfig
+        In force now, without edits.
+    edits : tuple of Edit
+        All, also those after the present step once the session has gone back.
+    stop : Stop or None
+        Why the run has ended.
+    message : str
+        One line: what happened last, or went wrong.
+    failed : bool
+        Whether that is an error.
+    undoable : int
+        How many changes can be undone.
+    """
+
+    ready: bool
+    playing: bool
+    step: int
+    checkpoints: tuple[int, ...]
+    settings: RunConfig
+    edits: tuple[Edit, ...]
+    stop: Stop | None
+    message: str
+    failed: bool
+    undoable: int
+
+    @classmethod
+    def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:
+        """The status before the image is prepared, or when it could not be."""
+        return cls(False, False, 0, (), config.at(0), config.edit, None, message, failed, 0)
+
+    @classmethod
+    def of(cls, timeline: Timeline, message: str, failed: bool) -> Status:
+        """The status of a session with this timeline."""
+        return cls(
+            ready=True,
+            playing=timeline.is_playing,
+            step=timeline.step_number,
+            checkpoints=timeline.checkpoints.steps,
+            settings=timeline.run.now,
+            edits=timeline.run.config.edit,
+            stop=timeline.run.stop,
+            message=message,
+            failed=failed,
+            undoable=timeline.undoable,
+        )
+
+    @property
+    def word(self) -> str:
+        """The state in one word: running, paused, or why the run has ended; empty before it is ready."""
+        if self.playing:
+            return "running"
+        return self.stop.reason if self.stop is not None else "paused" if self.ready else ""
+
+
+class View(NamedTuple):
+    """What is to be drawn: the ``frame``, each object's ``histories`` up to it, and the ``status`` at that time."""
+
+    frame: Frame
+    histories: tuple[tuple[StepRecord, ...], ...]
+    status: Status
+
+
+def error_line(error: BaseException) -> str:
+    """Return an error in one line, with its hint; one that is none of accelsurf's own is called internal."""
+    if not isinstance(error, AccelsurfError):
+        line = " ".join(f"{type(error).__name__}: {error}".split())
+        return f"internal error, going back to an earlier step may help: {line}"
+    hint = f" ({error.hint})" if error.hint else ""
+    return " ".join((error.message + hint).split())

@@ -1,0 +1,170 @@
+"""The mouse on the window's scene: moves slices, places balls to start from, adds and removes with a brush."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QEvent, QObject, Qt, QTimer
+from PySide6.QtGui import QMouseEvent, QWheelEvent
+from pyvistaqt import QtInteractor
+
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.scene.scene import Scene
+
+#: A brush that is dragged makes a ball each time it has moved by this fraction of its radius.
+BRUSH_STEP = 0.5
+#: Samples of a pixel, and the names of renderers without a graphics card.
+SAMPLES, SOFTWARE = 8, ("llvmpipe", "softpipe", "SWR", "Software")
+
+
+class CanvasTools(QObject):
+    """Handles the events of the canvas; those that it does not use go to VTK's camera.
+
+    Parameters
+    ----------
+    session : Session
+    scene : Scene
+        Drawn on the canvas.
+    canvas : pyvistaqt.QtInteractor
+    radius : callable
+        Returns the radius of ball and brush, mm.
+
+    Attributes
+    ----------
+    tool : str
+        One of `controls.TOOLS`.
+    """
+
+    def __init__(self, session: Session, scene: Scene, canvas: QtInteractor, radius: Callable[[], float]) -> None:
+        super().__init__(canvas)
+        self._session, self._scene, self._canvas, self._radius = session, scene, canvas, radius
+        self.tool = "look"
+        self._dragged_tile = ""
+        self._points: list[str] = []
+        self._center: NDArray[np.float64] | None = None
+        self._is_software: bool | None = None
+        canvas.installEventFilter(self)
+
+    @property
+    def is_dragging(self) -> bool:
+        """Whether a tool is in use, the button down."""
+        return bool(self._dragged_tile)
+
+    def use(self, tool: str) -> None:
+        """Use a tool from now on."""
+        self.tool, self._points = tool, []
+        self._scene.mark_ball(None)
+        self._canvas.setCursor(Qt.CursorShape.ArrowCursor if tool == "look" else Qt.CursorShape.CrossCursor)
+        self._scene.render()
+
+    def show_ball(self) -> None:
+        """Draw the ball that is being placed, as after its radius has changed."""
+        if self.tool == "ball" and self._center is not None:
+            self._mark(self._center)
+
+    # -- edges ---------------------------------------------------------------------------------------------
+
+    @property
+    def is_software(self) -> bool:
+        """Whether the processor draws, not a graphics card."""
+        if self._is_software is None:
+            capabilities = self._canvas.render_window.ReportCapabilities()
+            self._is_software = any(name in capabilities for name in SOFTWARE)
+        return self._is_software
+
+    def smooth_edges(self, on: bool) -> None:
+        """Smooth edges while nothing moves; a processor that draws needs three times as long for it."""
+        window = self._canvas.render_window
+        samples = SAMPLES if on or not self.is_software else 0
+        if window.GetMultiSamples() != samples:
+            window.SetMultiSamples(samples)
+
+    # -- events --------------------------------------------------------------------------------------------
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Mouse and keys on the canvas; False passes an event on to VTK."""
+        kind = event.type()
+        if kind in (QEvent.Type.KeyPress, QEvent.Type.KeyRelease):
+            # VTK has keys of its own, which close windows and change how things are drawn.
+            return True
+        if isinstance(event, QWheelEvent):
+            return self._wheel(event)
+        if isinstance(event, QMouseEvent) and event.button() in (Qt.MouseButton.LeftButton, Qt.MouseButton.NoButton):
+            x, y = self._pixel(event.position().x(), event.position().y())
+            if kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick):
+                return self._press(x, y)
+            if kind == QEvent.Type.MouseMove and self.is_dragging:
+                return self._drag(x, y)
+            if kind == QEvent.Type.MouseButtonRelease:
+                self.smooth_edges(not self._session.status.playing)
+                return self._release() if self.is_dragging else self._end_camera_move()
+        return bool(super().eventFilter(watched, event))
+
+    def _pixel(self, x: float, y: float) -> tuple[float, float]:
+        """A place in the widget, as VTK counts pixels."""
+        ratio = self._canvas.devicePixelRatioF()
+        return x * ratio, (self._canvas.height() - 1 - y) * ratio
+
+    def _press(self, x: float, y: float) -> bool:
+        tile, world = self._scene.pick(x, y)
+        self.smooth_edges(False)
+        if world is None or (tile == "space" and self.tool == "look"):
+            return tile in self._scene.slice_tiles
+        self._dragged_tile = tile
+        self._apply(world)
+        return True
+
+    def _drag(self, x: float, y: float) -> bool:
+        tile, world = self._scene.pick(x, y)
+        if world is not None and tile == self._dragged_tile and self.tool != "points":
+            self._apply(world)
+        return True
+
+    def _release(self) -> bool:
+        self._dragged_tile = ""
+        if self.tool == "ball" and self._center is not None:
+            self._points = []
+            self._session.start_from([self._ball(self._center)])
+        # The mark stays until the surface is drawn that it has led to.
+        self._center = None
+        return True
+
+    def _end_camera_move(self) -> bool:
+        """The camera was turned: VTK has to get the release of the button first, then the scene is drawn once more."""
+        QTimer.singleShot(0, self._scene.render)
+        return False
+
+    def _wheel(self, event: QWheelEvent) -> bool:
+        tile, _ = self._scene.pick(*self._pixel(event.position().x(), event.position().y()))
+        if tile not in self._scene.slice_tiles:
+            return tile != "space"
+        self._scene.step_slice(tile, 1 if event.angleDelta().y() > 0 else -1)
+        self._scene.render()
+        return True
+
+    # -- tools ---------------------------------------------------------------------------------------------
+
+    def _apply(self, world: NDArray[np.float64]) -> None:
+        """Apply the tool at a point."""
+        if self.tool == "look":
+            self._scene.cursor = world
+            self._scene.render()
+            return
+        if self.tool == "ball":
+            self._center = world
+        elif self.tool == "points":
+            self._points.append(self._ball(world))
+            self._session.start_from(self._points)
+        elif self._center is None or np.linalg.norm(world - self._center) >= BRUSH_STEP * self._radius():
+            self._center = world
+            self._session.edit_ball("add" if self.tool == "grow" else "remove", self._ball(world))
+        self._mark(world)
+
+    def _mark(self, world: NDArray[np.float64]) -> None:
+        self._scene.mark_ball(world, self._radius())
+        self._scene.render()
+
+    def _ball(self, world: NDArray[np.float64]) -> str:
+        return "ball:" + ",".join(f"{v:.6g}" for v in (*world, self._radius()))

@@ -1,0 +1,129 @@
+"""Who may talk to a page's server: every request and every message is checked before trame gets it."""
+
+from __future__ import annotations
+
+import hmac
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+#: Address of this machine alone.
+LOCAL = "127.0.0.1"
+#: Bytes of the longest message that a page may send: its requests have a few numbers each.
+MAX_BYTES = 16384
+#: What a page's messages may ask of trame; the first has the token.
+METHODS = ("wslink.hello", "trame.state.get", "trame.trigger", "trame.lifecycle.update", "trame.state.update")
+#: Those whose arguments are ignored, and what is put in their place.
+IGNORED: dict[str, Any] = {"trame.lifecycle.update": "page", "trame.state.update": []}
+#: Triggers of the page, see `page.Page`.
+TRIGGERS = ("ask", "shown")
+#: Nothing from elsewhere may be loaded, and no other site learns the address with its token.
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+        "img-src 'self' data: blob:; connect-src 'self' ws: wss:; frame-ancestors 'none'; form-action 'none'"
+    ),
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+_HEADER = struct.Struct("<III")
+
+
+class PageGuard:
+    """Checks requests and messages, and serves the saved files.
+
+    Parameters
+    ----------
+    host : str
+        Address that the server listens on.
+    token : str
+        Whoever has it may download the files.
+    files : mapping of str to Path
+        What may be downloaded, by name; looked up at each request.
+    """
+
+    def __init__(self, host: str, token: str, files: Mapping[str, Path]) -> None:
+        self._host, self._token, self._files = host, token, files
+
+    def install(self, server: Any) -> None:
+        """Put the checks before those of a server, before it listens."""
+        from aiohttp import web
+
+        @web.middleware
+        async def check(request: Any, handler: Any) -> Any:
+            if not self._is_addressed(request):
+                return web.Response(status=403, text="this page is not served under that name")
+            return await handler(request)
+
+        async def add_headers(_: Any, response: Any) -> None:
+            response.headers.update(HEADERS)
+
+        server.app.middlewares.append(check)
+        server.app.on_response_prepare.append(add_headers)
+        server.app.router.add_get("/files/{name}", self._download)
+        for handler in server._ws_handlers:
+            handler.onMessage = _checked(handler)
+
+    def _is_addressed(self, request: Any) -> bool:
+        """Whether a request came to the address that was opened, and from its page: no other site may ask."""
+        host = request.headers.get("Host", "")
+        if self._host == LOCAL and host.rpartition(":")[0] not in (LOCAL, "localhost"):
+            return False
+        origin = request.headers.get("Origin")
+        return origin is None or origin.partition("://")[2] == host
+
+    async def _download(self, request: Any) -> Any:
+        """One of the saved files, by its name alone."""
+        from aiohttp import web
+
+        if not hmac.compare_digest(request.query.get("secret", "").encode(), self._token.encode()):
+            return web.Response(status=403, text="the token is not right")
+        path = self._files.get(request.match_info["name"])
+        if path is None or not path.is_file():
+            return web.Response(status=404, text="no such file")
+        headers = {"Content-Disposition": f'attachment; filename="{path.name}"'}
+        return web.FileResponse(path, headers=headers)
+
+
+def _checked(handler: Any) -> Any:
+    """Check a message before trame gets it: one that no page of ours would send ends the connection.
+
+    trame itself would reserve up to 4 GB because a header says so, and allow any change of its state and any call.
+    """
+    inner = handler.onMessage
+
+    async def on_message(is_binary: bool, message: Any, client: str) -> None:
+        try:
+            if not is_binary:
+                raise ValueError("text")
+            await inner(is_binary, message._replace(data=_checked_bytes(message.data)), client)
+        except Exception:
+            connection = handler.connections.get(client)
+            if connection is not None:
+                await connection.close(code=1008, message=b"not understood")
+
+    return on_message
+
+
+def _checked_bytes(data: bytes) -> bytes:
+    """Return a message as trame may have it; ValueError, KeyError, TypeError and so on for one that it may not."""
+    import msgpack
+
+    _, offset, total = _HEADER.unpack_from(data)
+    body = data[_HEADER.size :]
+    if offset or total != len(body) or total > MAX_BYTES:
+        raise ValueError("size")
+    call = msgpack.unpackb(body)
+    if not isinstance(call["id"], str) or not isinstance(call.get("args", []), list):
+        raise ValueError("call")
+    if call["method"] not in METHODS:
+        raise ValueError("method")
+    if call["method"] == "trame.trigger" and call["args"][0] not in TRIGGERS:
+        raise ValueError("trigger")
+    if call["method"] not in IGNORED:
+        return data
+    # The page waits for an answer to these calls, but it may change neither the state nor what happens here.
+    body = msgpack.packb({**call, "args": [IGNORED[call["method"]]], "kwargs": {}})
+    return _HEADER.pack(0, 0, len(body)) + bytes(body)

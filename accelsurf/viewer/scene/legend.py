@@ -1,0 +1,47 @@
+"""The legend: what each colour is, at the upper right of a tile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pyvista as pv
+
+from accelsurf.viewer.scene.overlay import Label
+
+#: Height of the first line in the tile, from 0 to 1, and from one line to the next.
+TOP, LINE = 0.985, 0.03
+
+
+class Legend:
+    """Lines of text, each in its own colour.
+
+    Parameters
+    ----------
+    renderer : pyvista.Renderer
+        Of the tile.
+    """
+
+    def __init__(self, renderer: pv.Renderer) -> None:
+        self._renderer = renderer
+        self._labels: list[Label] = []
+
+    def show(self, lines: Sequence[tuple[str, str]]) -> None:
+        """Write lines, (text, colour) each, in place of those before."""
+        while len(self._labels) < len(lines):
+            height = TOP - LINE * len(self._labels)
+            self._labels.append(Label(self._renderer, "white", (0.985, height), top=True))
+        for label in self._labels[len(lines) :]:
+            label.text = ""
+        for label, (text, color) in zip(self._labels, lines, strict=False):
+            label.text = text
+            label.paint(color)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What is written."""
+        return tuple(label.text for label in self._labels if label.text)
+
+    def fit(self, window_height: int) -> None:
+        """Make the text readable in a window of so many pixels."""
+        for label in self._labels:
+            label.fit(window_height)

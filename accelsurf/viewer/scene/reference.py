@@ -1,0 +1,48 @@
+"""The reference: a label map that the surface is compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.viewer.core.frame import Frame
+
+
+class Reference:
+    """The true object or objects, as one.
+
+    Parameters
+    ----------
+    labels : Volume
+        Above 0 is the object.
+    geometry : Geometry
+        Of the image.
+
+    Attributes
+    ----------
+    inside : ndarray (nz, ny, nx), bool
+    contour_function : ndarray (nz, ny, nx), float32
+        Negative inside; 0 halfway between voxels inside and outside.
+
+    Raises
+    ------
+    InputError
+        When the labels are on another grid than the image.
+    """
+
+    def __init__(self, labels: Volume, geometry: Geometry) -> None:
+        if not geometry.matches(labels.geometry):
+            raise InputError(
+                f"the reference is not on the image's grid: {geometry.difference(labels.geometry)}",
+                "resample it to the image's grid",
+            )
+        self.inside: NDArray[np.bool_] = np.asarray(labels.array > 0)
+        self.contour_function: NDArray[np.float32] = np.asarray(np.float32(0.5) - self.inside)
+        self._voxels = int(self.inside.sum())
+
+    def dice(self, frame: Frame) -> float:
+        """Dice of the reference and all objects of a frame; coarse frames count their voxels."""
+        return frame.dice(self.inside, self._voxels)

@@ -1,0 +1,112 @@
+"""Several objects in one scene: each in its own colour, in 3D, in slices, in the chart, in the legend and in pages."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from skimage import color
+
+from accelsurf.levelset import LevelSet
+from accelsurf.viewer.core.frame import Frame, ObjectState
+from accelsurf.viewer.frontends.export import write_html
+from accelsurf.viewer.scene import colors
+from tests.support import viewing
+
+
+@pytest.fixture(scope="module", autouse=True)
+def graphics():
+    viewing.needs_graphics()
+
+
+# What people without cones for long or middle wavelengths see, on linear RGB (Machado, Oliveira and Fernandes 2009).
+DICHROMATS = {
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "normal": np.eye(3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DICHROMATS)
+def test_objects_and_reference_are_told_apart_with_any_colour_vision(name):
+    codes = [*colors.OBJECT_COLORS, colors.REFERENCE]
+    rgb = np.array([[int(code[i : i + 2], 16) for i in (1, 3, 5)] for code in codes])
+    linear = (rgb / 255) ** 2.2 @ np.array(DICHROMATS[name]).T
+    lab = color.rgb2lab(np.clip(linear, 0, 1)[None] ** (1 / 2.2))[0]
+    distances = np.linalg.norm(lab[:, None] - lab, axis=2)[np.triu_indices(len(lab), 1)]
+    assert distances.min() > 10  # 2.3 is just noticeable
+
+
+def two_objects(volume):
+    """A frame of two balls, each on a box of the image's grid, and a history for each."""
+    frames, history = viewing.run_frames(volume, volume.geometry.center_world(), levels=1, max_steps=8)
+    objects = []
+    for number, middle in ((4, 11), (7, 31)):
+        z, y, x = np.indices((16, 30, 20)).astype(np.float32)
+        corner = (2, 5, middle - 10)
+        psi = np.sqrt((2.0 * (z - 8)) ** 2 + (y - 15) ** 2 + (x - 10) ** 2) - 7
+        objects.append(ObjectState(number, LevelSet(psi, volume.geometry.spacing), corner))
+    changed = [record._replace(potential=0.5 * record.potential, volume_mm3=9.0) for record in history]
+    return Frame.of(objects, (history[-1], changed[-1]), volume.geometry), (history, changed)
+
+
+def count(picture, code):
+    """Pixels that are nearly of this colour."""
+    wanted = [int(code[i : i + 2], 16) for i in (1, 3, 5)]
+    return int((np.abs(picture.astype(int) - wanted).max(axis=2) < 12).sum())
+
+
+def test_several_objects_have_their_own_colours(scene_of):
+    volume, _ = viewing.ball_image(direction=viewing.TURN)
+    frame, histories = two_objects(volume)
+    first, second = colors.OBJECT_COLORS[:2]
+    scene = scene_of(volume, theme="light", size=(960, 540))
+    empty = scene.screenshot()
+    assert count(empty, first) == count(empty, second) == 0
+    scene.update(frame, histories)
+    scene.cursor = volume.geometry.index_to_world((10, 20, 21))
+    picture = scene.screenshot()
+    assert scene.legend == ("object 4", "object 7")
+    for mesh, middle in zip(scene.space.meshes, (11, 31), strict=True):
+        center = volume.geometry.index_to_world((10, 20, middle))
+        assert np.abs(np.linalg.norm(mesh.points - center, axis=1) - 7).max() < 0.3
+    space, slices, chart = picture[:, :480], picture[:270, 480:720], picture[270:, 720:]
+    for part in (space, slices, chart):
+        assert count(part, first) > 10 and count(part, second) > 10
+    one = Frame(frame.surfaces[:1])
+    scene.update(one, histories[:1])
+    alone = scene.screenshot()
+    assert scene.legend == () and len(scene.space.meshes) == 1
+    assert count(alone, first) > 10 and count(alone, second) == 0
+
+
+def test_dice_of_several_objects_counts_them_all(scene_of):
+    volume, _ = viewing.ball_image()
+    frame, histories = two_objects(volume)
+    truth = np.zeros(volume.array.shape, np.uint8)
+    for surface in frame.surfaces:
+        box = tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))
+        truth[box][surface.psi < 0] = surface.id
+    scene = scene_of(volume, reference=volume.with_array(truth))
+    scene.update(frame, histories)
+    assert scene.dice == 1.0 and scene.legend == ("object 4", "object 7", "reference, Dice 1.000")
+    scene.update(Frame(frame.surfaces[1:]), histories[1:])
+    assert scene.dice == pytest.approx(2 / 3)
+
+
+def test_objects_without_a_quantity_keep_their_colour(scene_of, tmp_path):
+    volume, center = viewing.ball_image()
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    (moving,), (_, still) = frames[3].surfaces, two_objects(volume)[0].surfaces
+    scene = scene_of(volume, theme="light", size=(960, 540))
+    scene.color_by("speed")
+    scene.update(Frame((moving, still)), (history[:4], history[:4]))
+    first, second = colors.OBJECT_COLORS[:2]
+    space = scene.screenshot()[60:, :480]
+    assert scene.space.color == "speed" and "speed" not in scene.space.meshes[1].point_data
+    assert count(space, first) < 10 < count(space, second)
+    write_html(scene, tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text()
+    meshes = json.loads(re.search(r'application/json">(.*?)</script>', page).group(1))["meshes"]
+    assert ["colors" in mesh for mesh in meshes] == [False, True, False]  # the box, and both objects
+    assert meshes[2]["color"] == pytest.approx([int(second[i : i + 2], 16) / 255 for i in (1, 3, 5)])
