@@ -3,8 +3,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from accelsurf.energies import ChanVese, RegionField
-from accelsurf.flows import ConstantDensity, StepInput, StepLimits
 from accelsurf.levelset import LevelSet
+from tests.support.energies import evolve, value
 
 SHAPE, SPACING, RADIUS = (40, 44, 42), (1.0, 0.9, 1.1), 13.0
 
@@ -37,13 +37,6 @@ ENERGIES = {
 }
 
 
-def value(energy, psi):
-    surface = LevelSet(psi, SPACING, 4.0)
-    energy.start(surface)
-    fraction, area = surface.fraction_and_area()
-    return energy.value(surface, fraction, area), surface, area
-
-
 @pytest.mark.parametrize("name", ENERGIES)
 @pytest.mark.parametrize("seed", [2, 3])
 def test_the_force_is_the_derivative_of_the_discrete_energy(name, seed):
@@ -53,12 +46,12 @@ def test_the_force_is_the_derivative_of_the_discrete_energy(name, seed):
     # A one-signed part, so that the derivative is not a small difference of large numbers.
     eta = 0.6 + smooth_field(seed)
     energy = ENERGIES[name]()
-    distance = value(energy, psi)[1].psi.copy()
+    distance = value(energy, psi, SPACING)[1].psi.copy()
     step = 0.05
-    up, down = (value(energy, distance - sign * step * eta)[0] for sign in (1, -1))
+    up, down = (value(energy, distance - sign * step * eta, SPACING)[0] for sign in (1, -1))
     measured = (up - down) / (2 * step)
 
-    _, surface, area = value(energy, distance)
+    _, surface, area = value(energy, distance, SPACING)
     front = surface.front()
     force = energy.force(surface, front, surface.curvature(front))
     cells = surface.band.cells
@@ -73,26 +66,10 @@ def test_region_sums_kept_up_to_date_equal_full_ones():
     energy = ChanVese(image(), epsilon=1.5)
     z, y, x = coordinates()
     surface = LevelSet(np.sqrt(z**2 + y**2 + (x - 4) ** 2) - 7, SPACING)
-    flow = ConstantDensity()
-    energy.start(surface)
-    flow.start(surface)
-    for _ in range(25):
-        fraction, area = surface.fraction_and_area()
-        energy.value(surface, fraction, area)
-        front = surface.front()
-        curvature = surface.curvature(front)
-        force = energy.force(surface, front, curvature)
-        move = flow.move(StepInput(surface, front, force, curvature, area, 0.0), StepLimits(0.5))
-        surface.advance(move.speed, move.dt)
-        surface.remove_small()
-        change = surface.redistance(flow.fields)
-        flow.set_fields(change.fields)
-        energy.follow(surface, change)
-    fraction, area = surface.fraction_and_area()
-    kept = energy.value(surface, fraction, area)
+    updated = evolve(energy, surface, 25)
     assert (surface.psi < 0).sum() > 1.5 * 4 / 3 * np.pi * 7**3 / np.prod(SPACING)  # it did move
     energy.start(surface)
-    assert kept == pytest.approx(energy.value(surface, fraction, area), rel=1e-12)
+    assert updated == pytest.approx(energy.value(surface, *surface.fraction_and_area()), rel=1e-12)
 
 
 def test_value_of_a_known_region():
@@ -100,8 +77,8 @@ def test_value_of_a_known_region():
     z, y, x = coordinates()
     surface_psi = np.sqrt(z**2 + y**2 + x**2) - RADIUS
     field = np.ones(SHAPE)
-    assert value(RegionField(field), surface_psi)[0] == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)
-    both = value(RegionField(field, alpha=2.0), surface_psi)[0]
+    assert value(RegionField(field), surface_psi, SPACING)[0] == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)
+    both = value(RegionField(field, alpha=2.0), surface_psi, SPACING)[0]
     assert both == pytest.approx(4 / 3 * np.pi * RADIUS**3 + 8 * np.pi * RADIUS**2, rel=0.01)
 
 
@@ -110,7 +87,7 @@ def test_chan_vese_of_two_constants_is_zero_and_its_means_are_theirs():
     psi = np.abs(z) - 0.25 * SHAPE[0]  # planes halfway between voxel centres: no voxel is cut
     two = np.where(psi < 0, 5.0, 2.0)
     energy = ChanVese(two)
-    assert value(energy, psi)[0] < 1e-4 * two.size  # of 2.25 per voxel with one mean
+    assert value(energy, psi, SPACING)[0] < 1e-4 * two.size  # of 2.25 per voxel with one mean
     assert energy.means == pytest.approx((5.0, 2.0), abs=1e-4)
 
 
@@ -120,7 +97,7 @@ def test_a_force_above_0_shrinks():
     r = np.sqrt(z**2 + y**2 + x**2)
     energy = ChanVese((r < 10) * 1.0)
     for radius, sign in ((13.0, 1), (7.0, -1)):
-        surface = value(energy, r - radius)[1]
+        surface = value(energy, r - radius, SPACING)[1]
         front = surface.front()
         force = energy.force(surface, front, surface.curvature(front))[front]
         assert (np.sign(force) == sign).all()
@@ -133,6 +110,6 @@ def test_balance_moves_the_boundary_to_brighter_values():
     root = np.sqrt(4.0)
     level = root / (root + 1)
     energy = ChanVese(ramp, means=(1.0, 0.0), balance=4.0)
-    surface = value(energy, x - (0.5 - level) * 20)[1]
+    surface = value(energy, x - (0.5 - level) * 20, SPACING)[1]
     front = surface.front()
     assert np.abs(energy.force(surface, front, surface.curvature(front))).max() < 1e-5

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
 from accelsurf import cli, io
 from accelsurf.analysis.metrics import dice
@@ -12,41 +11,15 @@ from accelsurf.energies import Geodesic, edge_contrast, edge_indicator
 from accelsurf.energies.geodesic import gradient_magnitude
 from accelsurf.errors import InputError
 from accelsurf.grid.volume import Volume
-from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.solver_setup import make_energy
 from accelsurf.settings.run_config import RunConfig
-
-#: Grids (shape, spacing): nearly isotropic, thick slices, a single slice.
-GRIDS = {
-    "3D": ((40, 44, 42), (1.0, 0.9, 1.1)),
-    "thick slices": ((26, 44, 48), (2.0, 1.0, 0.9)),
-    "one slice": ((1, 96, 100), (3.0, 0.5, 0.45)),
-}
-
-
-def coordinates(grid):
-    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(*GRIDS[grid], strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"))
-
-
-def smooth_field(grid, seed, width=5.0):
-    """A random field, smooth over ``width`` mm, of size 1."""
-    shape, spacing = GRIDS[grid]
-    field = gaussian_filter(np.random.default_rng(seed).normal(size=shape), [width / h for h in spacing], mode="wrap")
-    return field / np.abs(field).max()
+from tests.support.energies import GRIDS, coordinates, smooth_field, value
 
 
 def price(grid):
     """A phi between 0.3 and 1.7 that varies over a few voxels, so that its slope weighs as much as the curvature."""
     return 1.0 + 0.7 * smooth_field(grid, 1, 3.0)
-
-
-def value(energy, psi, grid):
-    surface = LevelSet(psi, GRIDS[grid][1], 4.0)
-    energy.start(surface)
-    fraction, area = surface.fraction_and_area()
-    return energy.value(surface, fraction, area), surface, area
 
 
 def works(energy, grid, seed, step=0.6):
@@ -58,9 +31,9 @@ def works(energy, grid, seed, step=0.6):
     z, y, x = coordinates(grid)
     psi = np.sqrt(z**2 + y**2 + x**2) - 13.0 - smooth_field(grid, 7)
     eta = 0.6 + smooth_field(grid, seed)
-    distance = value(energy, psi, grid)[1].psi.copy()
-    up, down = (value(energy, distance - sign * step * eta, grid)[0] for sign in (1, -1))
-    _, surface, area = value(energy, distance, grid)
+    distance = value(energy, psi, GRIDS[grid][1])[1].psi.copy()
+    up, down = (value(energy, distance - sign * step * eta, GRIDS[grid][1])[0] for sign in (1, -1))
+    _, surface, area = value(energy, distance, GRIDS[grid][1])
     front = surface.front()
     force = energy.force(surface, front, surface.curvature(front))
     return (up - down) / (2 * step), force * eta.ravel()[surface.band.cells] * area
@@ -104,7 +77,7 @@ def test_force_on_a_sphere_in_a_field_with_a_constant_slope(grid):
 
     def worst(kind):
         energy = kind(phi, balloon=balloon)
-        surface = value(energy, distance - radius, grid)[1]
+        surface = value(energy, distance - radius, GRIDS[grid][1])[1]
         front = surface.front()
         at = points.reshape(3, -1)[:, surface.band.cells[front]]
         n = at / np.linalg.norm(at, axis=0)
@@ -126,7 +99,7 @@ def test_value_of_a_ball_in_a_known_field():
     inside = 4 / 3 * np.pi * radius**3 + bend * 4 / 5 * np.pi * radius**5
     for alpha, balloon in ((0.0, 0.0), (0.5, 0.0), (0.5, -0.2)):
         energy = Geodesic(1 + bend * square, alpha, balloon)
-        got = value(energy, np.sqrt(square) - radius, "3D")[0]
+        got = value(energy, np.sqrt(square) - radius, GRIDS["3D"][1])[0]
         assert got == pytest.approx(area * (price_there + alpha) + balloon * inside, rel=0.005)
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
 from accelsurf.analysis.metrics import dice
 from accelsurf.energies import (
@@ -21,27 +20,10 @@ from accelsurf.energies import (
 )
 from accelsurf.energies.threshold import threshold_field
 from accelsurf.errors import InputError, UsageError
-from accelsurf.flows import ConstantDensity, StepInput, StepLimits
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.api import segment
 from tests.support import reference
-
-GRIDS = {
-    "3D": ((40, 44, 42), (1.0, 0.9, 1.1)),
-    "thick slices": ((26, 44, 48), (2.0, 1.0, 0.9)),
-    "one slice": ((1, 96, 100), (3.0, 0.5, 0.45)),
-}
-
-
-def coordinates(grid):
-    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(*GRIDS[grid], strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"))
-
-
-def smooth_field(grid, seed, width=5.0):
-    shape, spacing = GRIDS[grid]
-    field = gaussian_filter(np.random.default_rng(seed).normal(size=shape), [width / h for h in spacing], mode="wrap")
-    return field / np.abs(field).max()
+from tests.support.energies import GRIDS, coordinates, evolve, smooth_field, value
 
 
 def image(grid):
@@ -75,21 +57,14 @@ ENERGIES = {
 }
 
 
-def value(energy, psi, grid):
-    surface = LevelSet(psi, GRIDS[grid][1], 4.0)
-    energy.start(surface)
-    fraction, area = surface.fraction_and_area()
-    return energy.value(surface, fraction, area), surface, area
-
-
 def works(energy, grid, seed, step=0.3):
     """Of a smooth outward perturbation eta: dU measured by differences, and f eta dA (n,)."""
     z, y, x = coordinates(grid)
     psi = np.sqrt(z**2 + y**2 + x**2) - 13.0 - smooth_field(grid, 7)
     eta = 0.6 + smooth_field(grid, seed)
-    distance = value(energy, psi, grid)[1].psi.copy()
-    up, down = (value(energy, distance - sign * step * eta, grid)[0] for sign in (1, -1))
-    _, surface, area = value(energy, distance, grid)
+    distance = value(energy, psi, GRIDS[grid][1])[1].psi.copy()
+    up, down = (value(energy, distance - sign * step * eta, GRIDS[grid][1])[0] for sign in (1, -1))
+    _, surface, area = value(energy, distance, GRIDS[grid][1])
     front = surface.front()
     force = energy.force(surface, front, surface.curvature(front))
     return (up - down) / (2 * step), force * eta.ravel()[surface.band.cells] * area
@@ -167,28 +142,11 @@ def test_what_is_kept_up_to_date_equals_what_is_summed_afresh(name):
     energy = ENERGIES[name](grid)
     z, y, x = coordinates(grid)
     surface = LevelSet(np.sqrt(z**2 + y**2 + (x - 3) ** 2) - 6, GRIDS[grid][1])
-    energy.start(surface)
-    flow = ConstantDensity()
-    flow.start(surface)
     before = (surface.psi < 0).sum()
-    for _ in range(25):
-        fraction, area = surface.fraction_and_area()
-        energy.value(surface, fraction, area)
-        front = surface.front()
-        curvature = surface.curvature(front)
-        move = flow.move(
-            StepInput(surface, front, energy.force(surface, front, curvature), curvature, area, 0.0), StepLimits(0.5)
-        )
-        surface.advance(move.speed, move.dt)
-        surface.remove_small()
-        change = surface.redistance(flow.fields)
-        flow.set_fields(change.fields)
-        energy.follow(surface, change)
-    fraction, area = surface.fraction_and_area()
-    kept = energy.value(surface, fraction, area)
+    updated = evolve(energy, surface, 25)
     assert (surface.psi < 0).sum() > 1.3 * before  # it did move
     energy.start(surface)
-    assert kept == pytest.approx(energy.value(surface, fraction, area), rel=1e-9)
+    assert updated == pytest.approx(energy.value(surface, *surface.fraction_and_area()), rel=1e-9)
 
 
 def test_a_local_region_finds_what_one_pair_of_means_cannot():
@@ -269,7 +227,7 @@ def test_weighted_sum_adds_values_forces_and_alphas():
     total = WeightedSum(list(zip(weights, parts, strict=True)))
     assert total.alpha == pytest.approx(sum(w * p.alpha for w, p in zip(weights, parts, strict=True)))
     z, y, x = coordinates(grid)
-    got, surface, area = value(total, np.sqrt(z**2 + y**2 + x**2) - 12, grid)
+    got, surface, area = value(total, np.sqrt(z**2 + y**2 + x**2) - 12, GRIDS[grid][1])
     fraction, _ = surface.fraction_and_area()
     front = surface.front()
     curvature = surface.curvature(front)
