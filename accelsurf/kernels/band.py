@@ -17,16 +17,20 @@ MIN_DISTANCE = 1e-6
 
 @kernel(stage=Stage.BAND)
 def keep_mask(start, stop, grid, foot, state, half_width, keep):
-    """Mark the slots whose foot is known and within ``half_width`` voxels."""
+    """Mark in ``keep`` (n,) bool the slots whose foot is known and within ``half_width`` voxels.
+
+    ``state`` (n,) int8 as in `march`.
+    """
     for s in range(start, stop):
         keep[s] = state[s] != OPEN and voxels_along(foot[s, 0], foot[s, 1], foot[s, 2], grid) <= half_width
 
 
 @kernel(stage=Stage.BAND)
 def merged_order(cells, n_old, keep, entered):
-    """Slots of the new band in raster order: the remaining old ones (sorted already) merged with ``entered`` slots.
+    """Slots (k,) int64 of the new band in raster order: the old ones that stay merged with those that enter.
 
-    ``entered`` are the new slots that stay, sorted by cell.
+    ``cells`` (m,) of the ``n_old`` old slots, in raster order, and then of new ones; ``keep`` (m,) bool; ``entered``
+    the new slots that stay, sorted by cell. Serial.
     """
     count = entered.shape[0]
     for s in range(n_old):
@@ -156,7 +160,7 @@ def extend_outwards(start, stop, off, slots, shares, values):
 
 @kernel(stage=Stage.BAND)
 def drop_cells(start, stop, dense, cells, keep, gamma):
-    """Take the dropped slots of the range off the dense arrays: psi = +-gamma, slot = -1."""
+    """Remove the slots that ``keep`` (m,) bool does not mark from the dense arrays: psi = +-gamma (mm), slot = -1."""
     for s in range(start, stop):
         if not keep[s]:
             cell = cells[s]
@@ -166,7 +170,7 @@ def drop_cells(start, stop, dense, cells, keep, gamma):
 
 @kernel(stage=Stage.BAND)
 def flatten_beyond(start, stop, dense, gamma):
-    """Set psi to +-gamma at the voxels of the range that are not in the band."""
+    """Set psi to +-gamma (mm) at the voxels of the range, here of the whole volume, that are not in the band."""
     for cell in range(start, stop):
         if dense.slot[cell] < 0:
             dense.psi[cell] = -gamma if dense.psi[cell] < 0.0 else gamma

@@ -33,6 +33,7 @@ def value_and_slope(start, stop, image, grid, band, normals, front, out):
     """Value (out[:, 0]) and slope grad I . n per mm (out[:, 1]) of an image at the foot of every front cell.
 
     Both from the cubic interpolant of the raveled dense ``image``, at the nearest place within the volume; 0 elsewhere.
+    ``normals`` (n, 3) float32 from `outward_normals`.
     """
     w = np.empty(24)
     for s in range(start, stop):

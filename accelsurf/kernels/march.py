@@ -110,7 +110,8 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
 
     Cells beside the front always find one: the closest point of the interpolant, or, where that fails or
     lies beyond the nearest edge crossing (voxel-sized features), the linear plane through the crossings.
-    ``band`` is the band when psi was last a distance; see `guess_feet` for ``inner``.
+    ``band`` is the band when psi was last a distance; see `guess_feet` for ``inner``. ``foot`` (n, 3) float32 and
+    ``state`` (n,) int8 are written.
     """
     psi = dense.psi
     near = np.empty(6, np.int64)
@@ -165,7 +166,7 @@ def length(v, s):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
-    """Compare each cell's foot with those of its neighbours, reading ``state`` and writing ``reviewed``.
+    """Compare each cell's foot with those of its neighbours, reading ``state`` (n,) and writing ``reviewed`` (n,) int8.
 
     OPEN when a neighbour's foot is closer; EDGE when a neighbour is not in the band (the march starts here).
     """
@@ -324,7 +325,7 @@ def propagate_feet(start, stop, dense, grid, cells, foot, state, on, better, cha
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def update_feet(start, stop, on, better, changed, foot, state):
-    """Set the feet that a round has found."""
+    """Set the feet that a round of `propagate_feet` has found: ``better`` (m, 3) where ``changed`` (m,)."""
     for row in range(start, stop):
         if changed[row]:
             s = on[row]

@@ -115,7 +115,8 @@ def neighbour_slots(start, stop, slot, grid, cells, on, table):
 def diffusion_stage(start, stop, on, table, grid, old, older, weights, out):
     """A stage of Runge-Kutta-Legendre at the cells ``on``: mu old + mu' Lap old + nu older.
 
-    ``weights`` = (mu, mu', nu). Lap is the 7-point Laplacian of an extended field, the surface Laplacian since
+    ``weights`` = (mu, mu', nu); ``table`` (m, 6) from `neighbour_slots`; ``old``, ``older`` (n,) the last two stages.
+    Lap is the 7-point Laplacian of an extended field, the surface Laplacian since
     grad F.grad psi = 0.
     """
     mu, rate, nu = weights
@@ -142,6 +143,6 @@ def voxel_rates(start, stop, grid, band, front, beta, out):
 
 @kernel(stage=Stage.ADVANCE)
 def advance_psi(start, stop, psi, band, beta, norm, dt):
-    """Psi += dt beta |grad psi|, with |grad psi| in ``norm``."""
+    """Psi += dt beta |grad psi| at the cells of the range, with ``beta`` (n,) and |grad psi| (n,) in ``norm``."""
     for s in range(start, stop):
         psi[band.cells[s]] = band.psi[s] + dt * beta[s] * norm[s]

@@ -150,7 +150,7 @@ def smear_band(start, stop, grid, band, epsilon, fraction):
 
 @kernel(stage=Stage.ENERGY)
 def weighted_sums(first_block, last_block, cells, weight, image, sums):
-    """Per block of slots: sums[block] = sum over its slots of weight x (1, I, I^2)."""
+    """Per block of slots: sums[block] (3,) = sum over its slots of weight x (1, I, I^2); ``weight`` (n,) float64."""
     for block in range(first_block, last_block):
         count = 0.0
         total = 0.0

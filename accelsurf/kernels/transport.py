@@ -146,7 +146,7 @@ def outward(psi, band, s, cell, iz, iy, ix, grid):
 
 @kernel(stage=Stage.FLOW)
 def normals(start, stop, psi, grid, band, out):
-    """Inward unit normal N (n, 3) at the foot of every cell."""
+    """Inward unit normal N at the foot of every cell, into ``out`` (n, 3)."""
     for s in range(start, stop):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)

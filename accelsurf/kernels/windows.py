@@ -43,7 +43,8 @@ def node_below(position, distance, before, n):
 def scatter(cells, weight, image, grid, nodes, counts, totals):
     """Add each cell times its weight to the eight nodes around it: 1 to ``counts``, the image to ``totals``.
 
-    On one thread: the order of the sums is that of the cells.
+    ``cells`` (m,) int64, ``weight`` (m,) float64; ``counts`` and ``totals`` (nodes,) float64, raveled. On one thread:
+    the order of the sums is that of the cells.
     """
     row, plane = nodes.nx, nodes.ny * nodes.nx
     dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
@@ -114,7 +115,7 @@ def two_means(start, stop, count, total, count_in, total_in, least, first, secon
 
 @kernel(stage=Stage.ENERGY)
 def read_nodes(start, stop, grid, band, front, nodes, first, second, out):
-    """Two fields of nodes at the foot of every front cell, out (n, 2); 0 elsewhere."""
+    """Two raveled fields of nodes at the foot of every front cell, into ``out`` (n, 2); 0 elsewhere."""
     row, plane = nodes.nx, nodes.ny * nodes.nx
     dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
     for s in range(start, stop):

@@ -269,7 +269,7 @@ def test_turned_and_mirrored_surfaces_are_the_same(turn):
         gap = np.abs(turned(one.psi) - other.psi)
         assert gap[np.abs(other.psi) < 2].max() < 1e-4
         assert (gap > 1e-3).mean() < 1e-4
-        # In one band and not in the other may only be cells at the very edge, as far as closest points are known there: off a
+        # In one band and not in the other may only be cells at the very edge, where closest points are known: off a
         # slanted surface their lengths in voxels change as much as they move along it, FIRST_TOLERANCE at a voxel.
         here, there = turned(in_band(one)), in_band(other)
         edge = np.where(here, turned(depth(one)), depth(other))[here != there]
