@@ -1,8 +1,8 @@
 """What the defaults give: `accelsurf segment INPUT --start ball:... -o DIR`, nothing else, on all phantoms and scans.
 
 The phantoms are those of `accelsurf synth`, without noise and with noise of 0.3 and 1 of their contrast, and as the
-recipe has it. The ball is put in by a rule, not by hand: half as deep as the object at its deepest voxel, at least
-2 voxels. One call makes the table of docs/defaults.md and docs/defaults.json beside it.
+recipe has it. The ball follows a rule, it is not placed by hand: its centre is the object's deepest voxel, its
+radius half that depth, at least 2 voxels. One call makes the table of docs/defaults.md, and docs/defaults.json.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def main() -> None:
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"rows": {}}
     for name in names:
         rows = scan(name, options.threads) if name in SCANS else phantom(name, options.threads)
-        kept = {key: row for key, row in facts["rows"].items() if row["input"] != name}
-        facts["rows"] = kept | {f"{name} {row['noise']}": row for row in rows}
+        others = {key: row for key, row in facts["rows"].items() if row["input"] != name}
+        facts["rows"] = others | {f"{name} {row['noise']}": row for row in rows}
         write(facts)
 
 
@@ -119,7 +119,7 @@ def run(source: Path, ball: str, truth: Volume | None, threads: int) -> dict[str
         name = source.name.removesuffix(".nii.gz")
         report = json.loads((Path(folder) / f"{name}_report.json").read_text())
         labels = io.read_labels(Path(folder) / f"{name}_seg.nii.gz")
-    row |= {key: report[key] for key in ("stop", "chosen", "quality", "volume_mm3")}
+    row |= {key: report[key] for key in ("stop", "resolved_settings", "quality", "volume_mm3")}
     if truth is not None:
         row["metrics"] = metrics.evaluate(labels, truth).to_dict()
         row["hd95_voxels"] = row["metrics"]["hd95_mm"] / min(labels.geometry.steps)
@@ -134,14 +134,14 @@ def text_of(rows: Any) -> str:
         if "error" in row:
             lines.append(f"| {row['input']} | {noise} | {row['error'].splitlines()[0]} |" + " |" * (len(COLUMNS) - 3))
             continue
-        found, stop, chosen = row.get("metrics"), row["stop"], row["chosen"]
+        found, stop, settings = row.get("metrics"), row["stop"], row["resolved_settings"]
         cells = [row["input"], noise]
         cells += [f"{found['dice']:.3f}", f"{row['hd95_voxels']:.1f}"] if found else ["no reference", ""]
         # Of the surface against the object itself: Dice has the voxels that it passes through as inside or outside.
         exact = row.get("exact_mm3")
         cells.append(f"{row['volume_mm3'] / exact - 1:+.1%}" if exact else "")
         words = ", ".join(text.split(":")[0] for text in row["quality"]["warnings"])
-        cells += [str(stop["steps"]), stop["reason"], str(chosen["levels"]), f"{chosen['presmooth_mm']:g}", words]
+        cells += [str(stop["steps"]), stop["reason"], str(settings["levels"]), f"{settings['presmooth_mm']:g}", words]
         lines.append(row_of(cells))
     return "\n".join([*lines, ""])
 
