@@ -1,8 +1,8 @@
 """What the defaults give: `accelsurf segment INPUT --start ball:... -o DIR`, nothing else, on all phantoms and scans.
 
 The phantoms are those of `accelsurf synth`, without noise and with noise of 0.3 and 1 of their contrast, and as the
-recipe has it. The ball follows a rule, it is not placed by hand: its centre is the object's deepest voxel, its
-radius half that depth, at least 2 voxels. One call makes the table of docs/defaults.md, and docs/defaults.json.
+recipe has it. The ball is put in by a rule, not by hand: half as deep as the object at its deepest voxel, at least
+2 voxels. One call makes the table of docs/explanation/defaults.md and docs/explanation/defaults.json beside it.
 """
 
 from __future__ import annotations
@@ -134,14 +134,14 @@ def text_of(rows: Any) -> str:
         if "error" in row:
             lines.append(f"| {row['input']} | {noise} | {row['error'].splitlines()[0]} |" + " |" * (len(COLUMNS) - 3))
             continue
-        found, stop, settings = row.get("metrics"), row["stop"], row["resolved_settings"]
+        found, stop, resolved = row.get("metrics"), row["stop"], row["resolved_settings"]
         cells = [row["input"], noise]
         cells += [f"{found['dice']:.3f}", f"{row['hd95_voxels']:.1f}"] if found else ["no reference", ""]
         # Of the surface against the object itself: Dice has the voxels that it passes through as inside or outside.
         exact = row.get("exact_mm3")
         cells.append(f"{row['volume_mm3'] / exact - 1:+.1%}" if exact else "")
         words = ", ".join(text.split(":")[0] for text in row["quality"]["warnings"])
-        cells += [str(stop["steps"]), stop["reason"], str(settings["levels"]), f"{settings['presmooth_mm']:g}", words]
+        cells += [str(stop["steps"]), stop["reason"], str(resolved["levels"]), f"{resolved['presmooth_mm']:g}", words]
         lines.append(row_of(cells))
     return "\n".join([*lines, ""])
 

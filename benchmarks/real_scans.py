@@ -1,8 +1,8 @@
 """Real scans: our commands against their references, best global thresholds, and other programs from the same start.
 
-One call makes the table of docs/real-scans.md, docs/real-scans.json beside it, and pictures. The volumes are public
-(see docs/real-scans.md for their sources); the folder that ACCELSURF_VOLUMES names holds them. Rows that are not run
-again stay as they are in the JSON.
+One call makes the table of docs/explanation/real-scans.md, the JSON beside it, and pictures. The volumes are public
+(that page names their sources); the folder that ACCELSURF_VOLUMES names holds them. Rows that are not run again are
+kept from the JSON.
 """
 
 from __future__ import annotations

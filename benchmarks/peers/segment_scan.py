@@ -45,7 +45,7 @@ HOPELESS = 0.1
 
 
 def own_real_grid() -> list[dict[str, Any]]:
-    """Settings of accelsurf on the brain scan; the first are those of docs/real-scans.md."""
+    """Settings of accelsurf on the brain scan; the first are those of docs/explanation/real-scans.md."""
     return [
         *combinations(epsilon=(0.0,), balance=(2.0,), tolerance=(0.1, 0.3, 0.6, 1.0)),
         *combinations(epsilon=(0.0,), balance=(3.0,), tolerance=(0.1, 0.6)),
