@@ -25,8 +25,8 @@ HERE = Path(__file__).resolve().parent
 BENCHMARKS: dict[str, tuple[str, str]] = {
     "march": ("march", "march"),
     "advance": ("advance", "advance"),
-    "segment-noise": ("segment", "segment_noise"),
-    "segment-real": ("segment", "segment_real"),
+    "segment-noise": ("segment_noise", "segment_noise"),
+    "segment-real": ("segment_scan", "segment_real"),
     "regularised": ("regularised", "regularised"),
     "step": ("step", "step"),
     "memory": ("memory", "memory"),

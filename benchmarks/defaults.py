@@ -50,8 +50,8 @@ def main() -> None:
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"rows": {}}
     for name in names:
         rows = scan(name, options.threads) if name in SCANS else phantom(name, options.threads)
-        kept = {key: row for key, row in facts["rows"].items() if row["input"] != name}
-        facts["rows"] = kept | {f"{name} {row['noise']}": row for row in rows}
+        others = {key: row for key, row in facts["rows"].items() if row["input"] != name}
+        facts["rows"] = others | {f"{name} {row['noise']}": row for row in rows}
         write(facts)
 
 

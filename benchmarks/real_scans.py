@@ -96,7 +96,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--only", default="", help="names of cases, separated by semicolons")
     parser.add_argument("--peers", type=float, default=0.0, metavar="SECONDS", help="search each other program so long")
-    parser.add_argument("--note", default="", help="about the circumstances, kept with the rows that are run")
+    parser.add_argument("--note", default="", help="about the circumstances, written into the rows that are run")
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")
     if not folder:
@@ -110,11 +110,11 @@ def main() -> None:
         row = run(name, CASES[name], Path(folder).resolve(), options)
         if options.note:
             row["note"] = options.note
-        keep(name, row)
+        write_row(name, row)
         print(json.dumps({key: value for key, value in row.items() if key not in ("peers", "quality")}), flush=True)
 
 
-def keep(name: str, row: dict[str, Any]) -> None:
+def write_row(name: str, row: dict[str, Any]) -> None:
     """Put a row into the JSON and the page; what other programs reached stays where they were not run again."""
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"cases": {}}
     if "peers" not in row and "peers" in facts["cases"].get(name, {}):
@@ -162,8 +162,8 @@ def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dic
         row["mesh_beyond_labels_voxels"] = mesh_beyond_labels(target / f"{case.image}_surface.ply", labels)
     if case.reference and case.balls is None:
         truth = io.read_labels(folder / f"{case.image}_ref.nii.gz")
-        chosen = np.isin(truth.array, case.labels) if case.labels else truth.array > 0
-        truth = truth.with_array(chosen.astype(np.uint8))
+        inside = np.isin(truth.array, case.labels) if case.labels else truth.array > 0
+        truth = truth.with_array(inside.astype(np.uint8))
         row["metrics"] = metrics.evaluate(labels, truth).to_dict()
         window = best_window(image.as_float32(), truth.array > 0)
         row["best_threshold"] = window._asdict()

@@ -26,7 +26,7 @@ VAGUE_NAMES = {
     *("moved", "part", "parts", "prepared", "push", "reach", "refined", "rest", "resume", "row", "settle"),
     *("spread", "take"),
 }
-#: In kernels `foot` is defined once: the closest point of a cell.
+#: In kernels `to_closest` is defined once: the closest point of a cell.
 KERNEL_WORDS = {"foot", "feet"}
 
 

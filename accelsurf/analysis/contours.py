@@ -56,8 +56,8 @@ class Contours:
         """Area of the object, mm2: what the outer curves enclose less the holes."""
         total = np.zeros(3)
         for loop in self.loops:
-            arms = loop - loop[0]  # far from the world origin products of positions would lose digits
-            total += np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0) / 2
+            offsets = loop - loop[0]  # far from the world origin products of positions would lose digits
+            total += np.cross(offsets, np.roll(offsets, -1, axis=0)).sum(axis=0) / 2
         return float(np.linalg.norm(total))
 
     def write(self, path: str | Path, space: str = "lps") -> None:
@@ -126,12 +126,12 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     margin = NODE_MARGIN * min(geometry.steps)
     near = np.abs(plane) < margin
     plane[near] = np.where(plane[near] < 0, -margin, margin)
-    # Two layers around the image, both on its outer edge: psi goes on, then all is outside, so that the contour turns
-    # between the two, where there is no room.
+    # Two layers around the image, both at its outer edge: the inner one continues psi, the outer one is all outside.
+    # The contour passes between them; as they lie at the same place, it runs along the edge.
     block = np.pad(np.pad(plane, 1, mode="edge"), 1, mode="edge")
-    ring = np.ones(block.shape, bool)
-    ring[1:-1, 1:-1] = False
-    block[ring] = np.abs(block[ring])
+    outermost = np.ones(block.shape, bool)
+    outermost[1:-1, 1:-1] = False
+    block[outermost] = np.abs(block[outermost])
     places = [np.concatenate([[-0.5, -0.5], np.arange(n), [n - 0.5, n - 0.5]]) for n in plane.shape]
     # "high": pixels that touch at a corner only are two objects, as they are where components are counted.
     found = find_contours(block, 0.0, fully_connected="high", positive_orientation="low")

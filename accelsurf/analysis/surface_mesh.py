@@ -199,8 +199,8 @@ def _closed_block(
 def _cap(block: NDArray[np.float32], axis: int, end: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Two layers, outer first, that both lie on the outer face of the border voxels.
 
-    The inner one continues psi, which takes the walls straight to the face. The outer one is all outside, so the
-    surface turns between the two; and as there is no room between them, it lies flat on the face.
+    The inner one continues psi, so that the surface reaches the face at a right angle. The outer one is all outside, so
+    the surface passes between the two; as they lie at the same place, it is flat on the face.
     """
     inner = np.take(block, [end], axis=axis)
     return np.abs(inner), inner
@@ -294,7 +294,7 @@ def polydata(
 
 
 def _codes(text: str) -> str:
-    """A string as VTK's XML keeps it: character codes, ended by 0."""
+    """A string as VTK's XML stores it: character codes, ended by 0."""
     return " ".join(str(ord(letter)) for letter in text) + " 0"
 
 
@@ -339,7 +339,7 @@ def write_atomically(target: Path, content: bytes) -> None:
     OutputError
         When it cannot be written.
     """
-    # The process number keeps two runs that write the same name from sharing one temporary file.
+    # With the process number two runs that write the same name have different temporary files.
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         part.write_bytes(content)

@@ -115,7 +115,6 @@ def conclude(
     Parameters
     ----------
     results : mapping of str to Result
-        By name.
     paths : mapping of str to Path
         ``comparison`` and ``picture``.
     facts : mapping
@@ -138,14 +137,11 @@ def conclude(
     from accelsurf.report.file_entries import describe_output
     from accelsurf.report.outputs import preview_content
 
-    runs, rows, contents = [], [], {}
-    for name, result in results.items():
-        measures = _agreement(result, truth) if truth is not None else None
-        run = {"name": name, "flow": result.config.flow, **document.describe_result(result)}
-        # Seconds of the run alone: files and pictures say nothing about a flow.
-        runs.append({**run, "seconds": sum(result.seconds.values()), "metrics": measures})
-        rows.append(_row(runs[-1], result))
-        dice = f", Dice {rows[-1][4]}" if measures is not None else ""
+    runs = [_describe_run(name, result, truth) for name, result in results.items()]
+    lines = [_table_line(run, result) for run, result in zip(runs, results.values(), strict=True)]
+    contents = {}
+    for line, result in zip(lines, results.values(), strict=True):
+        dice = f", Dice {line[4]}" if truth is not None else ""
         heading = f"{result.stop.reason}, {result.stop.steps} steps{dice}"
         contents[result.config.flow] = preview_content(result, heading, truth.array if truth is not None else None)
     interrupted = any(result.stop.reason == "interrupted" for result in results.values())
@@ -164,11 +160,21 @@ def conclude(
     }
     write_bytes(paths["comparison"], (document.to_json(comparison) + "\n").encode())
     if not quiet:
-        print(table(("flow", "steps", "seconds", "energy", "Dice", "stop"), rows))
+        print(table(("flow", "steps", "seconds", "energy", "Dice", "stop"), lines))
         print()
         for kind, path in paths.items():
             print(f"{kind:10}  {path.absolute()}")
     return INTERRUPTED if interrupted else 0
+
+
+def _describe_run(name: str, result: Result, truth: Volume | None) -> dict[str, Any]:
+    """What the comparison tells of a run; seconds of the run alone: files and pictures say nothing about a flow."""
+    from accelsurf.report import document
+
+    measures = _agreement(result, truth) if truth is not None else None
+    seconds = sum(result.seconds.values())
+    described = document.describe_result(result)
+    return {"name": name, "flow": result.config.flow, **described, "seconds": seconds, "metrics": measures}
 
 
 def _agreement(result: Result, truth: Volume) -> dict[str, Any]:
@@ -183,7 +189,7 @@ def _agreement(result: Result, truth: Volume) -> dict[str, Any]:
     return found
 
 
-def _row(run: Mapping[str, Any], result: Result) -> tuple[str, ...]:
+def _table_line(run: Mapping[str, Any], result: Result) -> tuple[str, ...]:
     measures = run["metrics"]
     dice = f"{measures['dice']:.4f}" if measures is not None else "-"
     energy = f"{run['energy']['last']:.6g}"

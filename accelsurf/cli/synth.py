@@ -28,7 +28,7 @@ def synth(
     output
         Folder for the outputs; made when missing.
     seed
-        Seed of noise and bias; beats the recipe's.
+        Seed of noise and bias; overrides the recipe's.
     overwrite
         Replace outputs that exist.
     """

@@ -14,7 +14,7 @@ from accelsurf.energies.likelihood import Gaussian, GaussianLikelihood, Histogra
 from accelsurf.energies.local_region import LocalRegion
 from accelsurf.energies.protocol import Energy
 from accelsurf.energies.region_field import RegionField
-from accelsurf.energies.region_sums import RegionMoments, RegionSums
+from accelsurf.energies.region_sums import MomentTracker, RegionMoments
 from accelsurf.energies.threshold import Threshold
 from accelsurf.energies.user_energy import CheckedEnergy
 from accelsurf.energies.weighted_sum import Area, Balloon, WeightedSum
@@ -34,7 +34,7 @@ __all__ = [
     "LocalRegion",
     "Parzen",
     "RegionField",
-    "RegionSums",
+    "MomentTracker",
     "RegionMoments",
     "Threshold",
     "WeightedSum",

@@ -109,5 +109,5 @@ def points_at_front(surface: LevelSet, front: np.ndarray) -> np.ndarray:
     out = np.zeros((surface.size, 3))
     index = np.stack(np.unravel_index(surface.band.cells[front], surface.shape), axis=1)
     grid = surface.grid
-    out[front] = index * np.array([grid.hz, grid.hy, grid.hx]) + surface.band.foot[front]
+    out[front] = index * np.array([grid.hz, grid.hy, grid.hx]) + surface.band.to_closest[front]
     return out

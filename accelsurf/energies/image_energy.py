@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies.protocol import Energy
-from accelsurf.energies.region_sums import RegionSums
+from accelsurf.energies.region_sums import MomentTracker
 from accelsurf.levelset import BandChange, LevelSet
 
 
@@ -25,7 +25,7 @@ class ImageEnergy(Energy):
 
     Attributes
     ----------
-    sums : RegionSums
+    sums : MomentTracker
         ``sums.inside(surface, fraction)`` are the sums over the inside, in voxels: times ``surface.voxel_volume`` they
         are integrals. ``sums.image`` is the image, raveled, ready for `sample_at_front`.
     alpha : float
@@ -33,7 +33,7 @@ class ImageEnergy(Energy):
     """
 
     def __init__(self, image: np.ndarray, alpha: float = 0.0) -> None:
-        self.sums = RegionSums(image)
+        self.sums = MomentTracker(image)
         self.alpha = float(alpha)
 
     def start(self, surface: LevelSet) -> None:

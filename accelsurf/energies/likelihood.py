@@ -12,7 +12,7 @@ from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.energies.interface import Interface
 from accelsurf.energies.protocol import Energy
-from accelsurf.energies.region_sums import RegionMoments, RegionSums
+from accelsurf.energies.region_sums import MomentTracker, RegionMoments
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
 from accelsurf.levelset import BandChange, LevelSet, dot
@@ -195,7 +195,7 @@ class HistogramLikelihood(Energy):
         epsilon: float = 0.0,
         parzen: Parzen | None = None,
     ) -> None:
-        self.sums = RegionSums(image)
+        self.sums = MomentTracker(image)
         self.alpha = float(alpha)
         self._area = AreaTerm(alpha)
         self._interface = Interface(float(epsilon))

@@ -21,7 +21,7 @@ class RegionMoments(NamedTuple):
     squares: float
 
 
-class RegionSums:
+class MomentTracker:
     """Sums of an image over the inside of the surface, kept up to date in O(band).
 
     The inside voxels that are not in the band are summed once; after that only cells that enter or leave

@@ -234,20 +234,20 @@ def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
 
 def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> NDArray[np.float32]:
     if start.kind == "label":
-        return _from_mask(_read_mask(start, geometry), geometry)
+        return psi_of_mask(_read_mask(start, geometry), geometry)
     if start.kind == "mesh":
-        return _from_mask(meshes.inside(start.file, geometry, ras=start.word == "ras"), geometry)
+        return psi_of_mask(meshes.inside(start.file, geometry, ras=start.word == "ras"), geometry)
     if start.kind == "seed":
         z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])
         radius = start.numbers[3] * (min(geometry.steps) if start.vox else 1.0)
         mask = region_growing.grow_region(values, geometry, (float(z), float(y), float(x)), radius)
-        return _from_mask(mask, geometry)
+        return psi_of_mask(mask, geometry)
     if start.kind in ("threshold", "largest", "otsu"):
         if start.numbers:
             mask = (values >= start.numbers[0]) & (values <= start.numbers[1])
         else:
             mask = region_growing.otsu(values, dark=start.word.endswith("dark"))
-        return _from_mask(region_growing.largest(mask) if start.kind == "largest" else mask, geometry)
+        return psi_of_mask(region_growing.largest(mask) if start.kind == "largest" else mask, geometry)
     if start.kind == "center":
         extents = [e for e, n in zip(geometry.extent_mm, geometry.shape, strict=True) if n > 1]
         centre = tuple(0.5 * (n - 1) for n in reversed(geometry.shape))
@@ -276,7 +276,8 @@ def _read_mask(start: Start, geometry: Geometry) -> NDArray[np.bool_]:
     return mask
 
 
-def _from_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:
+def psi_of_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:
+    """Psi of a mask: half a voxel of the smallest spacing to either side of its boundary, mm."""
     half = np.float32(0.5 * min(geometry.steps))
     return np.where(mask, -half, half)
 

@@ -48,7 +48,7 @@ def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[n
     if ras:
         points = points * (-1.0, -1.0, 1.0)
     index = geometry.world_to_index(points)
-    return _voxels_inside(index, triangles, geometry.shape)
+    return voxels_inside(index, triangles, geometry.shape)
 
 
 def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -144,7 +144,7 @@ def _closed(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.f
     return points, triangles
 
 
-def _voxels_inside(
+def voxels_inside(
     index: NDArray[np.float64], triangles: NDArray[np.int64], shape: tuple[int, int, int]
 ) -> NDArray[np.bool_]:
     """Scan lines along x through every row of voxels: inside after an odd number of crossings of the surface.

@@ -64,8 +64,8 @@ def gather_band(start, stop, dense_psi, grid, order, old, new):
         cell = old.cells[source]
         new.cells[s] = cell
         for axis in range(3):
-            new.foot[s, axis] = old.foot[source, axis]
-        d = max(length(old.foot, source), shortest)
+            new.to_closest[s, axis] = old.to_closest[source, axis]
+        d = max(length(old.to_closest, source), shortest)
         new.psi[s] = -d if dense_psi[cell] < 0.0 else d
 
 
@@ -87,7 +87,7 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
             continue
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        pz, py, px = iz + band.foot[s, 0] * hz, iy + band.foot[s, 1] * hy, ix + band.foot[s, 2] * hx
+        pz, py, px = iz + band.to_closest[s, 0] * hz, iy + band.to_closest[s, 1] * hy, ix + band.to_closest[s, 2] * hx
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
         inside = 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4
         if inside:
@@ -122,9 +122,9 @@ def outward_table(start, stop, slot, grid, band, front, off, slots, shares):
     for row in range(start, stop):
         s = off[row]
         iz, iy, ix = unravel(band.cells[s], grid)
-        pz = min(max(iz + band.foot[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
-        py = min(max(iy + band.foot[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
-        px = min(max(ix + band.foot[s, 2] / grid.hx, 0.0), grid.nx - 1.0)
+        pz = min(max(iz + band.to_closest[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
+        py = min(max(iy + band.to_closest[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
+        px = min(max(ix + band.to_closest[s, 2] / grid.hx, 0.0), grid.nx - 1.0)
         iz, iy, ix = int(pz), int(py), int(px)
         tz, ty, tx = pz - iz, py - iy, px - ix
         total = 0.0
@@ -189,7 +189,7 @@ def store_band(start, stop, dense, band):
 def front_mask(start, stop, grid, band, width, front):
     """Mark the slots within ``width`` voxels of the surface."""
     for s in range(start, stop):
-        front[s] = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid) <= width
+        front[s] = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid) <= width
 
 
 @kernel(stage=Stage.BAND)

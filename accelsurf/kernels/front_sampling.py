@@ -41,9 +41,9 @@ def value_and_slope(start, stop, image, grid, band, normals, front, out):
         out[s, 1] = 0.0
         if front[s]:
             iz, iy, ix = unravel(band.cells[s], grid)
-            pz = min(max(iz + band.foot[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
-            py = min(max(iy + band.foot[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
-            px = min(max(ix + band.foot[s, 2] / grid.hx, 0.0), grid.nx - 1.0)
+            pz = min(max(iz + band.to_closest[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
+            py = min(max(iy + band.to_closest[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
+            px = min(max(ix + band.to_closest[s, 2] / grid.hx, 0.0), grid.nx - 1.0)
             value, gz, gy, gx = value_and_gradient(image, grid, pz, py, px, w)
             out[s, 0] = value
             out[s, 1] = gz * normals[s, 0] + gy * normals[s, 1] + gx * normals[s, 2]

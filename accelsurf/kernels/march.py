@@ -95,7 +95,7 @@ def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, bes
         beside[i] = crossed
         ratio = value / band.psi[s] if abs(band.psi[s]) > inner else 0.0
         for axis in range(3):
-            guess[axis] = ratio * band.foot[s, axis]
+            guess[axis] = ratio * band.to_closest[s, axis]
         unknown = guess[0] == 0.0 and guess[1] == 0.0 and guess[2] == 0.0
         # Beyond the border psi is only continued, at the band's edge from where it is no distance.
         if unknown or not is_near_volume(grid, iz, iy, ix, guess, 0.0):
@@ -110,7 +110,7 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
 
     Cells beside the front always find one: the closest point of the interpolant, or, where that fails or
     lies beyond the nearest edge crossing (voxel-sized features), the linear plane through the crossings.
-    ``band`` is the band when psi was last a distance; see `guess_feet` for ``inner``. ``foot`` (n, 3) float32 and
+    ``band`` is the band when psi was last a distance; see `guess_feet` for ``inner``. ``to_closest`` (n, 3) float32 and
     ``state`` (n,) int8 are written.
     """
     psi = dense.psi
@@ -314,7 +314,7 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
 def propagate_feet(start, stop, dense, grid, cells, foot, state, on, better, changed):
     """One round: each of the slots ``on`` (m,) looks for a closer foot among its neighbours'.
 
-    Reads ``foot`` and ``state`` and writes ``better`` (m, 3) and ``changed`` (m,), for `update_feet`.
+    Reads ``to_closest`` and ``state`` and writes ``better`` (m, 3) and ``changed`` (m,), for `update_feet`.
     """
     near = np.empty(6, np.int64)
     guess = np.empty(3)

@@ -19,9 +19,9 @@ def sample_image(start, stop, image, grid, band, front, out):
         out[s] = 0.0
         if front[s]:
             iz, iy, ix = unravel(band.cells[s], grid)
-            pz = iz + band.foot[s, 0] / grid.hz
-            py = iy + band.foot[s, 1] / grid.hy
-            px = ix + band.foot[s, 2] / grid.hx
+            pz = iz + band.to_closest[s, 0] / grid.hz
+            py = iy + band.to_closest[s, 1] / grid.hy
+            px = ix + band.to_closest[s, 2] / grid.hx
             out[s] = value_at(image, grid, pz, py, px, w)
 
 
@@ -46,7 +46,7 @@ def mean_across(start, stop, psi, image, band, front, settings, out):
             continue
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        nz, ny, nx = band.foot[s, 0] * hz, band.foot[s, 1] * hy, band.foot[s, 2] * hx
+        nz, ny, nx = band.to_closest[s, 0] * hz, band.to_closest[s, 1] * hy, band.to_closest[s, 2] * hx
         pz, py, px = iz + nz, iy + ny, ix + nx
         norm = np.sqrt(nz * nz + ny * ny + nx * nx)
         outward = -1.0 if band.psi[s] > 0.0 else 1.0
@@ -137,7 +137,7 @@ def voxel_rates(start, stop, grid, band, front, beta, out):
         out[s] = 0.0
         if front[s]:
             d = abs(band.psi[s])
-            v = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid)
+            v = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid)
             out[s] = abs(beta[s]) * v / d
 
 

@@ -95,7 +95,7 @@ def measure_band(start, stop, psi, grid, band, within, fraction, area, curvature
             s = at
             at += 1
             d = band.psi[s]
-            voxels = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid)
+            voxels = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid)
             if abs(d) > diagonal and voxels > max(within, AREA_WIDTH):
                 fraction[s], area[s], curvature[s] = 1.0 if d < 0.0 else 0.0, 0.0, 0.0
                 continue
@@ -137,7 +137,7 @@ def smear_band(start, stop, grid, band, epsilon, fraction):
     function that `motion.mean_across` averages the image with.
     """
     for s in range(start, stop):
-        x = voxels_along(band.foot[s, 0], band.foot[s, 1], band.foot[s, 2], grid) / epsilon
+        x = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid) / epsilon
         if band.psi[s] < 0.0:
             x = -x
         if x <= -1.0:

@@ -138,7 +138,7 @@ def outward(psi, band, s, cell, iz, iy, ix, grid):
     """Outward unit normal at the foot of slot ``s``: away from the foot where that is well off the cell."""
     d = band.psi[s]
     if abs(d) > 0.5 * min(grid.hz, min(grid.hy, grid.hx)):
-        return -band.foot[s, 0] / d, -band.foot[s, 1] / d, -band.foot[s, 2] / d
+        return -band.to_closest[s, 0] / d, -band.to_closest[s, 1] / d, -band.to_closest[s, 2] / d
     gz, gy, gx = gradient(psi, cell, iz, iy, ix, grid)
     norm = max(np.sqrt(gz * gz + gy * gy + gx * gx), 1e-12)
     return gz / norm, gy / norm, gx / norm
@@ -243,9 +243,9 @@ def advect_fields(start, stop, slot, grid, band, velocity, dt, values, out):
     for s in range(start, stop):
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        target[0] = iz + band.foot[s, 0] / grid.hz
-        target[1] = iy + band.foot[s, 1] / grid.hy
-        target[2] = ix + band.foot[s, 2] / grid.hx
+        target[0] = iz + band.to_closest[s, 0] / grid.hz
+        target[1] = iy + band.to_closest[s, 1] / grid.hy
+        target[2] = ix + band.to_closest[s, 2] / grid.hx
         departure_point(velocity, slot, grid, target, dt, (w, v), at)
         own = slot[cell]
         known = band_vector_at(values, slot, grid, at, w, found)
@@ -267,9 +267,9 @@ def fields_between(start, stop, coarse, band, grid, place, values, absent, out):
     at = np.empty(3)
     for s in range(start, stop):
         iz, iy, ix = unravel(band.cells[s], grid)
-        at[0] = (iz + band.foot[s, 0] / grid.hz) * place[0, 0] + place[1, 0]
-        at[1] = (iy + band.foot[s, 1] / grid.hy) * place[0, 1] + place[1, 1]
-        at[2] = (ix + band.foot[s, 2] / grid.hx) * place[0, 2] + place[1, 2]
+        at[0] = (iz + band.to_closest[s, 0] / grid.hz) * place[0, 0] + place[1, 0]
+        at[1] = (iy + band.to_closest[s, 1] / grid.hy) * place[0, 1] + place[1, 1]
+        at[2] = (ix + band.to_closest[s, 2] / grid.hx) * place[0, 2] + place[1, 2]
         for field in range(values.shape[0]):
             value, found = linear_band_value(values[field], slot, values.shape[1], old, at)
             out[field, s] = value if found else absent[field]

@@ -19,9 +19,9 @@ def sum_of_waves(start, stop, grid, band, front, vectors, phases, out):
         if not front[s]:
             continue
         iz, iy, ix = unravel(band.cells[s], grid)
-        z = iz * grid.hz + band.foot[s, 0]
-        y = iy * grid.hy + band.foot[s, 1]
-        x = ix * grid.hx + band.foot[s, 2]
+        z = iz * grid.hz + band.to_closest[s, 0]
+        y = iy * grid.hy + band.to_closest[s, 1]
+        x = ix * grid.hx + band.to_closest[s, 2]
         total = 0.0
         for j in range(m):
             total += np.cos(vectors[j, 0] * z + vectors[j, 1] * y + vectors[j, 2] * x + phases[j])

@@ -123,9 +123,9 @@ def read_nodes(start, stop, grid, band, front, nodes, first, second, out):
         if not front[s]:
             continue
         iz, iy, ix = unravel(band.cells[s], grid)
-        jz, tz = node_below(iz + band.foot[s, 0] / grid.hz, nodes.bz, nodes.pz, nodes.nz)
-        jy, ty = node_below(iy + band.foot[s, 1] / grid.hy, nodes.by, nodes.py, nodes.ny)
-        jx, tx = node_below(ix + band.foot[s, 2] / grid.hx, nodes.bx, nodes.px, nodes.nx)
+        jz, tz = node_below(iz + band.to_closest[s, 0] / grid.hz, nodes.bz, nodes.pz, nodes.nz)
+        jy, ty = node_below(iy + band.to_closest[s, 1] / grid.hy, nodes.by, nodes.py, nodes.ny)
+        jx, tx = node_below(ix + band.to_closest[s, 2] / grid.hx, nodes.bx, nodes.px, nodes.nx)
         at = jz * plane + jy * row + jx
         for a in range(2):
             wz = tz if a else 1.0 - tz

@@ -40,7 +40,8 @@ def checkpoint_surface(surface: LevelSet) -> SurfaceState:
     inside = np.packbits(surface.dense.psi[_stretches(band.cells, surface)] < 0)
     small = surface.dense.psi.size < 2**32
     cells = band.cells.astype(np.uint32) if small else band.cells
-    return SurfaceState(cells, band.psi, band.foot, inside, surface.inside_beyond_band, surface.requested_half_width)
+    beyond, width = surface.inside_beyond_band, surface.requested_half_width
+    return SurfaceState(cells, band.psi, band.to_closest, inside, beyond, width)
 
 
 def restore_surface(surface: LevelSet, state: SurfaceState) -> None:

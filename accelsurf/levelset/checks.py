@@ -54,7 +54,7 @@ def _cells(count: int) -> str:
 
 
 def _finite(surface: LevelSet) -> str:
-    bad = ~np.isfinite(surface.dense.psi[surface.band.cells]) | ~np.isfinite(surface.band.foot).all(axis=1)
+    bad = ~np.isfinite(surface.dense.psi[surface.band.cells]) | ~np.isfinite(surface.band.to_closest).all(axis=1)
     return f"psi is not finite at {_cells(int(bad.sum()))}" if bad.any() else ""
 
 
@@ -67,11 +67,11 @@ def _distances(surface: LevelSet) -> str:
     """Psi is the distance to the closest point, with its sign, and within the half width."""
     band, g = surface.band, surface.grid
     rounding = 2e-6 * min(g.hz, g.hy, g.hx)
-    length = np.sqrt((band.foot.astype(np.float64) ** 2).sum(axis=1))
+    length = np.sqrt((band.to_closest.astype(np.float64) ** 2).sum(axis=1))
     bad = np.abs(np.abs(band.psi) - length) > 1e-5 * surface.gamma + rounding
     if bad.any():
         return f"psi is not the distance to the closest point at {_cells(int(bad.sum()))}"
-    far = voxels_along(*band.foot.astype(np.float64).T, g) > surface.half_width * (1 + 1e-6)
+    far = voxels_along(*band.to_closest.astype(np.float64).T, g) > surface.half_width * (1 + 1e-6)
     if far.any():
         return f"{_cells(int(far.sum()))} further than {surface.half_width:g} voxels from the surface"
     bad = surface.dense.psi[band.cells] != band.psi

@@ -18,12 +18,12 @@ MAX_ROUNDS = 64
 class ClosestPoints(NamedTuple):
     """Closest points of the first ``size`` rows, the slots of the band and then the cells that may enter.
 
-    ``cells`` (m,) int64 raveled; ``foot`` (m, 3) float32, see `kernels.grid.Band`; ``state`` (m,) int8, see
+    ``cells`` (m,) int64 raveled; ``to_closest`` (m, 3) float32, see `kernels.grid.Band`; ``state`` (m,) int8, see
     `kernels.march`. There is room for more than ``size``.
     """
 
     cells: np.ndarray
-    foot: np.ndarray
+    to_closest: np.ndarray
     state: np.ndarray
     size: int
 
@@ -33,19 +33,19 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
     parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
     # Room for the cells that enter in one step.
     room = n + n // 4 + 1024
-    cells, foot, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
+    cells, to_closest, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
     cells[:n] = surface.band.cells
     inner, found = surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx), np.empty(n, np.int8)
-    parallel(march.find_feet, n, dense, grid, surface.band, inner, foot, found)
-    parallel(march.classify_feet, n, dense, grid, surface.band.cells, foot, found, state)
+    parallel(march.find_feet, n, dense, grid, surface.band, inner, to_closest, found)
+    parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
     size = n
     open_slots, sources = np.flatnonzero(state[:n] == march.OPEN), np.flatnonzero(state[:n] == march.EDGE)
     active = np.zeros(room, np.bool_)
     active[open_slots] = True
     improved = []
     for _ in range(MAX_ROUNDS):
-        cells, foot, state, active, total = surface.workers.serial(
-            march.activate_neighbours, dense, grid, cells, foot, state, size, sources, surface.half_width, active
+        cells, to_closest, state, active, total = surface.workers.serial(
+            march.activate_neighbours, dense, grid, cells, to_closest, state, size, sources, surface.half_width, active
         )
         open_slots, size = np.concatenate([open_slots, np.arange(size, total)]), total
         on = open_slots[active[open_slots]]
@@ -53,14 +53,14 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
             break
         nearer, changed = np.empty((on.size, 3), np.float32), np.empty(on.size, np.bool_)
         was_open = state[on] == march.OPEN
-        parallel(march.propagate_feet, on.size, dense, grid, cells, foot, state, on, nearer, changed)
-        parallel(march.update_feet, on.size, on, nearer, changed, foot, state)
+        parallel(march.propagate_feet, on.size, dense, grid, cells, to_closest, state, on, nearer, changed)
+        parallel(march.update_feet, on.size, on, nearer, changed, to_closest, state)
         # A cell's first foot is refined at once: what it passes on is then better. The others at the end.
         first = on[changed & was_open]
-        parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, foot)
+        parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest)
         improved.append(on[changed & ~was_open])
         active[on] = False
         sources = on[changed]
     later = np.unique(np.concatenate([open_slots[:0], *improved]))
-    parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, foot)
-    return ClosestPoints(cells, foot, state, size)
+    parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest)
+    return ClosestPoints(cells, to_closest, state, size)

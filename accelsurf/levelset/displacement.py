@@ -42,8 +42,8 @@ def displacement(surface: LevelSet, before: Snapshot) -> Displacement:
     at = np.minimum(np.searchsorted(before.cells, band.cells[on]), before.cells.size - 1)
     known = before.cells[at] == band.cells[on]
     moved = np.abs(band.psi[on].astype(np.float64) - before.psi[at])
-    foot, h = band.foot[on].astype(np.float64), np.array([grid.hz, grid.hy, grid.hx])
-    per_mm = np.sqrt(((foot / h) ** 2).sum(axis=1) / np.maximum((foot**2).sum(axis=1), 1e-300))
+    to_closest, h = band.to_closest[on].astype(np.float64), np.array([grid.hz, grid.hy, grid.hx])
+    per_mm = np.sqrt(((to_closest / h) ** 2).sum(axis=1) / np.maximum((to_closest**2).sum(axis=1), 1e-300))
     voxels = np.where(known, moved * per_mm, surface.half_width)
     whole = float(area[on].sum())
     return Displacement(dot(area[on], voxels) / whole, float(area[on][voxels > FAR].sum()) / whole)

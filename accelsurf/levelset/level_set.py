@@ -286,16 +286,16 @@ class LevelSet:
         BandChange
         """
         parallel, n = self.workers.parallel, self.size
-        cells, foot, state, total = find_closest_points(self)
+        cells, to_closest, state, total = find_closest_points(self)
         keep = np.empty(total, np.bool_)
-        parallel(band_kernels.keep_mask, total, self.grid, foot, state, self.half_width, keep)
+        parallel(band_kernels.keep_mask, total, self.grid, to_closest, state, self.half_width, keep)
         entered = n + np.flatnonzero(keep[n:])
         entered = entered[np.argsort(cells[entered], kind="stable")]
         order = self.workers.serial(band_kernels.merged_order, cells, n, keep, entered)
 
         size = order.size
         new = Band(np.empty(size, np.int64), np.empty(size, np.float32), np.empty((size, 3), np.float32))
-        old = Band(cells, self.band.psi, foot)
+        old = Band(cells, self.band.psi, to_closest)
         parallel(band_kernels.gather_band, size, self.dense.psi, self.grid, order, old, new)
         front = np.empty(size, np.bool_)
         parallel(band_kernels.front_mask, size, self.grid, new, FRONT_WIDTH, front)

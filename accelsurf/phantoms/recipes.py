@@ -364,10 +364,10 @@ def recipe_from(values: Mapping[str, Any], where: str = "recipe") -> Recipe:
     try:
         return Recipe(**values)
     except ValidationError as error:
-        raise UsageError(*_explained(error.errors()[0], where)) from None
+        raise UsageError(*_message_and_hint(error.errors()[0], where)) from None
 
 
-def _explained(problem: Any, where: str) -> tuple[str, str]:
+def _message_and_hint(problem: Any, where: str) -> tuple[str, str]:
     """Message and hint for the first thing pydantic found wrong."""
     key = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 
-SCHEMA_VERSION = 1
+#: Raised when a key of the report or a column of the trace changes its name or its meaning.
+SCHEMA_VERSION = 2
 Status = Literal["ok", "failed", "interrupted"]
 
 #: Parts of a run that are timed, in the order they happen.

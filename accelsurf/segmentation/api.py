@@ -13,6 +13,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.given import psi_of, split_given
 from accelsurf.segmentation.region import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
@@ -52,7 +53,9 @@ def segment(
     on_step : callable, optional
         Called with each `StepRecord`; a true return value ends the run with the reason ``interrupted``.
     **options
-        Settings by name, over those of ``config``: ``start="ball:x,y,z,r"``, ``flow="gradient"``, ...
+        Settings by name, over those of ``config``: ``start="ball:x,y,z,r"``, ``flow="gradient"``, ... ``start``,
+        ``mask``, ``foreground`` and ``background`` may also be a mask (an array on the image's grid, or a Volume), a
+        closed mesh with ``vertices`` and ``faces`` in mm (LPS), or a list of balls (x, y, z, r) in mm.
 
     Returns
     -------
@@ -75,8 +78,7 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
-    first = as_volume(volume, spacing)
-    with Run(first, *with_options(config, energy, options), [as_channel(one, first) for one in channels]) as run:
+    with _run_of(volume, spacing, channels, config, energy, options) as run:
         for step in run:
             if on_step is not None and on_step(step.record):
                 run.request_stop()
@@ -118,8 +120,7 @@ def evolve(
     >>> step.surface.labels.shape
     (24, 24, 24)
     """
-    first = as_volume(volume, spacing)
-    with Run(first, *with_options(config, energy, options), [as_channel(one, first) for one in channels]) as run:
+    with _run_of(volume, spacing, channels, config, energy, options) as run:
         yield from run
 
 
@@ -179,17 +180,32 @@ def segment_objects(
     >>> {one.id: one.stop.reason for one in result.objects}, result.labels.dtype
     ({3: 'converged', 700: 'converged'}, dtype('uint16'))
     """
-    first = as_volume(volume, spacing)
     if isinstance(objects, str):
         options, objects = {**options, "objects": objects}, None
-    settings, own = with_options(config, energy, options)
-    if objects is None and settings.objects is None:
+    if objects is None and with_options(config, None, options)[0].objects is None:
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
-    with Run(first, settings, own, [as_channel(one, first) for one in channels], objects) as run:
+    with _run_of(volume, spacing, channels, config, energy, options, objects) as run:
         for step in run:
             if on_step is not None and on_step(step.record, step.object_id):
                 run.request_stop()
         return result_of(run)
+
+
+def _run_of(
+    volume: Volume | NDArray[Any],
+    spacing: float | tuple[float, float, float] | None,
+    channels: Sequence[Volume | NDArray[Any]],
+    config: RunConfig | None,
+    energy: EnergyLike | None,
+    options: dict[str, Any],
+    objects: ObjectsLike | None = None,
+) -> Run:
+    """The run that a caller asks for."""
+    first = as_volume(volume, spacing)
+    others = [as_channel(one, first) for one in channels]
+    texts, given = split_given(options)
+    arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
+    return Run(first, *with_options(config, energy, texts), others, objects, arrays)
 
 
 def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:

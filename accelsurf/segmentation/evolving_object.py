@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,45 +14,20 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.multilevel import FAILED, prolong_surface, rule_on_level
 from accelsurf.evolution.records import Step, Stop
 from accelsurf.evolution.setup import SolverSetup
-from accelsurf.evolution.state import Checkpoint, LoopState
+from accelsurf.evolution.state import LoopState
 from accelsurf.flows import Flow
-from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
 from accelsurf.segmentation.balls import Ball, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
+from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
 from accelsurf.segmentation.start_pyramid import ObjectStart, StartPyramid, finer_box, to_finest
 
 #: Voxels around an object's band at least, and as part of its extent; nearer than this the grid is made larger.
 ROOM, ROOM_PART, GUARD = 10, 0.5, 3
-
-
-class MadeEnergy(NamedTuple):
-    """An energy with its ``name`` and the ``terms`` that it is made of, with every setting resolved."""
-
-    energy: Energy
-    name: str
-    terms: list[dict[str, Any]]
-
-
-#: Makes the energy of (image, spacing, context).
-EnergyMaker = Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy]
-
-
-class ObjectCheckpoint(NamedTuple):
-    """An object between two steps: first voxel and shape of its grid, and its evolution there."""
-
-    corner: Corner
-    shape: tuple[int, int, int]
-    leaked: bool
-    evolution: Checkpoint
-
-    @property
-    def nbytes(self) -> int:
-        """Memory that it takes at most."""
-        return self.evolution.nbytes
 
 
 class EvolvingObject:
@@ -172,12 +145,12 @@ class EvolvingObject:
         """Begin on the next finer level instead."""
         self._starts.to_finer()
 
-    def begin(self) -> None:
+    def start_level(self) -> None:
         """Begin on the present level, from the start."""
         self._begin_from_start(None)
 
     def _begin_from_start(self, state: LoopState | None) -> None:
-        corner, psi = self._starts.take()
+        corner, psi = self._starts.use_up()
         if not self._among_others:
             self.corner = corner
             self._evolve(LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True), state)
@@ -223,10 +196,6 @@ class EvolvingObject:
         room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(self._min_room, low, high, strict=True)]
         return widened((a, b, c), self.grid.shape, (room[0], room[1], room[2]))
 
-    def _box(self) -> Box:
-        z, y, x = (slice(c, c + n) for c, n in zip(self.corner, self.surface.shape, strict=True))
-        return z, y, x
-
     def _lay_out(
         self, box: Box, known: NDArray[np.float32], at: Corner, before: Evolution | None, state: LoopState | None
     ) -> None:
@@ -246,14 +215,17 @@ class EvolvingObject:
         self._evolve(surface, state, fields)
 
     def _evolve(
-        self, surface: LevelSet, state: LoopState | None, fields: list[NDArray[np.float32]] | None = None
+        self,
+        surface: LevelSet,
+        state: LoopState | None,
+        fields: list[NDArray[np.float32]] | None = None,
+        energy: Energy | None = None,
     ) -> None:
-        """Begin an evolution on a surface, with an energy for its grid."""
-        z, y, x = (slice(c, c + n) for c, n in zip(self.corner, surface.shape, strict=True))
+        """Begin an evolution on a surface, with an energy for its grid unless there is one."""
         setup = self._setup
         self.evolution = Evolution(
             surface,
-            self._energy_on((z, y, x)),
+            self._energy_on(box_at(self.corner, surface.shape)) if energy is None else energy,
             setup.flow,
             setup.limits,
             self._max_steps,
@@ -321,20 +293,8 @@ class EvolvingObject:
         if self.level == 0:
             # The record of the final state: it was not.
             before.history.pop()
-        setup = self._setup
-        self.evolution = Evolution(
-            before.surface,
-            before.energy,
-            before.flow,
-            setup.limits,
-            self._max_steps,
-            setup.restart,
-            rule_on_level(setup.rule, self.level),
-            self.level,
-            before.state.on_next_grid(with_fields=True),
-            before.flow.fields,
-        )
-        self.evolution.initialize()
+        state = before.state.on_next_grid(with_fields=True)
+        self._evolve(before.surface, state, before.flow.fields, before.energy)
 
     # -- changed by hand -----------------------------------------------------------------------------------
 
@@ -368,7 +328,7 @@ class EvolvingObject:
             if self.evolution.stop is not None and self.level == 0:
                 self.evolution.history.pop()
         self._setup, self._make_energy = setup, make_energy
-        energy = self._energy_on(self._box()) if new_energy else None
+        energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy else None
         self.evolution = self.evolution.edited(
             energy,
             setup.flow,
@@ -391,7 +351,7 @@ class EvolvingObject:
         """Unite the object with balls, or take them away from it, within the mask."""
         psi = surface.dense.psi.reshape(surface.shape)
         apply_balls(psi, balls, self.grid, self.corner, float(surface.gamma))
-        distance = self._inputs.mask_distance(self.level, self._box())
+        distance = self._inputs.mask_distance(self.level, box_at(self.corner, self.surface.shape))
         if distance is not None:
             np.maximum(psi, distance, out=psi)
 
@@ -418,7 +378,7 @@ class EvolvingObject:
             self._evolve(LevelSet(empty, self.grid.spacing, setup.half_width, self.workers, overwrite=True), None)
             now = self.evolution
         elif new_energy:
-            now.energy = self._energy_on(self._box())
+            now.energy = self._energy_on(box_at(self.corner, self.surface.shape))
         now.flow, now.limits, now.restart = setup.flow, setup.limits, setup.restart
         now.rule = rule_on_level(setup.rule, self.level)
         now.restore(checkpoint.evolution)

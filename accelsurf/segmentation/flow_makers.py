@@ -11,14 +11,14 @@ from accelsurf.settings.run_config import RunConfig
 
 def constant_density(config: RunConfig) -> Flow:
     """Momentum of a surface of constant density."""
-    return ConstantDensity(**_momentum(config))
+    return ConstantDensity(**_heavy_ball(config))
 
 
 def flowable_mass(config: RunConfig) -> Flow:
     """Momentum of a surface whose mass is conserved and flows along it."""
     terms = energy_expression.parse(config.energy)
     area_weight = config.smoothness + sum(term.weight for term in terms if term.name == "area")
-    return FlowableMass(config.gravity, area_weight, **_momentum(config))
+    return FlowableMass(config.gravity, area_weight, **_heavy_ball(config))
 
 
 def gradient(config: RunConfig) -> Flow:
@@ -36,7 +36,7 @@ def heavy_ball(config: RunConfig) -> Flow:
     return HeavyBall(config.blend)
 
 
-def _momentum(config: RunConfig) -> dict[str, Any]:
+def _heavy_ball(config: RunConfig) -> dict[str, Any]:
     """Arguments of both flows with momentum."""
     return {
         "k": config.k,

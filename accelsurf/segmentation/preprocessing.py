@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,8 @@ from accelsurf.settings.run_config import RunConfig
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
+#: Settings that name voxels to learn from.
+TRAINING = ("foreground", "background")
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +101,10 @@ class PreprocessedInput:
 
 
 def preprocess(
-    volumes: Sequence[Volume], config: RunConfig, start: NDArray[np.float32] | None = None
+    volumes: Sequence[Volume],
+    config: RunConfig,
+    start: NDArray[np.float32] | None = None,
+    given: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> tuple[PreprocessedInput, NDArray[np.float32]]:
     """Prepare the image, the first surface and the mask of a run.
 
@@ -110,6 +115,8 @@ def preprocess(
     config : RunConfig
     start : ndarray (nz, ny, nx), optional
         psi of the first surfaces on the whole grid, in place of the start of ``config``.
+    given : mapping of str to ndarray (nz, ny, nx), optional
+        psi on the whole grid in place of the texts of ``start``, ``mask``, ``foreground`` and ``background``.
 
     Returns
     -------
@@ -123,23 +130,20 @@ def preprocess(
         As `accelsurf.segment` says.
     """
     check_channels(volumes)
-    first, whole = volumes[0], volumes[0].geometry
+    first, whole, given = volumes[0], volumes[0].geometry, given or {}
     box = region_of_interest(config.roi, whole)
     geometry = cropped(whole, box)
     presmooth = in_mm(config.presmooth, whole)
     smoothed = presmoothed(first, presmooth)
-    psi = starts.build(config.start, first, smoothed) if start is None else start
-    foreground, background = (
-        _crop(_training_voxels(name, texts, first, smoothed), box) if texts else None
-        for name, texts in (("foreground", config.foreground), ("background", config.background))
-    )
-    mask = read_mask(config.mask, whole) if config.mask is not None else None
-    distance = None if mask is None else mask_distance(_crop(mask, box), geometry.spacing)
-    psi = _start_within(_crop(psi, box), distance, config)
+    if start is None:
+        start = given["start"] if "start" in given else starts.build(config.start, first, smoothed)
+    foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
+    distance = _mask_distance(config, given, whole, box)
+    psi = _start_within(_crop(start, box), distance, config)
     values = _crop(smoothed, box) if config.roi is None else smoothed[box].copy()
     # What lies around a region of interest is shown at the end.
     around = smoothed if config.roi is not None else None
-    del smoothed
+    del smoothed, start
     scales = [scale_of(values)]
     images = [apply(values, scales[0])]
     del values
@@ -151,11 +155,10 @@ def preprocess(
     learns = any(energy_expression.learns(term) for term in terms)
     # Fixed models learn from the start where nothing else is given.
     from_start = foreground is None and learns
-    if from_start:
-        foreground = psi < 0
+    learned_from = psi < 0 if from_start else None if foreground is None else _crop(foreground, box)
     context = ImageContext(
-        images, scales, geometry.spacing, foreground, background, None, _raw_values(volumes, box, scales),
-        is_start=from_start,
+        images, scales, geometry.spacing, learned_from, None if background is None else _crop(background, box), None,
+        _raw_values(volumes, box, scales), is_start=from_start,
     )
     # What is given with --foreground is learned from by likelihood unless it updates, and then it is refused.
     learns = learns or any(term.name == "likelihood" for term in terms)
@@ -212,12 +215,32 @@ def _start_within(
     return np.ascontiguousarray(psi)
 
 
-def _training_voxels(name: str, texts: Sequence[str], volume: Volume, image: NDArray[np.float32]) -> Mask:
-    """Voxels that are written as a start; an error names the option ``name``."""
+def _training_voxels(
+    name: str, config: RunConfig, given: Mapping[str, NDArray[np.float32]], volume: Volume, image: NDArray[np.float32]
+) -> Mask | None:
+    """Voxels that are given as an array, or written as a start; an error names the option ``name``."""
+    if name in given:
+        return np.asarray(given[name] < 0)
+    texts = getattr(config, name)
+    if not texts:
+        return None
     try:
         return np.asarray(starts.build(texts, volume, image) < 0)
     except AccelsurfError as error:
         raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
+
+
+def _mask_distance(
+    config: RunConfig, given: Mapping[str, NDArray[np.float32]], whole: Geometry, box: Box
+) -> NDArray[np.float32] | None:
+    """Signed distance of the mask on the region of interest; None without a mask."""
+    if "mask" in given:
+        mask = np.asarray(given["mask"] < 0)
+    elif config.mask is not None:
+        mask = read_mask(config.mask, whole)
+    else:
+        return None
+    return mask_distance(_crop(mask, box), cropped(whole, box).spacing)
 
 
 def _crop(array: NDArray[Any], box: Box) -> NDArray[Any]:

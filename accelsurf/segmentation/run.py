@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,9 @@ from accelsurf.io.channels import read_further
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import edit_checks
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop, union_of, within
-from accelsurf.segmentation.evolving_object import EnergyMaker, EvolvingObject
+from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.level_arrays import LevelInputs
+from accelsurf.segmentation.object_records import EnergyMaker
 from accelsurf.segmentation.preprocessing import preprocess
 from accelsurf.segmentation.run_checkpoint import RunCheckpoint
 from accelsurf.segmentation.run_setup import (
@@ -58,6 +59,8 @@ class Run:
         Further channels, before those that ``config`` names.
     objects : str, Volume or ndarray, optional
         First voxels of several objects, in place of those that ``config`` names.
+    given : mapping of str to ndarray, optional
+        psi (nz, ny, nx) on the image's grid in place of the texts of ``start``, ``mask``, ``foreground``, ``background``.
 
     Attributes
     ----------
@@ -86,6 +89,7 @@ class Run:
         energy: EnergyLike | None = None,
         channels: Sequence[Volume] = (),
         objects: ObjectsLike | None = None,
+        given: Mapping[str, NDArray[np.float32]] | None = None,
     ) -> None:
         began = time.perf_counter()
         config = seeded(config)
@@ -96,7 +100,7 @@ class Run:
         several = [] if given is None else object_starts.read(given, volume.geometry, AROUND)
         union = union_of(several, volume.geometry) if several else None
         channels = [volume, *channels, *read_further(config.channel)]
-        self.prepared, psi = preprocess(channels, config, union)
+        self.prepared, psi = preprocess(channels, config, union, given)
         starts = [ObjectStart(one.id, one.corner, one.psi) for one in (within(o, self.prepared) for o in several)]
         for edit in config.edit:
             self.check(edit, [one.id for one in starts] or [1])
@@ -258,7 +262,7 @@ class Run:
                 one.skip_level()
         self._enter_level()
         for one in self.objects:
-            one.begin()
+            one.start_level()
 
     def _enter_level(self) -> None:
         self._inputs.release_coarser(self.level)

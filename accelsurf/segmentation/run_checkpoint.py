@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.segmentation.evolving_object import ObjectCheckpoint
+from accelsurf.segmentation.object_records import ObjectCheckpoint
 from accelsurf.settings.run_config import RunConfig
 
 

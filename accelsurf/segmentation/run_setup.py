@@ -21,8 +21,8 @@ from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.energy_assembly import make_energy
-from accelsurf.segmentation.evolving_object import EnergyMaker, MadeEnergy
 from accelsurf.segmentation.image_context import ImageContext
+from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy
 from accelsurf.segmentation.solver_setup import half_width, is_maker, make_flow, own_energy, stop_rule
 from accelsurf.segmentation.term_makers import WINDOW_VOXELS
 from accelsurf.settings import energy_expression

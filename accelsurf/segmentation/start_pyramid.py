@@ -67,7 +67,7 @@ class StartPyramid:
         """Go to the next finer level."""
         self._starts.pop()
 
-    def take(self) -> tuple[Corner, NDArray[np.float32]]:
+    def use_up(self) -> tuple[Corner, NDArray[np.float32]]:
         """First voxel and psi on the present level; on the finest it is not needed any more, and let go."""
         found = self._starts[-1]
         if self.level == 0:

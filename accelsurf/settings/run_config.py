@@ -133,12 +133,12 @@ class RunConfig(SettingFields):
         >>> RunConfig().replace(flow="gradient").flow
         'gradient'
         """
-        kept = self.model_dump()
+        present = self.model_dump()
         if "preset" in changes:
             under = PRESETS[self.preset].settings if self.preset is not None else {}
             former = type(self)(**under)
-            kept = {key: value for key, value in kept.items() if value != getattr(former, key)}
-        return type(self)(**{**kept, **changes})
+            present = {key: value for key, value in present.items() if value != getattr(former, key)}
+        return type(self)(**{**present, **changes})
 
     def at(self, step: int) -> Self:
         """Return the settings in force when a step is made: with the edits up to it, and without any to come.

@@ -89,14 +89,14 @@ def run(task: Task) -> dict[str, Any]:
     return facts
 
 
-def run_all(tasks: Iterable[Task], told: Callable[[dict[str, Any]], None] | None = None) -> list[dict[str, Any]]:
-    """Run tasks side by side, in order; ``told`` hears of each as it ends."""
+def run_all(tasks: Iterable[Task], on_done: Callable[[dict[str, Any]], None] | None = None) -> list[dict[str, Any]]:
+    """Run tasks side by side, in order; ``on_done`` is called with each result."""
     results = []
     with ProcessPoolExecutor(min(PROCESSES, os.cpu_count() or 1)) as pool:
         for facts in pool.map(run, tasks):
             results.append(facts)
-            if told is not None:
-                told(facts)
+            if on_done is not None:
+                on_done(facts)
     return results
 
 

@@ -65,8 +65,8 @@ def three(output: Path, name: str, changes: dict[str, Any], title: str) -> None:
     figure, axes = plt.subplots(1, 4, figsize=(13, 3.7))
     for axis, facts, colour in zip(axes, results, COLOURS, strict=False):
         show(axis, image, truth, [facts["labels"]], [colour])
-        told = f"{facts['name'][0]}: Dice {facts['dice']:.3f}\n{facts['steps']} steps, {facts['stop']}"
-        axis.set_title(told, fontsize=9)
+        title = f"{facts['name'][0]}: Dice {facts['dice']:.3f}\n{facts['steps']} steps, {facts['stop']}"
+        axis.set_title(title, fontsize=9)
     show(axes[3], image, truth, labels, COLOURS)
     axes[3].set_title("all three; pairwise Dice\n" + ", ".join(f"{p:.3f}" for p in pairs), fontsize=9)
     save(figure, output, name, f"{title} on a noisy rectangle (dashed: truth)")

@@ -105,5 +105,5 @@ def calibrate(name: str, start: np.ndarray, first: float, last: float) -> tuple[
             break
     else:
         trials[n] = radius_error(sparse_field(name, start, n), last)["radius"]
-    chosen = min(trials, key=lambda i: abs(trials[i] - last))
-    return chosen, [{"iterations": i, "radius": r} for i, r in trials.items()]
+    nearest = min(trials, key=lambda i: abs(trials[i] - last))
+    return nearest, [{"iterations": i, "radius": r} for i, r in trials.items()]

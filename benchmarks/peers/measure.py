@@ -40,7 +40,7 @@ class Options:
 
     ``quick``: tiny sizes, to see that everything works; ``repeats``: timed runs of which the median counts;
     ``threads``: for the benchmarks of whole segmentations; ``volumes``: folder of the scans, if there is one;
-    ``search``: where the search of segment-real is kept, and ``again``: it is taken from there.
+    ``search``: file of the search of segment-real; ``again``: read it instead of searching.
     """
 
     quick: bool = False
@@ -52,7 +52,7 @@ class Options:
     messages: list[str] = field(default_factory=list)
 
     def say(self, text: str) -> None:
-        """Print a message and keep it for the result: what was skipped or cut short, and why."""
+        """Print a message and add it to the result: what was skipped or stopped early, and why."""
         print(f"   {text}", flush=True)
         self.messages.append(text)
 
@@ -150,7 +150,7 @@ def combinations(**values: Iterable[Any]) -> list[dict[str, Any]]:
     >>> combinations(sigma=(1, 2), weight=(0,))
     [{'sigma': 1, 'weight': 0}, {'sigma': 2, 'weight': 0}]
     """
-    return [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
+    return [dict(zip(values, combination, strict=True)) for combination in itertools.product(*values.values())]
 
 
 def best(trials: Iterable[Trial]) -> Trial:
@@ -174,7 +174,7 @@ def search(
     coarse: Iterable[dict[str, Any]],
     fine: Mapping[str, Iterable[float]] | None = None,
     limit_s: float = float("inf"),
-    told: Callable[[str], None] = print,
+    say: Callable[[str], None] = print,
 ) -> list[Trial]:
     """Try settings once each; ``run`` returns the Dice of one.
 
@@ -187,7 +187,7 @@ def search(
         Setting -> factors, tried on the best of the coarse ones, one setting after the other (whole numbers stay so).
     limit_s : float
         No new setting is begun after this many seconds, no new coarse one after 0.7 of them where there are fine ones;
-        what was left out is told. The first one always runs.
+        ``say`` is called with what was not tried. The first one always runs.
     """
     trials: list[Trial] = []
     began = time.perf_counter()
@@ -197,7 +197,7 @@ def search(
             if any(trial.settings == settings for trial in trials):
                 continue
             if trials and time.perf_counter() - began > limit_s:
-                told(f"search stopped after {limit_s:.0f} s, {len(settings_list) - i} settings not tried")
+                say(f"search stopped after {limit_s:.0f} s, {len(settings_list) - i} settings not tried")
                 return
             seconds, dice = timed(lambda settings=settings: run(settings))
             trials.append(Trial(settings, float(dice), seconds))

@@ -2,7 +2,7 @@
 
 Every function does what a user would write: presmooth with its own library, run, threshold. Images are (z, y, x) at
 1 mm. ``start`` is a signed distance, negative inside. ``means`` are the true means inside and outside: a program that
-needs a threshold is told the best one by this. Libraries are imported where they are used, so that a peer's process
+needs a threshold is given the best one. Libraries are imported where they are used, so that a peer's process
 loads its own only.
 """
 

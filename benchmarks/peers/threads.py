@@ -111,6 +111,6 @@ def segment_on(volume: Any, config: RunConfig) -> dict[str, Any]:
 
 
 def facts_of(seconds: float, clock: Clock, labels: np.ndarray) -> dict[str, Any]:
-    """What is kept of a run."""
+    """What the result has of a run."""
     parts = clock.stages or dict(clock.kernels)
     return {"seconds": seconds, "parallel": clock.parallel, "parts": parts, "digest": digest(labels)}

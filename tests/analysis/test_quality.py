@@ -107,11 +107,11 @@ def test_the_command_warns_of_each_doubt_and_of_nothing_else(case, tmp_path, cap
     words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", start, "--mask", str(tmp_path / "mask.nii.gz")]
     words += ["--levels", "1", "--quiet"]
     assert cli.run([*words, "-o", str(tmp_path / "one")]) == 0
-    told = capsys.readouterr().err
-    assert told.count("warning: ") == (case != "good") and (case == "good" or f"warning: {case}: " in told)
+    message = capsys.readouterr().err
+    assert message.count("warning: ") == (case != "good") and (case == "good" or f"warning: {case}: " in message)
     assert cli.run([*words, "-o", str(tmp_path / "two"), "--strict"]) == (0 if case == "good" else 5)
-    told = capsys.readouterr().err
-    assert told == "" if case == "good" else f"error: scan: {case}: " in told
+    message = capsys.readouterr().err
+    assert message == "" if case == "good" else f"error: scan: {case}: " in message
     assert (tmp_path / "two" / "scan_seg.nii.gz").exists()
 
 

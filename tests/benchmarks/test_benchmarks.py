@@ -13,8 +13,8 @@ import pytest
 
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
-from benchmarks import benchmark
-from benchmarks.peers import objects, programs, render, scans, segment
+from benchmarks import benchmark, defaults, real_scans
+from benchmarks.peers import contest, objects, programs, render, scans
 from benchmarks.peers.advance import grow, sparse_field
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import (
@@ -65,9 +65,9 @@ def test_the_search_tries_the_grid_then_refines_its_best() -> None:
 
 
 def test_a_search_that_runs_out_of_time_says_what_it_left_out() -> None:
-    told: list[str] = []
-    assert len(search(lambda settings: 0.5, [{"a": 1}, {"a": 2}, {"a": 3}], limit_s=-1.0, told=told.append)) == 1
-    assert told == ["search stopped after -1 s, 2 settings not tried"]
+    messages: list[str] = []
+    assert len(search(lambda settings: 0.5, [{"a": 1}, {"a": 2}, {"a": 3}], limit_s=-1.0, say=messages.append)) == 1
+    assert messages == ["search stopped after -1 s, 2 settings not tried"]
 
 
 def test_long_runs_are_timed_once_more_and_hopeless_ones_twice() -> None:
@@ -82,11 +82,11 @@ def test_programs_take_turns() -> None:
     assert order == ["a", "b", "a", "b", "a"] and len(times["b"].seconds) == 2
 
 
-def test_a_peer_that_is_not_installed_is_skipped_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_peer_that_is_not_installed_is_skipped_with_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
     absent = programs.Peer("gone", "no_such_module_here", "no-such", programs.c3d, [])
-    monkeypatch.setattr(segment, "PEERS", {"gone": absent})
+    monkeypatch.setattr(contest, "PEERS", {"gone": absent})
     options = Options()
-    assert segment.available(options) == [] and segment.available(options) == []
+    assert contest.available(options) == [] and contest.available(options) == []
     assert options.messages == ["gone: skipped, no-such is not installed (pip install no-such)"]
 
 
@@ -153,7 +153,7 @@ def test_memory_is_split_into_voxels_and_band() -> None:
     assert fitted(lines) == pytest.approx((10.0, 50.0, 2e6), rel=1e-6)
 
 
-def test_a_missing_scan_is_told_in_one_line(
+def test_a_missing_scan_is_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ACCELSURF_VOLUMES", raising=False)
@@ -164,7 +164,7 @@ def test_a_missing_scan_is_told_in_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_process_that_fails_is_told_by_its_last_line() -> None:
+def test_a_process_that_fails_is_reported_by_its_last_line() -> None:
     import sys
 
     with pytest.raises(MissingError, match="ended with 3: sorry"):
@@ -199,7 +199,7 @@ def test_results_are_rendered_from_json_alone(tmp_path: Path) -> None:
     assert (folder / "benchmark_march.png").stat().st_size > 1000
 
 
-def test_short_of_a_difference_is_told_as_a_difference() -> None:
+def test_short_of_a_difference_is_reported_as_a_difference() -> None:
     assert render.verdict(goal("Dice less the best", 0.0, -0.0312, unit="")) == "no, short by 0.0312"
     assert render.verdict(goal("x", 1.0, None)) == "not measured"
 
@@ -215,3 +215,10 @@ def test_the_command_writes_json_with_machine_and_raw_times(
     with pytest.raises(SystemExit):
         benchmark.main(["no-such"])
     assert "no such benchmark" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("study", "entries"), [(defaults, "rows"), (real_scans, "cases")])
+def test_the_table_of_a_page_is_that_of_its_json(study: Any, entries: str) -> None:
+    found = json.loads(study.FACTS.read_text())[entries]
+    table = study.text_of(found.values() if study is defaults else found)
+    assert len(table) > 500 and table.strip() in study.PAGE.read_text()

@@ -211,7 +211,7 @@ def test_every_setting_is_an_option(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("--smoothness", "-1"), "smoothness: -1 was given, expected a number at least 0"),
         (("--cfl", "fast"), "cfl: fast was given"),
@@ -224,11 +224,11 @@ def test_every_setting_is_an_option(capsys):
         (("--config", "absent.toml"), "absent.toml: the configuration cannot be read"),
     ],
 )
-def test_usage_errors_are_one_line_and_a_hint(words, told, scans, tmp_path, capsys):
+def test_usage_errors_are_one_line_and_a_hint(words, message, scans, tmp_path, capsys):
     assert run("segment", scans / "ball.nii.gz", "-o", tmp_path / "out", *words) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2 and lines[0].startswith("error: ") and lines[1].startswith("hint: ")
-    assert told in lines[0]
+    assert message in lines[0]
 
 
 def test_unknown_key_in_the_file_is_reported_too(scans, tmp_path, capsys):

@@ -11,8 +11,8 @@ from accelsurf.analysis.metrics import dice
 from accelsurf.energies import (
     ChanVese,
     ImageEnergy,
+    MomentTracker,
     RegionField,
-    RegionSums,
     normals_at_front,
     points_at_front,
     sample_at_front,
@@ -271,7 +271,7 @@ def test_an_image_on_another_grid():
     with pytest.raises(InputError, match="shape"):
         sample_at_front(turned, surface, surface.front())
     with pytest.raises(InputError, match="shape"):
-        RegionSums(turned).start(surface)
+        MomentTracker(turned).start(surface)
 
 
 def test_an_image_energy_must_say_value_and_force():

@@ -23,7 +23,7 @@ def sphere(r: float, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> L
 def harmonic(surface: LevelSet, degree: int) -> np.ndarray:
     h = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
     where = np.array(np.unravel_index(surface.band.cells, surface.shape)).T - (np.array(surface.shape) - 1) / 2
-    z, y, x = (where * h + surface.band.foot).T
+    z, y, x = (where * h + surface.band.to_closest).T
     r = np.sqrt(z**2 + y**2 + x**2)
     return np.real(sph_harm_y(degree, 1, np.arccos(z / r), np.arctan2(y, x))).astype(np.float32)
 

@@ -46,7 +46,7 @@ class QuadraticInVolume(Energy):
 
 def closest_points(surface: LevelSet, on: Lattice) -> np.ndarray:
     """Closest points (n, 3), z y x, of all band cells."""
-    return on.points.reshape(3, -1)[:, surface.band.cells].T + surface.band.foot
+    return on.points.reshape(3, -1)[:, surface.band.cells].T + surface.band.to_closest
 
 
 class Given(FlowableMass):

@@ -91,7 +91,7 @@ def test_nothing_acts_along_a_missing_axis(model: type) -> None:
         pass
     if model is FlowableMass:
         assert not flow.velocity[:, 0].any() and np.abs(flow.velocity[:, 1:]).max() > 0
-    assert not surface.band.foot[:, 0].any()
+    assert not surface.band.to_closest[:, 0].any()
 
 
 def test_noise_leaves_a_saddle() -> None:

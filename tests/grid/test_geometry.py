@@ -6,7 +6,7 @@ import pytest
 import SimpleITK as sitk
 
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid.geometry import Geometry, orthonormal_deviation
+from accelsurf.grid.geometry import Geometry, axis_steps, orthonormal_deviation
 
 
 def random_geometry(seed: int) -> Geometry:
@@ -157,3 +157,11 @@ def test_geometry_alone_does_not_load_simpleitk():
 def test_a_geometry_error_is_an_input_error():
     with pytest.raises(InputError):
         Geometry((0, 0, 0), (1, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [((4, 5, 6), (3.0, 2.0, 1.0)), ((1, 5, 6), (2.0, 1.0)), ((4, 1, 1), (3.0,)), ((1, 1, 1), (3.0, 2.0, 1.0))],
+)
+def test_steps_are_the_spacings_along_which_something_happens(shape, expected):
+    assert axis_steps(shape, (3, 2, 1)) == expected == Geometry(shape, (3, 2, 1)).steps

@@ -42,7 +42,7 @@ def test_front_mask_is_the_part_within_a_width():
     grid = reference.grid_of((5, 6, 7), (1.0, 1.0, 1.0))
     front = np.zeros(band.cells.size, bool)
     band_kernels.front_mask(0, band.cells.size, grid, band, 1.3, front)
-    np.testing.assert_array_equal(front, np.linalg.norm(band.foot, axis=1) <= 1.3)
+    np.testing.assert_array_equal(front, np.linalg.norm(band.to_closest, axis=1) <= 1.3)
     assert 0 < front.sum() < front.size
 
 
@@ -64,14 +64,15 @@ def test_gather_keeps_signs_and_never_gives_zero():
     shape = (4, 5, 6)
     dense, old, _ = scattered(shape, 2)
     grid = reference.grid_of(shape, SPACING)
-    old.foot[7] = 0
+    old.to_closest[7] = 0
     order = np.random.default_rng(3).permutation(old.cells.size)[:30]
     order[4] = 7
     new = Band(np.full(30, -1), np.full(30, np.nan, np.float32), np.full((30, 3), np.nan, np.float32))
     band_kernels.gather_band(0, 30, dense.psi, grid, order, old, new)
     np.testing.assert_array_equal(new.cells, old.cells[order])
-    np.testing.assert_array_equal(new.foot, old.foot[order])
-    np.testing.assert_allclose(np.abs(new.psi), np.maximum(np.linalg.norm(old.foot[order], axis=1), 0.7e-6), rtol=1e-6)
+    np.testing.assert_array_equal(new.to_closest, old.to_closest[order])
+    lengths = np.linalg.norm(old.to_closest[order], axis=1)
+    np.testing.assert_allclose(np.abs(new.psi), np.maximum(lengths, 0.7e-6), rtol=1e-6)
     np.testing.assert_array_equal(new.psi < 0, dense.psi[new.cells] < 0)
     assert new.psi[4] != 0
 
@@ -171,7 +172,7 @@ def test_extension_replaces_values_off_the_front_only(shape, on_front):
     np.testing.assert_array_equal(values[front], before[front])
     on_grid, is_front = np.zeros(shape, np.float32), np.zeros(shape, bool)
     on_grid[present], is_front[present] = before, front
-    at = np.argwhere(present) + band.foot.astype(float) / SPACING
+    at = np.argwhere(present) + band.to_closest.astype(float) / SPACING
     found = np.zeros(off.size, bool)
     for row, s in enumerate(off):
         want, found[row] = reference.known_linear(on_grid, is_front, at[s])

@@ -49,7 +49,7 @@ def test_value_and_slope_are_the_interpolants_held_at_the_border(shape):
     out = np.full((front.size, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
     front_sampling.value_and_slope(0, front.size, image.ravel(), grid, band, normals, front, out)
-    feet = np.argwhere(np.ones(shape, bool)) + band.foot.astype(float) / SPACING
+    feet = np.argwhere(np.ones(shape, bool)) + band.to_closest.astype(float) / SPACING
     value, gradient = reference.interpolate(image, np.clip(feet, 0, np.array(shape) - 1.0))
     slope = (gradient / SPACING * normals).sum(axis=1)
     np.testing.assert_allclose(out[front], np.stack([value, slope], axis=1)[front], atol=5e-5)

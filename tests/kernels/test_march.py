@@ -389,7 +389,7 @@ def test_guesses_are_the_first_guess_or_the_old_foot_drawn_out(shape):
         assert beside[i] == any(crosses(psi, cell, other) for other in near)
         want = np.zeros(3)
         if abs(band.psi[s]) > inner:
-            want = float(dense.psi[s]) / float(band.psi[s]) * band.foot[s].astype(float)
+            want = float(dense.psi[s]) / float(band.psi[s]) * band.to_closest[s].astype(float)
             at = cell + want / UNEQUAL
             if ((at >= 0) & (at <= np.array(shape) - 1)).all():
                 drawn += 1
@@ -496,7 +496,7 @@ def test_a_foot_beyond_the_border_must_keep_what_psi_said(slope, offset, holds, 
     psi = ((depth - offset) / slope).astype(np.float32)
     dense, band = reference.whole_band(psi)
     grid = reference.grid_of(shape, (1, 1, 1))
-    foot, state = band.foot.copy(), np.full(psi.size, -1, np.int8)
+    foot, state = band.to_closest.copy(), np.full(psi.size, -1, np.int8)
     find_feet(dense, grid, band, foot, state)
     cell = np.full(3, 3)
     cell[axis] = shape[axis] - 3 if side % 2 else 2
@@ -705,7 +705,7 @@ def test_a_round_takes_the_closest_of_the_neighbours_feet(shape):
     size = int(np.prod(shape))
     dense, band = reference.whole_band(np.ones(shape), rng.normal(0, 1, (size, 3)))
     dense.slot[::11] = -1
-    grid, foot, h = reference.grid_of(shape, UNEQUAL), band.foot, np.array(UNEQUAL)
+    grid, foot, h = reference.grid_of(shape, UNEQUAL), band.to_closest, np.array(UNEQUAL)
     state = rng.choice(np.array([march.OPEN, march.FROZEN, march.EDGE], np.int8), size)
     on = rng.permutation(size)[: size * 2 // 3]
     better, changed = np.full((on.size, 3), np.float32(np.nan)), np.full(on.size, 7, np.int8).astype(bool)
@@ -740,8 +740,8 @@ def test_a_foot_must_be_closer_by_more_than_is_negligible():
     dense, band = reference.whole_band(np.ones((1, 1, 2)), [(0, 0, 2.0), (0, 0, 1.0)])
     near, out, state = np.empty(6, np.int64), np.full(3, -7.0), np.full(2, march.FROZEN, np.int8)
     for longer, takes in ((0.5 * march.MIN_GAIN, False), (1.5 * march.MIN_GAIN, True)):
-        band.foot[0, 2] = 2 + longer
-        assert march.nearer_neighbour_foot(0, dense, grid, band.cells, band.foot, state, near, out) == takes
+        band.to_closest[0, 2] = 2 + longer
+        assert march.nearer_neighbour_foot(0, dense, grid, band.cells, band.to_closest, state, near, out) == takes
     np.testing.assert_allclose(out, (0, 0, 2))
 
 

@@ -26,7 +26,7 @@ def scene(shape, seed, reach=1.2):
 
 
 def feet_in_voxels(shape, band):
-    return np.argwhere(np.ones(shape, bool)) + band.foot.astype(float) / SPACING
+    return np.argwhere(np.ones(shape, bool)) + band.to_closest.astype(float) / SPACING
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -46,14 +46,14 @@ def test_mean_across_is_taken_along_the_normal(shape):
     grid, epsilon, (a, b, c) = reference.grid_of(shape, SPACING), 1.5, (0.7, -0.4, 0.2)
     # Some cells lie on the surface: their direction is the gradient's.
     on = np.arange(image.size) % 5 == 0
-    band.foot[on] = 0
+    band.to_closest[on] = 0
     out = np.full(image.size, np.nan, np.float32)
     # Curved everywhere, so strongly in places that the bound of 1/2 holds.
     curvature = np.random.default_rng(4).normal(0, 0.5, image.size).astype(np.float32)
     settings = (grid, epsilon, (a, b, c), curvature)
     motion.mean_across(0, image.size, dense.psi, image.ravel(), band, front, settings, out)
     gradient, _ = reference.derivatives(dense.psi.reshape(shape), SPACING)
-    way = np.where(on[:, None], gradient.reshape(-1, 3), band.foot) / SPACING
+    way = np.where(on[:, None], gradient.reshape(-1, 3), band.to_closest) / SPACING
     way /= np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
     s = np.arange(-2, 3) * epsilon / 3
     delta = 1 + np.cos(np.pi * s / epsilon)

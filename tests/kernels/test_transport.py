@@ -486,7 +486,7 @@ def test_cells_with_nothing_known_keep_their_own_values_or_get_none():
     transport.advect_fields(0, 3, slot, grid, band, velocity, 0.5, values, out)
     np.testing.assert_array_equal(out, [[5, -6], [0, 0], [0, 0]])
     # With their feet beside the cell all three have its values.
-    band.foot[:] = np.array([[0.3, 0.2, 0.1], [0.3, 0.2, -0.6], [0.3, 0.2, -2.0]], np.float32)
+    band.to_closest[:] = np.array([[0.3, 0.2, 0.1], [0.3, 0.2, -0.6], [0.3, 0.2, -2.0]], np.float32)
     transport.advect_fields(0, 3, slot, grid, band, velocity, 0.5, values, out)
     np.testing.assert_allclose(out, np.tile(values, (3, 1)), atol=1e-6)
 

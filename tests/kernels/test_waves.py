@@ -21,7 +21,7 @@ def band_of(shape, seed):
 
 def feet(shape, band):
     """Feet in mm, (n, 3)."""
-    return np.argwhere(np.ones(shape, bool))[band.cells] * np.array(SPACING) + band.foot.astype(float)
+    return np.argwhere(np.ones(shape, bool))[band.cells] * np.array(SPACING) + band.to_closest.astype(float)
 
 
 def draw(rng, count, length):
@@ -93,6 +93,6 @@ def test_no_variation_along_an_axis_without_waves():
     vectors[:, 0] = 0
     grid, one, other = reference.grid_of(shape, SPACING), np.empty(30, np.float32), np.empty(30, np.float32)
     waves.sum_of_waves(0, 30, grid, band, np.ones(30, bool), vectors, phases, one)
-    band.foot[:, 0] = 0
+    band.to_closest[:, 0] = 0
     waves.sum_of_waves(0, 30, grid, band, np.ones(30, bool), vectors, phases, other)
     np.testing.assert_array_equal(one, other)

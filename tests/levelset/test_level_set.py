@@ -52,7 +52,7 @@ def in_band(surface):
 def depth(surface):
     """Distance from the surface in voxels along the normal, (nz, ny, nx); 0 outside the band."""
     out = np.zeros(surface.dense.psi.size)
-    out[surface.band.cells] = np.linalg.norm(surface.band.foot / surface.grid[3:], axis=1)
+    out[surface.band.cells] = np.linalg.norm(surface.band.to_closest / surface.grid[3:], axis=1)
     return out.reshape(surface.shape)
 
 
@@ -241,7 +241,7 @@ def test_the_other_side_is_the_same_bytes():
         one, other = LevelSet(psi, spacing), LevelSet(-psi, spacing)
         for _ in range(3):
             np.testing.assert_array_equal(one.psi, -other.psi)
-            np.testing.assert_array_equal(one.band.foot, other.band.foot)
+            np.testing.assert_array_equal(one.band.to_closest, other.band.to_closest)
             redistanced(one, 1)
             redistanced(other, 1)
 
@@ -361,7 +361,7 @@ def test_the_front_is_deep_enough_for_linear_interpolation_at_every_foot(spacing
     surface = LevelSet(ball(shape, spacing, 20.0), spacing)
     front = np.zeros(shape, bool)
     front.ravel()[surface.band.cells[surface.front()]] = True
-    at = np.stack(np.unravel_index(surface.band.cells, shape), axis=1) + surface.band.foot / spacing
+    at = np.stack(np.unravel_index(surface.band.cells, shape), axis=1) + surface.band.to_closest / spacing
     low = np.floor(at).astype(int)
     missing = [1 - front[tuple((low + corner).T)].mean() for corner in np.ndindex(2, 2, 2)]
     # Nearly: the front is counted along normals, a slanted surface is nearer across.
@@ -757,11 +757,11 @@ def spoilt(how):
     band, dense, some = surface.band, surface.dense, surface.size // 2
     match how:
         case "finite":
-            band.foot[some] = np.inf
+            band.to_closest[some] = np.inf
         case "ordered":
             band.cells[some : some + 2] = band.cells[[some + 1, some]]
         case "distances":
-            band.foot[some] *= 1.5
+            band.to_closest[some] *= 1.5
         case "slots":
             dense.slot[band.cells[some]] = 0
         case "outside":
@@ -769,11 +769,11 @@ def spoilt(how):
         case "closed":
             dense.psi[np.flatnonzero((dense.slot < 0) & (dense.psi > 0))[40]] *= -1
         case "slope":
-            for array in (band.psi, band.foot, dense.psi):
+            for array in (band.psi, band.to_closest, dense.psi):
                 array *= np.float32(0.5)
             surface.gamma *= np.float32(0.5)
         case "residuals":
-            band.foot[:] *= -1
+            band.to_closest[:] *= -1
     return surface
 
 

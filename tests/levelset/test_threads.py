@@ -114,7 +114,7 @@ def test_a_noisy_surface_is_the_same_bytes_with_one_two_and_three_threads():
         with Workers(threads) as workers:
             surface = LevelSet(psi, (1.5, 1.0, 0.8), workers=workers)
             assert surface.size > 4 * BLOCK
-            seen = [surface.psi.copy(), surface.band.foot]
+            seen = [surface.psi.copy(), surface.band.to_closest]
             surface.advance(np.sin(surface.band.cells * 0.37).astype(np.float32), 0.6)
             cells, foot, state, n = find_closest_points(surface)
             results.append(b"".join(np.asarray(a).tobytes() for a in [*seen, cells[:n], foot[:n], state[:n]]))
@@ -158,7 +158,7 @@ def test_a_moving_surface_is_the_same_bytes_with_one_two_and_three_threads():
                 change = surface.redistance([field])
                 (field,) = change.fields
                 seen += [*surface.fraction_and_area(), surface.curvature(surface.front()), field]
-                seen += [surface.psi, surface.band.foot]
+                seen += [surface.psi, surface.band.to_closest]
                 seen += [change.entered_inside, change.left_inside, surface.band.cells]
             results.append(b"".join(np.asarray(a).tobytes() for a in seen))
             assert check_level_set(surface, last=6) == []

@@ -70,7 +70,7 @@ def surface_points(surface: LevelSet, lattice: Lattice) -> np.ndarray:
     """Points (n, 3) of the surface, z y x: the closest ones to the voxels within a voxel of it."""
     near = surface.front(1.0)
     voxels = lattice.points.reshape(3, -1)[:, surface.band.cells[near]].T
-    return voxels + surface.band.foot[near]
+    return voxels + surface.band.to_closest[near]
 
 
 def steps(

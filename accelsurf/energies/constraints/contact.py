@@ -89,10 +89,10 @@ class NonOverlap(ConstrainedEnergy):
             return
         steps = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
         index = np.stack(np.unravel_index(surface.band.cells[on], surface.shape), axis=1) + np.array(self._corner)
-        foot = np.where(np.array(surface.shape) > 1, surface.band.foot[on] / steps, 0.0)
+        to_closest = np.where(np.array(surface.shape) > 1, surface.band.to_closest[on] / steps, 0.0)
         for other in self.neighbours:
             shape = np.array(other.surface.shape)
-            place = index + foot - np.array(other.corner)
+            place = index + to_closest - np.array(other.corner)
             # Closest points of cells at the volume's border may lie beyond it: there the border's own voxels count.
             within = np.clip(place, 0, shape - 1)
             near = np.flatnonzero((np.abs(place - within) <= FRONT_WIDTH).all(axis=1))

@@ -75,7 +75,7 @@ class _Emitter:
         lanes = [self.b.extract_element(product, ir.Constant(ir.IntType(32), i)) for i in range(4)]
         return self.b.fadd(self.b.fadd(lanes[0], lanes[2]), self.b.fadd(lanes[1], lanes[3]))
 
-    def row(self, data: Any, at: Any) -> Any:
+    def load_four(self, data: Any, at: Any) -> Any:
         pointer = self.b.bitcast(self.b.gep(data, [at]), _VECTOR.as_pointer())
         return self.b.load(pointer, align=4)
 
@@ -128,7 +128,7 @@ def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):
         for _ in range(4):
             rows = []
             for _ in range(4):
-                rows.append(e.row(data, at))
+                rows.append(e.load_four(data, at))
                 at = builder.add(at, sy)
             at = builder.add(builder.sub(at, builder.mul(sy, ir.Constant(at.type, 4))), sz)
             values.append(e.combined(rows, wy))
@@ -155,7 +155,7 @@ def _cubic_rows(typing_context, values, rows, uz, uy, ux):
         planes = []
         for i in range(4):
             at = [builder.load(cgutils.gep_inbounds(builder, offsets, 4 * i + j)) for j in range(4)]
-            planes.append(e.combined([e.row(data, a) for a in at], wy))
+            planes.append(e.combined([e.load_four(data, a) for a in at], wy))
         return e.dot(e.combined(planes, wz), wx)
 
     return signature, generate

@@ -1,0 +1,86 @@
+"""Arrays, volumes, meshes and lists of balls that are given in place of texts: for starts, masks, references."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization import starts
+from accelsurf.io import meshes
+
+#: Settings that may be given as arrays and the like.
+GIVEN = ("start", "mask", "foreground", "background")
+EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, or a list of (x, y, z, r) in mm"
+
+
+def split_given(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Part options into those that `RunConfig` takes, and those given as arrays, volumes, meshes or balls."""
+    given = {key: value for key, value in options.items() if key in GIVEN and not _is_text(value)}
+    return {key: value for key, value in options.items() if key not in given}, given
+
+
+def _is_text(value: Any) -> bool:
+    if value is None or isinstance(value, str):
+        return True
+    return isinstance(value, Sequence) and all(isinstance(item, str) for item in value)
+
+
+def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
+    """Psi (nz, ny, nx), mm, negative inside, of what was given.
+
+    Parameters
+    ----------
+    name : str
+        The setting, for messages.
+    value : ndarray, Volume, mesh or sequence of (x, y, z, r)
+        A mask: above 0 is inside. A mesh: closed, ``vertices`` (n, 3) and ``faces`` (m, 3), mm, LPS. Balls: world mm.
+    geometry : Geometry
+        The image's grid.
+
+    Raises
+    ------
+    UsageError
+        When it is nothing of that.
+    InputError
+        When nothing of the grid is inside; GeometryError when a mask lies on another grid.
+    """
+    if hasattr(value, "vertices") and hasattr(value, "faces"):
+        return starts.psi_of_mask(meshes.voxels_inside(value.vertices, value.faces, geometry), geometry)
+    if not isinstance(value, (Volume, np.ndarray)):
+        return _balls(name, value, geometry)
+    if isinstance(value, Volume):
+        if not value.geometry.matches(geometry):
+            raise GeometryError(
+                f"{name}: on another grid than the image: {value.geometry.difference(geometry)}",
+                "resample it to the image's grid first, nearest neighbour",
+            )
+        value = value.array
+    array = np.asarray(value)
+    array = array[np.newaxis] if array.ndim == 2 else array
+    if array.shape != geometry.shape:
+        raise GeometryError(
+            f"{name}: an array of shape {array.shape} was given, expected the image's {geometry.shape}",
+            "both are (z, y, x)",
+        )
+    inside = np.asarray(array > 0)
+    if not inside.any():
+        raise InputError(f"{name}: the mask is empty", "give one with voxels above 0")
+    return starts.psi_of_mask(inside, geometry)
+
+
+def _balls(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
+    try:
+        table = np.array(value, float)
+    except (TypeError, ValueError):
+        table = np.empty(0)
+    table = table[np.newaxis] if table.ndim == 1 else table
+    if table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
+        raise UsageError(f"{name}: a {type(value).__name__} was given, expected {EXPECTED}", "see accelsurf.segment")
+    texts = [f"ball:{x!r},{y!r},{z!r},{r!r}" for x, y, z, r in table.tolist()]
+    return starts.build(texts, Volume(np.zeros(geometry.shape, np.uint8), geometry))

@@ -1,0 +1,115 @@
+"""The best setting of every program, timed in turn, and who is faster at no lower Dice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from benchmarks.peers.measure import LONG, Options, Timing, Trial, best, goal, in_turn, repeats_for, table
+from benchmarks.peers.programs import PEERS, Peer
+
+OWN = "accelsurf"
+#: Its fastest setting whose Dice is no lower than any peer's best: peers stop where they are best, so is their pace.
+LEVEL = "accelsurf, level with the best peer"
+#: A peer this far below the best Dice, or this many times slower than the fastest that is not, cannot be the best one:
+#: it is timed twice only.
+BEHIND, SLOWER = 0.02, 3.0
+#: Seconds after which a search begins no new setting: on the small problem, on the large one.
+SEARCH_S = (60.0, 40.0)
+#: How many of the best settings of the small problem are tried on the large one.
+CARRIED = 2
+
+
+def available(options: Options) -> list[Peer]:
+    """The peers that are installed; a message names each of the others, once."""
+    for peer in PEERS.values():
+        if peer.missing and peer.missing not in options.messages:
+            options.say(peer.missing)
+    return [peer for peer in PEERS.values() if not peer.missing]
+
+
+def reporter(name: str, options: Options) -> Callable[[str], None]:
+    """Return a function that prints a message of a search with the program's name."""
+    return lambda text: options.say(f"{name}: {text}")
+
+
+def report(name: str, trial: Trial) -> None:
+    """Print the result of a search."""
+    print(f"   {name}: Dice {trial.dice:.4f} in {trial.seconds:.2f} s with {trial.settings}", flush=True)
+
+
+def time_best(
+    trials: Mapping[str, list[Trial]], calls: Mapping[str, Callable[[Mapping[str, Any]], Any]], options: Options
+) -> dict[str, dict[str, Any]]:
+    """Time the best setting of every program in turn, and collect its results."""
+    trials, calls = dict(trials), dict(calls)
+    tops = {name: best(tried) for name, tried in trials.items()}
+    for trial in level(trials):
+        tops[LEVEL], trials[LEVEL], calls[LEVEL] = trial, trials[OWN], calls[OWN]
+    highest = max(top.dice for top in tops.values())
+    good = [t.seconds for n, t in tops.items() if n not in (OWN, LEVEL) and t.dice >= highest - BEHIND]
+    slow = SLOWER * min(good, default=float("inf"))
+    repeats = {}
+    for name, top in tops.items():
+        hopeless = name not in (OWN, LEVEL) and (top.dice < highest - BEHIND or top.seconds > slow)
+        repeats[name] = repeats_for(top, options, hopeless)
+    works = {name: (lambda c=calls[name], s=top.settings: c(s)) for name, top in tops.items()}
+    times = in_turn(works, repeats)
+    programs = {}
+    for name, top in tops.items():
+        timing = times[name]
+        if top.seconds > LONG and not options.again:
+            options.say(f"{name}: a run takes {top.seconds:.0f} s, timed once more only")
+            timing = Timing([top.seconds, *timing.seconds])
+        programs[name] = {
+            "settings": top.settings, "dice": top.dice, **timing.to_dict(),
+            "highest_dice": max(t.dice for t in trials[name]), "search": [t.to_dict() for t in trials[name]],
+        }
+    return programs
+
+
+def level(trials: Mapping[str, list[Trial]]) -> list[Trial]:
+    """The fastest trial of accelsurf with a Dice no lower than any peer's best, if there is one."""
+    highest = max((best(tried).dice for name, tried in trials.items() if name != OWN), default=1.0)
+    good = [trial for trial in trials[OWN] if trial.dice >= highest]
+    return [min(good, key=lambda trial: trial.seconds)] if good else []
+
+
+def judge(
+    programs: Mapping[str, Mapping[str, Any]], label: str, wanted: float = 10.0
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Goals and pairs: Dice against the best peer's, seconds against that peer's."""
+    own = programs[OWN]
+    peers = {name: facts for name, facts in programs.items() if name not in (OWN, LEVEL)}
+    pairs = [
+        {"pair": f"{label}: {name} / accelsurf", "ratio": f["median_s"] / own["median_s"], "dice": f["dice"]}
+        for name, f in peers.items()
+    ]
+    if not peers:
+        return [goal(f"{label}: times faster than the best peer", wanted, None)], pairs
+    top = best(Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in peers.items())
+    highest = max(facts["dice"] for facts in peers.values())
+    name = top.settings["name"]
+    return [
+        goal(f"{label}: Dice less the best peer's", 0.0, own["dice"] - highest, unit=""),
+        goal(
+            f"{label}: times faster than the best peer ({name}), at no lower Dice than any",
+            wanted,
+            top.seconds / programs[LEVEL]["median_s"] if LEVEL in programs else None,
+        ),
+        goal(f"{label}: the same at its own best Dice", wanted, top.seconds / own["median_s"]),
+    ], pairs
+
+
+def program_table(title: str, programs: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """What every program reached, best first."""
+    rows = []
+    for name, f in sorted(programs.items(), key=lambda item: -item[1]["dice"]):
+        settings = ", ".join(f"{k} {v}" for k, v in f["settings"].items())
+        ratio = f["median_s"] / programs[OWN]["median_s"]
+        counts = len(f["seconds"]), len(f["search"])
+        rows.append((name, f["dice"], f["highest_dice"], f["median_s"], ratio, *counts, settings))
+    columns = (
+        "program", "Dice", "highest tried", "seconds", "/ accelsurf's", "runs", "settings tried", "settings"
+    )
+    return table(title, columns, rows)

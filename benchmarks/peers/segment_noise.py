@@ -1,0 +1,103 @@
+"""`segment-noise`: cubes in noise, every program at the best settings that a search finds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from accelsurf.analysis.metrics import dice
+from accelsurf.segmentation.api import segment
+from benchmarks.peers.contest import (
+    CARRIED,
+    OWN,
+    SEARCH_S,
+    available,
+    judge,
+    level,
+    program_table,
+    report,
+    reporter,
+    time_best,
+)
+from benchmarks.peers.measure import Options, Trial, best, combinations, ranked, search, set_threads
+from benchmarks.peers.work import noisy_cube
+
+
+def own_noise_grid() -> list[dict[str, Any]]:
+    """Settings of accelsurf in noise."""
+    return [
+        *combinations(
+            epsilon=(0.0,), presmooth=(1.5,), smoothness=(0.2, 0.1), tolerance=(0.1, 0.3, 0.5), levels=("auto", 3)
+        ),
+        *combinations(epsilon=(0.0, 1.5), presmooth=(1.5, 1.0, 2.0), smoothness=(0.1, 0.2, 0.0)),
+        *combinations(flow=("gradient",), epsilon=(0.0,), presmooth=(1.5,), tolerance=(0.1, 0.3)),
+    ]
+
+
+def segment_noise(options: Options) -> dict[str, Any]:
+    """Cubes in noise of their contrast: every program's best, the library call alone timed."""
+    set_threads(options.threads)
+    sides = (32, 40) if options.quick else (96, 128)
+    carried: dict[str, list[Trial]] = {}
+    cases = []
+    for i, side in enumerate(sides):
+        cases.append(noise_case(side, options, carried, SEARCH_S[min(i, 1)]))
+    goals: list[dict[str, Any]] = []
+    pairs: list[dict[str, Any]] = []
+    tables = []
+    for case in cases:
+        label = f"{case['side']}^3"
+        more, ratios = judge(case["programs"], label)
+        goals += more
+        pairs += ratios
+        tables.append(program_table(f"Cube of {case['side'] // 2} in {label}", case["programs"]))
+    bars = [[f"{n}, {c['side']}^3", p["median_s"]] for c in cases for n, p in c["programs"].items()]
+    return {
+        "work": f"cube in noise sigma 1 of the contrast, {sides[0]}^3 and {sides[1]}^3, off-centre ball, library call, "
+        f"{options.threads} threads",
+        "threads": options.threads, "cases": cases, "goals": goals, "pairs": pairs, "tables": tables, "bars": bars,
+    }
+
+
+def noise_case(side: int, options: Options, carried: dict[str, list[Trial]], limit_s: float) -> dict[str, Any]:
+    """One size: search, then timing in turn. ``carried`` brings the settings of a smaller size, and takes these."""
+    image, truth, start, distance = noisy_cube(side)
+    segment(image, start=start, threads=options.threads, max_steps=3)  # compile
+
+    def own(settings: Mapping[str, Any]) -> np.ndarray:
+        return segment(image, start=start, threads=options.threads, **settings).labels.astype(bool)
+
+    calls: dict[str, Callable[[Mapping[str, Any]], np.ndarray]] = {OWN: own}
+    grids: dict[str, tuple[list[dict[str, Any]], Any]] = {OWN: (own_noise_grid(), None)}
+    for peer in available(options):
+        calls[peer.name] = lambda settings, peer=peer: peer.run(image, distance, (1.0, 0.0), settings)
+        grids[peer.name] = ([peer.scaled(s, side) for s in peer.coarse], peer.fine)
+    if options.quick:
+        grids = {name: (coarse[:2], None) for name, (coarse, _) in grids.items()}
+    trials = {}
+    for name, (coarse, fine) in grids.items():
+        if name in carried:
+            # Both sizes have the same noise: the best of the smaller one, iterations grown with the side.
+            coarse, fine = from_smaller(carried[name], side), None
+        say = reporter(name, options)
+        trials[name] = search(lambda s, c=calls[name]: dice(c(s), truth), coarse, fine, limit_s, say)
+        report(name, best(trials[name]))
+    carried |= {name: [scaled_trial(t, 96 / side) for t in ranked(ts)[:CARRIED]] for name, ts in trials.items()}
+    carried[OWN] += [scaled_trial(t, 96 / side) for t in level(trials)]
+    programs = time_best(trials, calls, options)
+    return {"side": side, "start": start, "programs": programs}
+
+
+def scaled_trial(trial: Trial, factor: float) -> Trial:
+    """A trial whose iterations are those of another size."""
+    settings = dict(trial.settings)
+    if "iterations" in settings:
+        settings["iterations"] = max(2, round(settings["iterations"] * factor))
+    return Trial(settings, trial.dice, trial.seconds)
+
+
+def from_smaller(trials: Iterable[Trial], side: int) -> list[dict[str, Any]]:
+    """Settings of the smaller problem, for ``side`` voxels."""
+    return [scaled_trial(trial, side / 96).settings for trial in trials]

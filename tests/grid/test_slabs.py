@@ -1,0 +1,30 @@
+"""Slabs cover an array once, in order, and are as small as they may be."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from accelsurf.grid import slabs
+
+
+@pytest.mark.parametrize("voxels", [1, 100, 250, 10_000])
+@pytest.mark.parametrize(("multiple", "at_least"), [(1, 1), (2, 1), (1, 5)])
+def test_slabs_cover_every_plane_once(monkeypatch, voxels, multiple, at_least):
+    monkeypatch.setattr(slabs, "SLAB_VOXELS", voxels)
+    shape = (23, 10, 5)
+    found = list(slabs.slabs(shape, multiple, at_least))
+    assert [i for run in found for i in range(run.start, run.stop)] == list(range(23))
+    for run in found[:-1]:
+        planes = run.stop - run.start
+        assert planes % multiple == 0 and planes >= at_least
+        assert planes * 50 <= voxels or planes == max(multiple, at_least)
+
+
+def test_runs_cover_every_cell_once(monkeypatch):
+    monkeypatch.setattr(slabs, "SLAB_VOXELS", 7)
+    found = list(slabs.runs(30))
+    assert np.array_equal(np.concatenate([np.arange(30)[run] for run in found]), np.arange(30))
+    assert all(run.stop - run.start == 7 for run in found[:-1])
+    assert all(one.stop == other.start for one, other in itertools.pairwise(found))
+    assert list(slabs.runs(0)) == []

@@ -1,0 +1,40 @@
+"""The Gaussian's width is in mm on every grid, and it does nothing across a single slice."""
+
+import numpy as np
+import pytest
+
+from accelsurf.grid.smoothing import gaussian_mm
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.7, 1.0, 1.3)])
+def test_a_point_becomes_as_wide_as_sigma(spacing):
+    image, sigma = np.zeros((41, 41, 41), np.float32), 3.0
+    image[20, 20, 20] = 1
+    smooth = gaussian_mm(image, spacing, sigma)
+    assert smooth.dtype == np.float32 and smooth.sum() == pytest.approx(1, rel=1e-5)
+    for axis, h in enumerate(spacing):
+        profile = smooth.sum(axis=tuple(other for other in range(3) if other != axis))
+        assert (profile * ((np.arange(41) - 20) * h) ** 2).sum() == pytest.approx(sigma**2, rel=0.02)
+
+
+def test_a_single_slice_is_smoothed_within_itself():
+    image = np.random.default_rng(1).random((1, 30, 20)).astype(np.float32)
+    thin, thick = (gaussian_mm(image, (h, 1.0, 2.0), 1.5) for h in (0.1, 50.0))
+    np.testing.assert_array_equal(thin, thick)
+    stack = gaussian_mm(np.repeat(image, 9, axis=0), (1.0, 1.0, 2.0), 1.5)
+    np.testing.assert_allclose(stack[4], thin[0], atol=1e-6)
+
+
+def test_beyond_the_border_values_are_repeated_or_mirrored():
+    ramp = np.tile(np.arange(20, dtype=np.float32), (1, 5, 1))
+    repeated, mirrored = (gaussian_mm(ramp, (1.0, 1.0, 1.0), 2.0, border=border) for border in ("nearest", "reflect"))
+    assert 0 < repeated[0, 0, 0] < mirrored[0, 0, 0]
+    np.testing.assert_allclose(repeated[0, 2, 8:12], [8, 9, 10, 11], atol=1e-3)
+
+
+def test_the_image_is_not_changed():
+    image = np.random.default_rng(2).random((5, 6, 7)).astype(np.float32)
+    before = image.copy()
+    assert gaussian_mm(image, (1.0, 1.0, 1.0), 0.0) is not image
+    gaussian_mm(image, (1.0, 1.0, 1.0), 2.0)
+    np.testing.assert_array_equal(image, before)
