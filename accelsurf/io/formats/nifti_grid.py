@@ -115,7 +115,7 @@ class NiftiGrid:
         return Geometry(self.shape, (hz, hy, hx), (x, y, z), _RAS_TO_LPS @ direction)
 
     def check_forms(self) -> None:
-        """Refuse a qform with a value that is not finite, and a sheared sform where the sform is what counts.
+        """Refuse forms that are no transforms, and a sheared sform where the sform is what counts.
 
         With a qform of another kind beside it (a scanner qform and an atlas sform), the qform places the image and the
         sform is only given back on writing.
@@ -130,10 +130,8 @@ class NiftiGrid:
                 f"the qform of the header is no transform: {list(self.qform)}",
                 hint="correct or clear the qform in the header",
             )
-        if not self._sform_counts:
-            return
-        deviation = self.sform_deviation()
-        if deviation > ORTHONORMAL_TOLERANCE:
+        deviation = self.sform_deviation() if self.sform_code > 0 else 0.0
+        if self._sform_counts and deviation > ORTHONORMAL_TOLERANCE:
             raise GeometryError(
                 f"the axes of the NIfTI sform are not perpendicular: off by {deviation:.3g} "
                 f"({math.degrees(math.asin(min(1.0, deviation))):.3g} degrees), "
