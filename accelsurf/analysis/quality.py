@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 #: parts of the image's range; more growth than this in the last steps.
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS = 0.2, 0.4, 0.05, 0.02, 20
 #: More of the object unlike what it was learned from. A Gaussian has 1.2 % beyond the bounds; of the good results of
-#: docs/real-scans.md at most 3 % was, of those that leaked 19 % and more.
+#: docs/explanation/real-scans.md at most 3 % was, of those that leaked 19 % and more.
 MAX_UNLIKE = 0.1
 #: A gradient is no edge unless it is above this percentile of those in the object's own depth, so many voxels from its
 #: surface, and above this part of the image's range over the scale that gradients are seen at.
