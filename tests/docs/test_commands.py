@@ -134,3 +134,15 @@ def test_every_command_of_a_how_to_page_is_accepted(page, tmp_path, monkeypatch,
         assert cli.run(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
         if target is not None:
             Path(target).write_text(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/how-to/notebooks.md"])
+def test_the_python_of_the_page_runs(page, tmp_path, monkeypatch):
+    """But for what opens a window."""
+    monkeypatch.chdir(tmp_path)
+    scan_in_place_of(Path("scan.nii.gz"))
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL):
+        if "plot(" not in block:
+            exec(compile(block, page, "exec"), names)
+    assert names["result"].stop.reason == "converged"
