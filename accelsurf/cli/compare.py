@@ -133,7 +133,6 @@ def conclude(
     from accelsurf.cli.progress import table
     from accelsurf.io.files import write_bytes
     from accelsurf.report import document, preview
-    from accelsurf.report.environment import versions
     from accelsurf.report.file_entries import describe_output
     from accelsurf.report.outputs import preview_content
 
@@ -144,27 +143,33 @@ def conclude(
         dice = f", Dice {line[4]}" if truth is not None else ""
         heading = f"{result.stop.reason}, {result.stop.steps} steps{dice}"
         contents[result.config.flow] = preview_content(result, heading, truth.array if truth is not None else None)
-    interrupted = any(result.stop.reason == "interrupted" for result in results.values())
+    code = INTERRUPTED if any(one.stop.reason == "interrupted" for one in results.values()) else 0
     write_bytes(paths["picture"], preview.comparison_png(contents, title))
-    comparison = {
-        "schema_version": document.SCHEMA_VERSION,
-        "status": "interrupted" if interrupted else "ok",
-        "exit_code": INTERRUPTED if interrupted else 0,
-        "versions": versions(),
-        "argv": sys.argv,
-        "config": next(iter(results.values())).config.model_dump(mode="json", exclude={"flow"}),
-        **facts,
-        "runs": runs,
-        "agreement_dice": _agreement_of_runs(results),
-        "outputs": [describe_output(paths["picture"], "picture")],
-    }
+    comparison = {**_heading(code, next(iter(results.values())).config), **facts, "runs": runs}
+    comparison["agreement_dice"] = _agreement_of_runs(results)
+    comparison["outputs"] = [describe_output(paths["picture"], "picture")]
     write_bytes(paths["comparison"], (document.to_json(comparison) + "\n").encode())
     if not quiet:
         print(table(("flow", "steps", "seconds", "energy", "Dice", "stop"), lines))
         print()
         for kind, path in paths.items():
             print(f"{kind:10}  {path.absolute()}")
-    return INTERRUPTED if interrupted else 0
+    return code
+
+
+def _heading(code: int, config: RunConfig) -> dict[str, Any]:
+    """What the comparison begins with."""
+    from accelsurf.report import document
+    from accelsurf.report.environment import versions
+
+    return {
+        "schema_version": document.SCHEMA_VERSION,
+        "status": "interrupted" if code else "ok",
+        "exit_code": code,
+        "versions": versions(),
+        "argv": sys.argv,
+        "config": config.model_dump(mode="json", exclude={"flow"}),
+    }
 
 
 def _describe_run(name: str, result: Result, truth: Volume | None) -> dict[str, Any]:

@@ -79,10 +79,7 @@ def segment(
     ('converged', 1, True)
     """
     with _run_of(volume, spacing, channels, config, energy, options) as run:
-        for step in run:
-            if on_step is not None and on_step(step.record):
-                run.request_stop()
-        return result_of(run)
+        return _result_at_end(run, None if on_step is None else lambda record, own: on_step(record))
 
 
 def evolve(
@@ -167,7 +164,7 @@ def segment_objects(
     UsageError
         When no objects are given, an option is unknown, or an energy lacks something.
     InputError
-        As `accelsurf.segment`, and when the starts are no good.
+        As `accelsurf.segment`, and when a start is empty or inside of others.
 
     Examples
     --------
@@ -185,10 +182,15 @@ def segment_objects(
     if objects is None and with_options(config, None, options)[0].objects is None:
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     with _run_of(volume, spacing, channels, config, energy, options, objects) as run:
-        for step in run:
-            if on_step is not None and on_step(step.record, step.object_id):
-                run.request_stop()
-        return result_of(run)
+        return _result_at_end(run, on_step)
+
+
+def _result_at_end(run: Run, on_step: Callable[[StepRecord, int], bool | None] | None) -> Result:
+    """Run to the end, or until ``on_step`` returns true."""
+    for step in run:
+        if on_step is not None and on_step(step.record, step.object_id):
+            run.request_stop()
+    return result_of(run)
 
 
 def _run_of(

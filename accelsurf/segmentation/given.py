@@ -51,7 +51,9 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
         When nothing of the grid is inside; GeometryError when a mask lies on another grid.
     """
     if hasattr(value, "vertices") and hasattr(value, "faces"):
-        return starts.psi_of_mask(meshes.voxels_inside(value.vertices, value.faces, geometry), geometry)
+        index = geometry.world_to_index(np.asarray(value.vertices, float))
+        inside = meshes.voxels_inside(index, np.asarray(value.faces), geometry.shape)
+        return starts.psi_of_mask(inside, geometry)
     if not isinstance(value, (Volume, np.ndarray)):
         return _balls(name, value, geometry)
     if isinstance(value, Volume):

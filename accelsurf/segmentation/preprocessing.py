@@ -140,17 +140,12 @@ def preprocess(
     foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
     distance = _mask_distance(config, given, whole, box)
     psi = _start_within(_crop(start, box), distance, config)
-    values = _crop(smoothed, box) if config.roi is None else smoothed[box].copy()
     # What lies around a region of interest is shown at the end.
     around = smoothed if config.roi is not None else None
+    values = _crop(smoothed, box) if config.roi is None else smoothed[box].copy()
     del smoothed, start
-    scales = [scale_of(values)]
-    images = [apply(values, scales[0])]
+    images, scales = _scaled_channels(values, volumes, presmooth, box)
     del values
-    for one in volumes[1:]:
-        other = _crop(presmoothed(one, presmooth), box)
-        scales.append(scale_of(other))
-        images.append(apply(other, scales[-1]))
     terms = energy_expression.parse(config.energy)
     learns = any(energy_expression.learns(term) for term in terms)
     # Fixed models learn from the start where nothing else is given.
@@ -167,6 +162,19 @@ def preprocess(
         tuple(volumes), box, geometry, tuple(images), context, distance, presmooth, around, shown, learns
     )
     return prepared, psi
+
+
+def _scaled_channels(
+    values: NDArray[np.float32], volumes: Sequence[Volume], presmooth: float, box: Box
+) -> tuple[list[NDArray[np.float32]], list[Scale]]:
+    """The channels on the region, 0 and 1 at their percentiles; ``values`` are the first one's, smoothed, used up."""
+    scales = [scale_of(values)]
+    images = [apply(values, scales[0])]
+    for one in volumes[1:]:
+        other = _crop(presmoothed(one, presmooth), box)
+        scales.append(scale_of(other))
+        images.append(apply(other, scales[-1]))
+    return images, scales
 
 
 def check_channels(volumes: Sequence[Volume]) -> None:

@@ -59,8 +59,9 @@ class Run:
         Further channels, before those that ``config`` names.
     objects : str, Volume or ndarray, optional
         First voxels of several objects, in place of those that ``config`` names.
-    given : mapping of str to ndarray, optional
-        psi (nz, ny, nx) on the image's grid in place of the texts of ``start``, ``mask``, ``foreground``, ``background``.
+    arrays : mapping of str to ndarray, optional
+        psi (nz, ny, nx) on the image's grid in place of the texts of ``start``, ``mask``, ``foreground`` and
+        ``background``.
 
     Attributes
     ----------
@@ -89,7 +90,7 @@ class Run:
         energy: EnergyLike | None = None,
         channels: Sequence[Volume] = (),
         objects: ObjectsLike | None = None,
-        given: Mapping[str, NDArray[np.float32]] | None = None,
+        arrays: Mapping[str, NDArray[np.float32]] | None = None,
     ) -> None:
         began = time.perf_counter()
         config = seeded(config)
@@ -100,7 +101,7 @@ class Run:
         several = [] if given is None else object_starts.read(given, volume.geometry, AROUND)
         union = union_of(several, volume.geometry) if several else None
         channels = [volume, *channels, *read_further(config.channel)]
-        self.prepared, psi = preprocess(channels, config, union, given)
+        self.prepared, psi = preprocess(channels, config, union, arrays)
         starts = [ObjectStart(one.id, one.corner, one.psi) for one in (within(o, self.prepared) for o in several)]
         for edit in config.edit:
             self.check(edit, [one.id for one in starts] or [1])
