@@ -49,7 +49,19 @@ def whole_box(shape: Sequence[int]) -> Box:
     >>> whole_box((4, 5, 6))
     (slice(0, 4, None), slice(0, 5, None), slice(0, 6, None))
     """
-    return slice(0, shape[0]), slice(0, shape[1]), slice(0, shape[2])
+    return box_at((0, 0, 0), shape)
+
+
+def box_at(corner: Corner, shape: Sequence[int]) -> Box:
+    """Return the box of ``shape`` voxels whose first voxel is ``corner``.
+
+    Examples
+    --------
+    >>> box_at((1, 0, 2), (4, 5, 6))
+    (slice(1, 5, None), slice(0, 5, None), slice(2, 8, None))
+    """
+    z, y, x = (slice(first, first + n) for first, n in zip(corner, shape, strict=True))
+    return z, y, x
 
 
 def corner_of(box: Box) -> Corner:

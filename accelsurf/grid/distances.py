@@ -14,7 +14,7 @@ from accelsurf.grid.slabs import slabs
 def ball_distance(
     box: Box,
     spacing: Sequence[float],
-    centre: Sequence[float],
+    centre: Sequence[float] | NDArray[np.float64],
     radius: float,
     precision: DTypeLike = np.float64,
 ) -> NDArray[np.float32]:
@@ -26,7 +26,7 @@ def ball_distance(
         Voxels of the grid.
     spacing : sequence of 3 floats
         (hz, hy, hx), mm.
-    centre : sequence of 3 floats
+    centre : sequence of 3 floats or ndarray (3,)
         Voxel index (z, y, x) of the ball's centre.
     radius : float
         mm.

@@ -27,8 +27,8 @@ def slabs(shape: Sequence[int], multiple: int = 1, at_least: int = 1) -> Iterato
     >>> list(slabs((5, 1024, 512), at_least=4))
     [slice(0, 4, None), slice(4, 5, None)]
     """
-    planes = multiple * max(1, SLAB_VOXELS // (multiple * shape[1] * shape[2]))
-    planes = max(planes, at_least)
+    voxels = max(1, shape[1] * shape[2])  # 0 of an empty array
+    planes = max(multiple * max(1, SLAB_VOXELS // (multiple * voxels)), at_least)
     for begin in range(0, shape[0], planes):
         yield slice(begin, min(begin + planes, shape[0]))
 

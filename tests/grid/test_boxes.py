@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid.boxes import bounding_box, corner_of, meeting, shared, whole_box, widened
+from accelsurf.grid.boxes import bounding_box, box_at, corner_of, meeting, shared, whole_box, widened
 
 SHAPE = (7, 9, 8)
 
@@ -59,6 +59,7 @@ def test_shared_voxels_are_counted_from_the_first_voxel_of_each_box():
     low, high = random_boxes(12, 2)
     numbers = np.arange(np.prod(SHAPE)).reshape(SHAPE)
     boxes = [tuple(slice(a, b) for a, b in zip(*ends, strict=True)) for ends in zip(low, high, strict=True)]
+    assert all(box_at(corner_of(box), numbers[box].shape) == box for box in boxes)
     compared = 0
     for i, others in enumerate(meeting(low, high)):
         for j in others:

@@ -28,3 +28,8 @@ def test_runs_cover_every_cell_once(monkeypatch):
     assert all(run.stop - run.start == 7 for run in found[:-1])
     assert all(one.stop == other.start for one, other in itertools.pairwise(found))
     assert list(slabs.runs(0)) == []
+
+
+@pytest.mark.parametrize("shape", [(0, 4, 5), (3, 0, 5), (3, 4, 0)])
+def test_an_empty_array_has_slabs_of_its_planes(shape):
+    assert [i for run in slabs.slabs(shape) for i in range(run.start, run.stop)] == list(range(shape[0]))

@@ -311,7 +311,7 @@ GRID = Geometry((10, 12, 14), ISOTROPIC)
         ("id,x,y,z,r\n1,5,5,5,0\n", "line 2: radius 0 was given"),
         ("id,x,y,z,r\n3,50,5,5,2\n", "ball 3 lies outside of the volume"),
         ("id,x,y,z,r\n3,5.5,5.5,5.5,0.4\n", "no voxel centre is inside ball 3"),
-        ("id,x,y,z,r\n1,5,5,5,4\n2,5,5,5,2\n", "other objects take all of object 2"),
+        ("id,x,y,z,r\n1,5,5,5,4\n2,5,5,5,2\n", "all of object 2 lies within others"),
     ],
 )
 def test_bad_tables_are_told(text, told, tmp_path):
