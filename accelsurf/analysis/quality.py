@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.spacing import gaussian_smoothed, largest_spacing
+from accelsurf.grid.smoothing import gaussian_smoothed
+from accelsurf.grid.spacing import largest_spacing
 
 if TYPE_CHECKING:
     from accelsurf.evolution.loop import StepRecord, Stop

@@ -10,7 +10,8 @@ from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front, slope_at_front
 from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.errors import InputError
-from accelsurf.grid.spacing import gaussian_smoothed, largest_spacing
+from accelsurf.grid.smoothing import gaussian_smoothed
+from accelsurf.grid.spacing import largest_spacing
 from accelsurf.levelset import LevelSet, dot
 
 #: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.errors import GeometryError
+from accelsurf.grid.spacing import counted_spacings
 
 ORTHONORMAL_TOLERANCE = 1e-4
 """Largest accepted entry of |D^T D - 1|: float32 headers stay below 1e-6, a shear of 0.01 degree does not."""
@@ -101,7 +102,7 @@ class Geometry:
 
         Nothing happens along an axis of one voxel: its spacing is a thickness, not a step.
         """
-        return tuple(h for n, h in zip(self.shape, self.spacing, strict=True) if n > 1) or self.spacing
+        return counted_spacings(self.shape, self.spacing) or self.spacing
 
     @property
     def voxel_volume(self) -> float:
