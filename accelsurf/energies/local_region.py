@@ -114,7 +114,7 @@ class LocalRegion(Energy):
         n, total = (np.ascontiguousarray(field[cut]) for field in self._windows)
         means = np.empty((3, n.size))
         surface.workers.parallel(
-            windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), MIN_PART, *means
+            windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), MIN_PART, means
         )
         self._means = [self._smooth(surface, field.reshape(n.shape)).ravel() for field in means[:2]]
         before = [b - s.start for b, s in zip(self._nodes[6:], cut, strict=True)]
@@ -126,7 +126,7 @@ class LocalRegion(Energy):
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
         means = np.empty((surface.size, 2))
         surface.workers.parallel(
-            windows.read_nodes, surface.size, surface.grid, surface.band, front, self._part, *self._means, means
+            windows.read_nodes, surface.size, surface.grid, surface.band, front, self._part, tuple(self._means), means
         )
         image = self._interface.force(self._image, surface, front, curvature, (0.0, 1.0, 0.0))
         force: np.ndarray = (means[:, 1] - 2.0 * image * means[:, 0]).astype(np.float32)

@@ -53,7 +53,7 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
         new = np.empty_like(field)
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
-        parallel(motion.diffusion_stage, on.size, on, table, surface.grid, old, older, weights, new)
+        parallel(motion.diffusion_stage, on.size, on, table, surface.grid, (old, older), weights, new)
         surface.extend_outwards(new, front)
         older, old = old, new
     field[:] = old

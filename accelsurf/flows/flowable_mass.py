@@ -180,7 +180,7 @@ class FlowableMass(Accelerated):
         stretch = np.empty(surface.size, np.float32)
         surface.workers.parallel(
             transport.area_stretch, surface.size, surface.dense.slot, surface.grid, surface.band.cells,
-            self.velocity, normal, front, dt, stretch,
+            front, (self.velocity, normal, dt), stretch,
         )
         self.density = np.asarray(self.density / np.clip(stretch, 1.0 / STRETCH_RANGE, STRETCH_RANGE), np.float32)
         surface.extend_outwards(self.density, front)
@@ -211,7 +211,7 @@ class FlowableMass(Accelerated):
         slope = np.empty((surface.size, 3), np.float32)
         surface.workers.parallel(
             transport.surface_gradient, surface.size, surface.dense.slot, surface.grid, surface.band.cells,
-            self.density[:, None], normal, now.front, slope,
+            now.front, (self.density[:, None], normal), slope,
         )
         return np.asarray(along[:, None] * normal - np.float32(self.gravity * gravity.area) * slope)
 

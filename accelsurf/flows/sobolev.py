@@ -65,11 +65,11 @@ def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.n
     slot, cells = surface.dense.slot, surface.band.cells
     eta, diagonal = np.empty(n), np.empty(n)
     parallel(tube.tube_weight, n, surface.grid, surface.band, TUBE, eta)
-    parallel(tube.tube_diagonal, n, slot, surface.grid, cells, eta, length, diagonal)
+    parallel(tube.tube_diagonal, n, slot, surface.grid, cells, (eta, length), diagonal)
 
     def product(field: np.ndarray) -> np.ndarray:
         out = np.empty(n)
-        parallel(tube.tube_product, n, slot, surface.grid, cells, eta, length, field, out)
+        parallel(tube.tube_product, n, slot, surface.grid, cells, (eta, length), field, out)
         return out
 
     right = eta * force

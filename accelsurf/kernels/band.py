@@ -112,13 +112,14 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
 
 
 @kernel(stage=Stage.EXTENSION)
-def outward_table(start, stop, slot, grid, band, front, off, slots, shares):
+def outward_table(start, stop, slot, grid, band, front, off, table):
     """Where the cells ``off`` the front (slots, int32) read the front's values: what `extend_outwards` needs.
 
-    Row i of ``slots`` (m, 8) int32 and ``shares`` (m, 8) float32 gets the slots of the cells around the foot of cell
+    Row i of ``table`` = (slots (m, 8) int32, shares (m, 8) float32) gets the slots of the cells around the foot of cell
     ``off[i]`` that are on the front, and their weights in the linear interpolation there, with sum 1 (all 0 where none
     is). A cell that does not count is the cell itself, with weight 0.
     """
+    slots, shares = table
     for row in range(start, stop):
         s = off[row]
         iz, iy, ix = unravel(band.cells[s], grid)

@@ -73,14 +73,17 @@ def is_near_volume(grid, iz, iy, ix, foot, margin):
 
 
 @kernel
-def guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, beside):
-    """First guesses of ``count`` feet from slot ``first`` on, as rows z, y, x of ``guesses``; 0 where there is none.
+def guess_feet(first, count, dense, grid, band, inner, scratch, out):
+    """First guesses of ``count`` feet from slot ``first`` on.
 
-    ``beside`` marks the cells with a neighbour on the other side of the surface. Where |psi| was above ``inner`` mm
-    before the surface moved, centred differences would need cells beyond the band: the guess is the old foot,
-    scaled by the change of psi.
+    ``scratch`` = (near (6,), guess (3,)); ``out`` = (guesses (3, m), rows z, y, x, 0 where there is none; beside (m,)
+    bool). The latter marks the cells with a neighbour on the other side of the surface. Where |psi| was above
+    ``inner`` mm before the surface moved, centred differences would need cells beyond the band: the guess is the old
+    foot, scaled by the change of psi.
     """
     psi = dense.psi
+    near, guess = scratch
+    guesses, beside = out
     for i in range(count):
         s = first + i
         cell = band.cells[s]
@@ -122,7 +125,7 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
     beside = np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
-        guess_feet(first, count, dense, grid, band, inner, near, guess, feet, beside)
+        guess_feet(first, count, dense, grid, band, inner, (near, guess), (feet, beside))
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
         for i in range(count):
             s = first + i
@@ -246,14 +249,16 @@ def tangent_foot(foot, via, grid, cz, cy, cx, out):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def activate_neighbours(dense, grid, cells, foot, state, n, sources, half_width, active):
+def activate_neighbours(dense, grid, known, n, sources, half_width):
     """Activate the neighbours of the slots ``sources``, whose feet are new or at the band's edge; serial.
 
     Neighbours that are not in the band enter it, as OPEN slots from ``n`` on, when the tangent plane at the source's
-    foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked in ``active`` (room,), as
-    they may get a closer foot. ``dense.slot`` is extended. Returns (cells, foot, state, active, n), with room to spare.
+    foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked as active, as they
+    may get a closer foot. ``dense.slot`` is extended. ``known`` = (cells, foot, state, active (m,) bool) of the first
+    ``n`` slots, with room for more. Returns it, perhaps with more room, and the new n.
     """
     slot = dense.slot
+    cells, foot, state, active = known
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     for source in sources:
@@ -278,7 +283,7 @@ def activate_neighbours(dense, grid, cells, foot, state, n, sources, half_width,
             cells[n], state[n], active[n] = near[side], OPEN, True
             slot[near[side]] = n
             n += 1
-    return cells, foot, state, active, n
+    return (cells, foot, state, active), n
 
 
 @kernel
@@ -311,11 +316,13 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def propagate_feet(start, stop, dense, grid, cells, foot, state, on, better, changed):
+def propagate_feet(start, stop, dense, grid, known, on, out):
     """One round: each of the slots ``on`` (m,) looks for a closer foot among its neighbours'.
 
-    Reads ``to_closest`` and ``state`` and writes ``better`` (m, 3) and ``changed`` (m,), for `update_feet`.
+    Reads ``known`` = (cells, foot, state) and writes ``out`` = (better (m, 3), changed (m,)), for `update_feet`.
     """
+    cells, foot, state = known
+    better, changed = out
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     for row in range(start, stop):

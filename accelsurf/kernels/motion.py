@@ -112,14 +112,15 @@ def neighbour_slots(start, stop, slot, grid, cells, on, table):
 
 
 @kernel(stage=Stage.DIFFUSION)
-def diffusion_stage(start, stop, on, table, grid, old, older, weights, out):
+def diffusion_stage(start, stop, on, table, grid, stages, weights, out):
     """A stage of Runge-Kutta-Legendre at the cells ``on``: mu old + mu' Lap old + nu older.
 
-    ``weights`` = (mu, mu', nu); ``table`` (m, 6) from `neighbour_slots`; ``old``, ``older`` (n,) the last two stages.
+    ``weights`` = (mu, mu', nu); ``table`` (m, 6) from `neighbour_slots`; ``stages`` = (old (n,), older (n,)).
     Lap is the 7-point Laplacian of an extended field, the surface Laplacian since
     grad F.grad psi = 0.
     """
     mu, rate, nu = weights
+    old, older = stages
     pz, py, px = np.float32(1.0 / grid.hz**2), np.float32(1.0 / grid.hy**2), np.float32(1.0 / grid.hx**2)
     for row in range(start, stop):
         s = on[row]

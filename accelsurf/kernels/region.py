@@ -70,7 +70,7 @@ def smeared_area(d, voxels, gz, gy, gx, gauss, grid):
 
 
 @kernel(stage=Stage.ENERGY)
-def measure_band(start, stop, psi, grid, band, within, fraction, area, curvature):
+def measure_band(start, stop, psi, grid, band, within, out):
     """Volume fraction, surface area and curvature at every slot of the range.
 
     Parameters
@@ -79,10 +79,11 @@ def measure_band(start, stop, psi, grid, band, within, fraction, area, curvature
         mm.
     within : float
         Distance from the surface, voxels, up to which curvature is measured.
-    fraction, area, curvature : ndarray (n,)
-        Written: share of the voxel inside; surface in it, mm2; H of the surface at its foot, 1/mm, limited to what
-        the grid resolves, 2/min(h), and 0 further than ``within`` off.
+    out : (ndarray (n,), ndarray (n,), ndarray (n,))
+        Written, fraction, area and curvature: share of the voxel inside; surface in it, mm2; H of the surface at its
+        foot, 1/mm, limited to what the grid resolves, 2/min(h), and 0 further than ``within`` off.
     """
+    fraction, area, curvature = out
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
     most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
     rows = np.empty((19, BATCH), np.float32)

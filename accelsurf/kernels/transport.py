@@ -175,14 +175,16 @@ def near_slots(slot, grid, cell, iz, iy, ix, near, out):
 
 
 @kernel(stage=Stage.FLOW)
-def area_stretch(start, stop, slot, grid, cells, velocity, normal, front, dt, out):
+def area_stretch(start, stop, slot, grid, cells, front, motion, out):
     """Factor by which ``dt`` of motion stretches the surface at every front cell (1 elsewhere): J = |cof(F) n|.
 
-    F = I + dt grad V with the extended velocity (n, 3): exact for the map x + dt V, det F |F^-T n|.
+    ``motion`` = (velocity V (n, 3), extended; normal (n, 3); dt). F = I + dt grad V:
+    exact for the map x + dt V, det F |F^-T n|.
     """
     near = np.empty(6, np.int64)
     at = np.empty(6, np.int64)
     f = np.empty((3, 3))
+    velocity, normal, dt = motion
     for s in range(start, stop):
         out[s] = 1.0
         if not front[s]:
@@ -207,11 +209,15 @@ def area_stretch(start, stop, slot, grid, cells, velocity, normal, front, dt, ou
 
 
 @kernel(stage=Stage.FLOW)
-def surface_gradient(start, stop, slot, grid, cells, values, normal, front, out):
-    """Surface gradient (n, 3) of an extended field ``values`` (n, 1) at the front cells, tangential; 0 elsewhere."""
+def surface_gradient(start, stop, slot, grid, cells, front, field, out):
+    """Surface gradient (n, 3) of an extended field at the front cells, tangential; 0 elsewhere.
+
+    ``field`` = (values (n, 1), normal (n, 3)).
+    """
     near = np.empty(6, np.int64)
     at = np.empty(6, np.int64)
     g = np.empty(3)
+    values, normal = field
     for s in range(start, stop):
         out[s, 0], out[s, 1], out[s, 2] = 0.0, 0.0, 0.0
         if not front[s]:
@@ -228,16 +234,18 @@ def surface_gradient(start, stop, slot, grid, cells, values, normal, front, out)
 
 
 @kernel(stage=Stage.EXTENSION)
-def advect_fields(start, stop, slot, grid, band, velocity, dt, values, out):
+def advect_fields(start, stop, slot, grid, band, motion, values, out):
     """Fields (n, m) of the new ``band`` advected from the old one, which ``slot`` still maps to.
 
-    Each cell gets the values at the point of the old surface that moved to its foot. A cell with nothing known
-    around that point has its own old values, or 0 when it was not in the band.
+    ``motion`` = (velocity (n_old, 3), dt). Each cell gets the values at the point of the old surface that
+    moved to its foot. A cell with nothing known around that point has its own old values, or 0 when it was not in the
+    band.
     """
     w = np.empty(24)
     v = np.empty(3)
     target = np.empty(3)
     at = np.empty(3)
+    velocity, dt = motion
     m = values.shape[1]
     found = np.empty(m)
     for s in range(start, stop):
@@ -257,13 +265,15 @@ def advect_fields(start, stop, slot, grid, band, velocity, dt, values, out):
 
 
 @kernel(stage=Stage.EXTENSION)
-def fields_between(start, stop, coarse, band, grid, place, values, absent, out):
+def fields_between(start, stop, coarse, band, grid, place, fields, out):
     """Fields (m, n) at the feet of a ``band`` on another grid: linear there over the band cells around.
 
-    ``coarse`` = (slot, grid) of the level that ``values`` (m, n_old) float32 live on; ``place`` (2, 3) takes an index
-    position of the band's ``grid`` to one of it: factor and addition. Where there is nothing, ``absent`` (m,).
+    ``coarse`` = (slot, grid) of the level that the values live on; ``place`` (2, 3) takes an index position of the
+    band's ``grid`` to one of it: factor and addition. ``fields`` = (values (m, n_old) float32, fill values (m,) for
+    where there is nothing).
     """
     slot, old = coarse
+    values, fill_values = fields
     at = np.empty(3)
     for s in range(start, stop):
         iz, iy, ix = unravel(band.cells[s], grid)
@@ -272,4 +282,4 @@ def fields_between(start, stop, coarse, band, grid, place, values, absent, out):
         at[2] = (ix + band.to_closest[s, 2] / grid.hx) * place[0, 2] + place[1, 2]
         for field in range(values.shape[0]):
             value, found = linear_band_value(values[field], slot, values.shape[1], old, at)
-            out[field, s] = value if found else absent[field]
+            out[field, s] = value if found else fill_values[field]

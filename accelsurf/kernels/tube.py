@@ -18,12 +18,15 @@ def tube_weight(start, stop, grid, band, width, eta):
 
 
 @kernel(stage=Stage.FLOW)
-def tube_product(start, stop, slot, grid, cells, eta, length, field, out):
-    """Product of the weighted operator with ``field`` (n,): eta g - ell^2 div(eta grad g), ell = ``length`` in mm.
+def tube_product(start, stop, slot, grid, cells, operator, field, out):
+    """Product of the weighted operator with ``field`` (n,): eta g - ell^2 div(eta grad g).
+
+    ``operator`` = (eta (n,) from `tube_weight`, ell in mm).
 
     The weak form of sum eta (g^2 + ell^2 |grad g|^2)/2, a face between two cells having the mean of their weights:
     symmetric. Cells just off the tube count too (without them the faces at its edge would be lost).
     """
+    eta, length = operator
     near = np.empty(6, np.int64)
     for s in range(start, stop):
         cell = cells[s]
@@ -39,8 +42,9 @@ def tube_product(start, stop, slot, grid, cells, eta, length, field, out):
 
 
 @kernel(stage=Stage.FLOW)
-def tube_diagonal(start, stop, slot, grid, cells, eta, length, out):
+def tube_diagonal(start, stop, slot, grid, cells, operator, out):
     """Diagonal (n,) of `tube_product`'s operator; 1 where that is 0, away from the tube."""
+    eta, length = operator
     near = np.empty(6, np.int64)
     for s in range(start, stop):
         cell = cells[s]

@@ -98,12 +98,14 @@ def tent_along(start, stop, values, length, step, reach, out):
 
 
 @kernel(stage=Stage.ENERGY)
-def two_means(start, stop, count, total, count_in, total_in, least, first, second, gain):
+def two_means(start, stop, count, total, count_in, total_in, least, out):
     """Of the means f1 inside and f2 outside in each window: f1 - f2, f1^2 - f2^2, and what two means fit better.
 
-    ``gain`` is (sum of I inside)^2/n1 + (sum outside)^2/n2 - (sum)^2/n, how much less the squares are about two means
-    than about one. All are 0 where a part ``least`` of the window or less lies on one side.
+    They are the rows of ``out`` (3, m). The last is (sum of I inside)^2/n1 + (sum outside)^2/n2 - (sum)^2/n, how much
+    less the squares are about two means than about one. All are 0 where a part ``least`` of the window or less lies on
+    one side.
     """
+    first, second, gain = out[0], out[1], out[2]
     for i in range(start, stop):
         first[i], second[i], gain[i] = 0.0, 0.0, 0.0
         n1, n2 = count_in[i], count[i] - count_in[i]
@@ -114,10 +116,11 @@ def two_means(start, stop, count, total, count_in, total_in, least, first, secon
 
 
 @kernel(stage=Stage.ENERGY)
-def read_nodes(start, stop, grid, band, front, nodes, first, second, out):
-    """Two raveled fields of nodes at the foot of every front cell, into ``out`` (n, 2); 0 elsewhere."""
+def read_nodes(start, stop, grid, band, front, nodes, fields, out):
+    """Two raveled ``fields`` of nodes at the foot of every front cell, into ``out`` (n, 2); 0 elsewhere."""
     row, plane = nodes.nx, nodes.ny * nodes.nx
     dz, dy, dx = plane if nodes.nz > 1 else 0, row if nodes.ny > 1 else 0, 1 if nodes.nx > 1 else 0
+    first, second = fields
     for s in range(start, stop):
         out[s, 0], out[s, 1] = 0.0, 0.0
         if not front[s]:

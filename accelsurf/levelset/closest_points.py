@@ -44,8 +44,9 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
     active[open_slots] = True
     improved = []
     for _ in range(MAX_ROUNDS):
-        cells, to_closest, state, active, total = surface.workers.serial(
-            march.activate_neighbours, dense, grid, cells, to_closest, state, size, sources, surface.half_width, active
+        known = cells, to_closest, state, active
+        (cells, to_closest, state, active), total = surface.workers.serial(
+            march.activate_neighbours, dense, grid, known, size, sources, surface.half_width
         )
         open_slots, size = np.concatenate([open_slots, np.arange(size, total)]), total
         on = open_slots[active[open_slots]]
@@ -53,7 +54,7 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
             break
         nearer, changed = np.empty((on.size, 3), np.float32), np.empty(on.size, np.bool_)
         was_open = state[on] == march.OPEN
-        parallel(march.propagate_feet, on.size, dense, grid, cells, to_closest, state, on, nearer, changed)
+        parallel(march.propagate_feet, on.size, dense, grid, (cells, to_closest, state), on, (nearer, changed))
         parallel(march.update_feet, on.size, on, nearer, changed, to_closest, state)
         # A cell's first foot is refined at once: what it passes on is then better. The others at the end.
         first = on[changed & was_open]

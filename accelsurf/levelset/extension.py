@@ -36,11 +36,11 @@ class ExtensionTable(NamedTuple):
 def extension_table(surface: LevelSet, front: np.ndarray, off: np.ndarray) -> ExtensionTable:
     """Return the table by which the slots ``off`` (m,) read the cells of ``front`` (n,)."""
     off = off.astype(np.int32)
-    slots, shares = np.empty((off.size, 8), np.int32), np.empty((off.size, 8), np.float32)
+    table = np.empty((off.size, 8), np.int32), np.empty((off.size, 8), np.float32)
     surface.workers.parallel(
-        band_kernels.outward_table, off.size, surface.dense.slot, surface.grid, surface.band, front, off, slots, shares
+        band_kernels.outward_table, off.size, surface.dense.slot, surface.grid, surface.band, front, off, table
     )
-    return ExtensionTable(front, off, slots, shares)
+    return ExtensionTable(front, off, *table)
 
 
 def sampled(
@@ -64,6 +64,6 @@ def advected(
     values = np.stack(fields, axis=1).astype(np.float32, copy=False)
     out = np.empty((new.cells.size, len(fields)), np.float32)
     surface.workers.parallel(
-        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, velocity, dt, values, out
+        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, (velocity, dt), values, out
     )
     return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]

@@ -197,7 +197,7 @@ class LevelSet:
             # A stencil needs psi sqrt(2) voxels further off, and beyond the band psi is no distance.
             within = min(self.half_width - 1.42 * self._slant, FRONT_WIDTH)
             out = fraction, area, curvature
-            self.workers.parallel(region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, *out)
+            self.workers.parallel(region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, out)
             area *= self._thickness
             self._measured = Measures(fraction, area, curvature, self.front(within))
         return self._measured

@@ -71,7 +71,7 @@ def test_the_operator_is_symmetric_and_a_constant_is_left_alone() -> None:
     def product(field: np.ndarray) -> np.ndarray:
         out = np.empty(n)
         slot, cells = surface.dense.slot, surface.band.cells
-        surface.workers.parallel(tube.tube_product, n, slot, surface.grid, cells, eta, 3.0, field, out)
+        surface.workers.parallel(tube.tube_product, n, slot, surface.grid, cells, (eta, 3.0), field, out)
         return out
 
     rng = np.random.default_rng(1)

@@ -154,7 +154,7 @@ def extended(dense, grid, band, front, values):
     """``values`` after `extend_outwards` by a fresh `outward_table`, and the table: as a level set does it."""
     off = np.flatnonzero(~front).astype(np.int32)
     slots, shares = np.full((off.size, 8), -1, np.int32), np.full((off.size, 8), np.nan, np.float32)
-    band_kernels.outward_table(0, off.size, dense.slot, grid, band, front, off, slots, shares)
+    band_kernels.outward_table(0, off.size, dense.slot, grid, band, front, off, (slots, shares))
     out = values.copy()
     band_kernels.extend_outwards(0, off.size, off, slots, shares, out)
     return out, off, slots, shares
@@ -214,7 +214,7 @@ def test_extension_only_in_its_range():
     front = np.random.default_rng(14).random(n) < 0.5
     off = np.flatnonzero(~front).astype(np.int32)
     slots, shares = np.full((off.size, 8), -9, np.int32), np.full((off.size, 8), -9, np.float32)
-    band_kernels.outward_table(10, 25, dense.slot, grid, band, front, off, slots, shares)
+    band_kernels.outward_table(10, 25, dense.slot, grid, band, front, off, (slots, shares))
     for array in (slots, shares):
         assert (array[:10] == -9).all() and (array[25:] == -9).all() and (array[10:25] >= 0).all()
     values = np.random.default_rng(15).standard_normal(n).astype(np.float32)

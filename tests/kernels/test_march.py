@@ -363,7 +363,7 @@ def test_closest_points_are_the_same_bytes_wherever_they_stand():
 def guessed(dense, grid, band, inner, first, count):
     guesses, beside = np.full((3, count + 1), np.float32(-77)), np.full(count + 1, True)
     near, guess = np.empty(6, np.int64), np.empty(3)
-    march.guess_feet(first, count, dense, grid, band, inner, near, guess, guesses, beside)
+    march.guess_feet(first, count, dense, grid, band, inner, (near, guess), (guesses, beside))
     assert (guesses[:, count] == -77).all() and beside[count]
     return guesses[:, :count].T, beside[:count]
 
@@ -684,14 +684,14 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         dense.slot[:] = slot
         arrays = [band.cells, foot, state, np.zeros(n, bool)]
         arrays = [np.concatenate([a, np.zeros((room, *a.shape[1:]), a.dtype)]) for a in arrays]
-        *arrays, total = march.activate_neighbours(dense, grid, *arrays[:3], n, sources, half_width, arrays[3])
+        arrays, total = march.activate_neighbours(dense, grid, tuple(arrays), n, sources, half_width)
         assert all(a.shape[0] >= total for a in arrays)
         assert total == n + len(entered)
-        cells, feet, states, stir = (a[:total] for a in arrays)
+        cells, feet, states, marked = (a[:total] for a in arrays)
         np.testing.assert_array_equal(cells, [*band.cells, *entered])
         np.testing.assert_array_equal(feet[:n], foot)
         np.testing.assert_array_equal(states, [*state, *[march.OPEN] * len(entered)])
-        np.testing.assert_array_equal(stir, [*active, *[True] * len(entered)])
+        np.testing.assert_array_equal(marked, [*active, *[True] * len(entered)])
         assert np.count_nonzero(dense.slot >= 0) == total
         results.append(dense.slot.copy())
         np.testing.assert_array_equal(dense.slot[cells], np.arange(total))
@@ -711,7 +711,7 @@ def test_a_round_takes_the_closest_of_the_neighbours_feet(shape):
     better, changed = np.full((on.size, 3), np.float32(np.nan)), np.full(on.size, 7, np.int8).astype(bool)
     at, last = foot.copy(), state.copy()
     first, stop = 2, on.size - 3
-    march.propagate_feet(first, stop, dense, grid, band.cells, foot, state, on, better, changed)
+    march.propagate_feet(first, stop, dense, grid, (band.cells, foot, state), on, (better, changed))
     np.testing.assert_array_equal(foot, at)
     np.testing.assert_array_equal(state, last)
     assert np.isnan(better[:first]).all() and np.isnan(better[stop:]).all()

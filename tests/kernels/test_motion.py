@@ -166,7 +166,7 @@ def test_laplacian_as_the_reference_with_holes_and_at_the_border(shape):
     motion.neighbour_slots(0, on.size, slot, grid, cells, on, table)
     out = np.full(cells.size, np.nan, np.float32)
     weights = tuple(np.float32(v) for v in (0, 1, 0))
-    motion.diffusion_stage(0, on.size, on, table, grid, beta, np.zeros_like(beta), weights, out)
+    motion.diffusion_stage(0, on.size, on, table, grid, (beta, np.zeros_like(beta)), weights, out)
     want = reference.laplacian(values, present, SPACING).ravel()[cells]
     np.testing.assert_allclose(out[front], want[front], rtol=1e-4, atol=1e-4)
     assert np.isnan(out[~front]).all()
@@ -183,7 +183,7 @@ def test_a_stage_of_diffusion_weighs_the_last_two():
     mu, rate, nu = 1.5, 0.07, -0.5
     weights = tuple(np.float32(v) for v in (mu, rate, nu))
     out = np.full(n, np.nan, np.float32)
-    motion.diffusion_stage(20, 90, on, table, grid, old, older, weights, out)
+    motion.diffusion_stage(20, 90, on, table, grid, (old, older), weights, out)
     on_grid = np.zeros(shape, np.float32)
     on_grid[present] = old
     lap = reference.laplacian(on_grid, present, SPACING).ravel()[cells]
@@ -192,7 +192,7 @@ def test_a_stage_of_diffusion_weighs_the_last_two():
     assert np.isnan(np.delete(out, done)).all()
     # Of a constant nothing flows, whatever is missing, and the weights add up to 1.
     ones, out = np.ones(n, np.float32), np.full(n, np.nan, np.float32)
-    motion.diffusion_stage(0, on.size, on, table, grid, ones, ones, weights, out)
+    motion.diffusion_stage(0, on.size, on, table, grid, (ones, ones), weights, out)
     assert (out[on] == 1).all()
 
 

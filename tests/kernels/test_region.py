@@ -86,7 +86,7 @@ def measured(psi, spacing, foot, within):
     dense, band = reference.whole_band(psi, foot)
     n = band.cells.size
     part, area, bend = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
-    region.measure_band(0, n, dense.psi, reference.grid_of(np.shape(psi), spacing), band, within, part, area, bend)
+    region.measure_band(0, n, dense.psi, reference.grid_of(np.shape(psi), spacing), band, within, (part, area, bend))
     assert np.isfinite(part).all() and np.isfinite(area).all() and np.isfinite(bend).all()
     return part, area, bend
 
@@ -232,7 +232,7 @@ def test_measures_write_nothing_outside_their_range(start, stop):
     dense, band = reference.whole_band(psi, foot)
     n, grid = psi.size, reference.grid_of(psi.shape, SPACING)
     part, area, bend = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
-    region.measure_band(start, stop, dense.psi, grid, band, 2.0, part, area, bend)
+    region.measure_band(start, stop, dense.psi, grid, band, 2.0, (part, area, bend))
     for out in (part, area, bend):
         assert np.isfinite(out[start:stop]).all() and np.isnan(out[:start]).all() and np.isnan(out[stop:]).all()
 
@@ -245,7 +245,7 @@ def test_measures_are_the_same_bytes_however_the_range_is_cut():
     whole = measured(psi, SPACING, foot, 1.0)
     parts = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
     for start, stop in itertools.pairwise([0, 1, 8, 130, 300, 301, 557, n]):
-        region.measure_band(start, stop, dense.psi, grid, band, 1.0, *parts)
+        region.measure_band(start, stop, dense.psi, grid, band, 1.0, parts)
     for one, other in zip(whole, parts, strict=True):
         np.testing.assert_array_equal(one, other)
 

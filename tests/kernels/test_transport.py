@@ -306,7 +306,7 @@ def stretched(shape, velocity, normal, front, dt, slot=None):
     slot = cells.astype(np.int32) if slot is None else slot
     out = np.full(cells.size, np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
-    transport.area_stretch(0, cells.size, slot, grid, cells, velocity, normal, front, dt, out)
+    transport.area_stretch(0, cells.size, slot, grid, cells, front, (velocity, normal, dt), out)
     return out
 
 
@@ -375,7 +375,7 @@ def test_stretch_of_a_growing_sphere():
     out = np.empty(len(off), np.float32)
     cells = np.arange(len(off))
     grid = reference.grid_of(shape, (1, 1, 1))
-    transport.area_stretch(0, out.size, cells.astype(np.int32), grid, cells, normal, normal, front, dt, out)
+    transport.area_stretch(0, out.size, cells.astype(np.int32), grid, cells, front, (normal, normal, dt), out)
     np.testing.assert_allclose(out[front], ((1 + dt / radius) ** 2)[front], rtol=0.02)
 
 
@@ -403,7 +403,7 @@ def test_surface_gradient_is_the_tangential_part_with_holes_and_at_the_border(sh
     normal, front = random_normals(n, 24), np.random.default_rng(25).random(n) < 0.7
     out = np.full((n, 3), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
-    transport.surface_gradient(0, n, slot, grid, cells, values, normal, front, out)
+    transport.surface_gradient(0, n, slot, grid, cells, front, (values, normal), out)
     # Projected by two tangents instead of by taking the normal part away.
     slopes = reference.known_slopes(dense[..., 0], present, SPACING)[present]
     tangents = np.array([np.linalg.svd(v[None])[2][1:] for v in normal.astype(float)])
@@ -420,7 +420,7 @@ def test_surface_gradient_of_a_linear_field():
     grid, slot = reference.grid_of(shape, SPACING), cells.astype(np.int32)
     for normal, want in (((1, 0, 0), (0, -1, 2)), ((0, 0, -1), (0.5, -1, 0)), (unit(slope), (0, 0, 0))):
         each = np.tile(np.array(normal, np.float32), (60, 1))
-        transport.surface_gradient(0, 60, slot, grid, cells, values, each, front, out)
+        transport.surface_gradient(0, 60, slot, grid, cells, front, (values, each), out)
         np.testing.assert_allclose(out, np.tile(np.array(want, float), (60, 1)), atol=1e-5)
 
 
@@ -440,7 +440,7 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
     _, band = reference.whole_band(np.ones(shape), foot)
     out = np.full((n, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
-    transport.advect_fields(0, n, np.arange(n, dtype=np.int32), grid, band, velocity, dt, values, out)
+    transport.advect_fields(0, n, np.arange(n, dtype=np.int32), grid, band, (velocity, dt), values, out)
     # Clamped to the border.
     at = np.clip(indices(shape) + (foot - dt * uniform) / h, 0, last) * h
     np.testing.assert_allclose(out, at @ slopes.T + 1, atol=5e-5)
@@ -460,7 +460,7 @@ def test_fields_are_carried_onto_another_band(shape, columns, share):
     foot = (rng.uniform(-1.3, 1.3, (cells.size, 3)) * SPACING).astype(np.float32)
     band = Band(cells, np.ones(cells.size, np.float32), foot)
     out = np.full((cells.size, columns), np.nan, np.float32)
-    transport.advect_fields(0, cells.size, slot, grid, band, velocity, dt, values, out)
+    transport.advect_fields(0, cells.size, slot, grid, band, (velocity, dt), values, out)
     seen = set()
     for s, cell in enumerate(indices(shape)[cells]):
         at = reference.departure(flow, present, SPACING, cell + foot[s].astype(float) / SPACING, dt)
@@ -483,11 +483,11 @@ def test_cells_with_nothing_known_keep_their_own_values_or_get_none():
     far = np.tile(np.array([9.0, 3.0, 2.8], np.float32), (3, 1))
     band = Band(np.array([0, 1, 3]), np.ones(3, np.float32), far)
     out = np.full((3, 2), np.nan, np.float32)
-    transport.advect_fields(0, 3, slot, grid, band, velocity, 0.5, values, out)
+    transport.advect_fields(0, 3, slot, grid, band, (velocity, 0.5), values, out)
     np.testing.assert_array_equal(out, [[5, -6], [0, 0], [0, 0]])
     # With their feet beside the cell all three have its values.
     band.to_closest[:] = np.array([[0.3, 0.2, 0.1], [0.3, 0.2, -0.6], [0.3, 0.2, -2.0]], np.float32)
-    transport.advect_fields(0, 3, slot, grid, band, velocity, 0.5, values, out)
+    transport.advect_fields(0, 3, slot, grid, band, (velocity, 0.5), values, out)
     np.testing.assert_allclose(out, np.tile(values, (3, 1)), atol=1e-6)
 
 
@@ -500,12 +500,12 @@ def test_kernels_write_only_their_range():
     transport.advect_psi(7, 20, dense, grid, band, velocity, 0.1, flat)
     assert np.isfinite(flat[7:20]).all() and np.isnan(flat[:7]).all() and np.isnan(flat[20:]).all()
     flat[:] = np.nan
-    transport.area_stretch(7, 20, dense.slot, grid, band.cells, velocity, normal, front, 0.1, flat)
+    transport.area_stretch(7, 20, dense.slot, grid, band.cells, front, (velocity, normal, 0.1), flat)
     assert np.isfinite(flat[7:20]).all() and np.isnan(flat[:7]).all() and np.isnan(flat[20:]).all()
     for call in (
         lambda out: transport.normals(7, 20, dense.psi, grid, band, out),
-        lambda out: transport.surface_gradient(7, 20, dense.slot, grid, band.cells, field, normal, front, out),
-        lambda out: transport.advect_fields(7, 20, dense.slot, grid, band, velocity, 0.1, velocity, out),
+        lambda out: transport.surface_gradient(7, 20, dense.slot, grid, band.cells, front, (field, normal), out),
+        lambda out: transport.advect_fields(7, 20, dense.slot, grid, band, (velocity, 0.1), velocity, out),
     ):
         wide[:] = np.nan
         call(wide)
@@ -524,7 +524,7 @@ def test_fields_go_over_to_another_grid(shape):
     fields, absent = np.ascontiguousarray(values.T), np.array([7, -8], np.float32)
     out = np.full((2, cells.size), np.nan, np.float32)
     coarse = (slot, reference.grid_of(shape, SPACING))
-    transport.fields_between(0, cells.size, coarse, band, grid, place, fields, absent, out)
+    transport.fields_between(0, cells.size, coarse, band, grid, place, (fields, absent), out)
     known = 0
     for s, cell in enumerate(indices(other)[cells]):
         at = (cell + foot[s] / np.array([1.0, 0.5, 0.8])) * place[0] + place[1]

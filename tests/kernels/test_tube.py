@@ -30,14 +30,14 @@ def tube_of(shape, seed, share=0.8, within=0.7):
 def product(made, field, length=LENGTH):
     grid, slot, cells, eta, _ = made
     out = np.full(cells.size, np.nan)
-    tube.tube_product(0, cells.size, slot, grid, cells, eta, length, field, out)
+    tube.tube_product(0, cells.size, slot, grid, cells, (eta, length), field, out)
     return out
 
 
 def diagonal(made, length=LENGTH):
     grid, slot, cells, eta, _ = made
     out = np.full(cells.size, np.nan)
-    tube.tube_diagonal(0, cells.size, slot, grid, cells, eta, length, out)
+    tube.tube_diagonal(0, cells.size, slot, grid, cells, (eta, length), out)
     return out
 
 
@@ -133,8 +133,8 @@ def test_kernels_write_only_their_range():
     field = np.ones(cells.size)
     for call in (
         lambda out: tube.tube_weight(7, 20, grid, band, 2.0, out),
-        lambda out: tube.tube_product(7, 20, slot, grid, cells, eta, LENGTH, field, out),
-        lambda out: tube.tube_diagonal(7, 20, slot, grid, cells, eta, LENGTH, out),
+        lambda out: tube.tube_product(7, 20, slot, grid, cells, (eta, LENGTH), field, out),
+        lambda out: tube.tube_diagonal(7, 20, slot, grid, cells, (eta, LENGTH), out),
     ):
         out = np.full(cells.size, np.nan)
         call(out)

@@ -71,7 +71,7 @@ def test_two_means_by_their_formulas():
     n1[:3] = 0.0
     total, total1 = rng.normal(size=50), rng.normal(size=50)
     out = np.full((3, 50), np.nan)
-    windows.two_means(0, 50, n, total, n1, total1, 1e-6, *out)
+    windows.two_means(0, 50, n, total, n1, total1, 1e-6, out)
     f1, f2 = np.divide(total1, n1, where=n1 > 0, out=np.zeros(50)), (total - total1) / (n - n1)
     better = total1 * f1 + (total - total1) * f2 - total**2 / n
     for got, want in zip(out, (f1 - f2, f1**2 - f2**2, better), strict=True):
@@ -86,7 +86,7 @@ def test_read_nodes_is_linear_between_them():
     band, front = Band(np.arange(n), np.zeros(n, np.float32), foot), rng.random(n) < 0.8
     first, second = rng.normal(size=NODES[:3]), rng.normal(size=NODES[:3])
     out = np.full((n, 2), np.nan)
-    windows.read_nodes(0, n, grid, band, front, NODES, first.ravel(), second.ravel(), out)
+    windows.read_nodes(0, n, grid, band, front, NODES, (first.ravel(), second.ravel()), out)
     index = np.stack(np.unravel_index(np.arange(n), SHAPE), axis=1) + foot / np.array(SPACING)
     place = np.clip(index / np.array(NODES[3:6]) + np.array(NODES[6:]), 0, np.array(NODES[:3]) - 1)
     for got, field in zip(out.T, (first, second), strict=True):
