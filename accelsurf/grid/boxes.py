@@ -69,18 +69,6 @@ def corner_of(box: Box) -> Corner:
     return box[0].start, box[1].start, box[2].start
 
 
-def box_at(corner: Corner, shape: Sequence[int]) -> Box:
-    """Return the box of ``shape`` whose first voxel is ``corner``.
-
-    Examples
-    --------
-    >>> box_at((1, 0, 2), (4, 5, 6))
-    (slice(1, 5, None), slice(0, 5, None), slice(2, 8, None))
-    """
-    z, y, x = (slice(c, c + n) for c, n in zip(corner, shape, strict=True))
-    return z, y, x
-
-
 def widened(box: Box, shape: Sequence[int], margin: Sequence[int]) -> Box:
     """Return a box with ``margin`` (z, y, x) more voxels on either side, as far as a grid of ``shape`` goes.
 

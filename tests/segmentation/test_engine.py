@@ -1,0 +1,348 @@
+"""One engine for one and many objects: levels, edits, checkpoints, energies of one's own; what holds for one holds for
+many.
+"""
+
+import json
+
+import numpy as np
+import pytest
+
+import accelsurf
+from accelsurf import cli, io
+from accelsurf.analysis.metrics import dice
+from accelsurf.energies import ChanVese
+from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.api import result_of, segment, segment_objects
+from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_checkpoint import load_checkpoint, save_checkpoint
+from accelsurf.settings.run_config import RunConfig
+
+SHAPE, SPACING = (20, 28, 44), (1.4, 1.0, 1.0)
+CENTRES, RADIUS = ((13.0, 14.0, 14.0), (13.0, 14.0, 29.0)), 8.5
+IDS = (4, 300)
+
+
+def distances(centres, radius):
+    places = [i * h for i, h in zip(np.indices(SHAPE).astype(float), SPACING, strict=True)]
+    return [np.sqrt(sum((p - c) ** 2 for p, c in zip(places, centre, strict=True))) - radius for centre in centres]
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Two balls that nearly touch, in noise; a label map of their starts; the truth."""
+    away = np.array(distances(CENTRES, RADIUS))
+    image = np.clip(0.5 - away.min(axis=0), 0, 1) + np.random.default_rng(5).normal(0, 0.2, SHAPE)
+    starts, truth = np.zeros(SHAPE, np.int32), np.zeros(SHAPE, np.int32)
+    for own, one, small in zip(IDS, away, distances(CENTRES, 4.0), strict=True):
+        starts[small < 0] = own
+        truth[one < 0] = own
+    return Volume.from_array(image.astype(np.float32), SPACING), starts, truth
+
+
+def content(run):
+    """All that a run has, as bytes."""
+    found = []
+    for one in run.objects:
+        surface = one.surface
+        arrays = [surface.dense.psi, surface.dense.slot, *surface.band, *one.flow.fields]
+        records = [record._replace(seconds=0.0, cells_visited=0) for record in one.evolution.history]
+        found.append((one.id, one.corner, b"".join(np.ascontiguousarray(a).tobytes() for a in arrays), records))
+    return found
+
+
+def ended(run):
+    for _ in run:
+        pass
+    return run
+
+
+def stepped(run, steps):
+    for _ in range(steps):
+        assert run.step()
+    return run
+
+
+# ------------------------------------------------------------------------------------------------------ levels
+
+
+@pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
+def test_several_objects_run_on_levels(pair, flow):
+    volume, starts, truth = pair
+    result = segment_objects(volume, starts, levels=2, flow=flow, max_steps=200)
+    assert [summary.level.number for summary in result.levels] == [1, 0]
+    for one in result.objects:
+        levels = [record.level for record in one.history]
+        assert levels == sorted(levels, reverse=True) and set(levels) == {0, 1}
+        assert dice(result.labels == one.id, truth == one.id) > 0.95
+    assert sum((one.psi < 0).sum() for one in result.objects) == (result.labels > 0).sum()  # none overlap
+    again = segment_objects(volume, starts, levels=2, flow=flow, max_steps=200, threads=3)
+    assert again.labels.tobytes() == result.labels.tobytes()
+
+
+def test_a_start_that_a_coarse_grid_does_not_resolve_begins_on_the_next(pair):
+    volume, starts, _ = pair
+    small = np.where(np.array(distances((CENTRES[0],), 1.2))[0] < 0, IDS[0], 0) + np.where(starts == IDS[1], IDS[1], 0)
+    result = segment_objects(volume, small, levels=2, max_steps=5)
+    assert [one.history[0].level for one in result.objects] == [0, 0]
+    assert any("the start is not resolved there" in warning for warning in result.warnings)
+
+
+# ------------------------------------------------------------------------------------------------------- edits
+
+
+def test_a_setting_changes_for_all_objects_and_a_ball_for_one(pair):
+    volume, starts, _ = pair
+    edits = ["step=4 smoothness=0.6", "step=6 add=ball:29,14,5,4 object=4"]
+    plain = segment_objects(volume, starts, max_steps=12)
+    edited = segment_objects(volume, starts, max_steps=12, edit=edits)
+    assert edited.edits_done == 2
+    for one in edited.objects:
+        assert [record.step for record in one.history if record.edits] == [4, 6]
+    # Before the first edit nothing differs; the ball, in the other object's place, is the first one's.
+    assert [r.volume_mm3 for r in edited.objects[0].history[:4]] == [r.volume_mm3 for r in plain.objects[0].history[:4]]
+    gained = edited.by_id[4].history[6].volume_mm3 - edited.by_id[4].history[5].volume_mm3
+    assert gained > 0.7 * 4 / 3 * np.pi * 4**3
+    assert not (edited.by_id[4].psi.shape == plain.by_id[4].psi.shape)  # its grid grew
+
+
+def test_what_one_object_gains_the_others_lose(pair):
+    volume, starts, _ = pair
+    config = RunConfig(edit=["step=8 add=ball:29,14,13,5 object=4"], max_steps=9)
+    with Run(volume, config, objects=starts) as run:
+        stepped(run, 8)
+        before = {one.id: one.surface.labels.sum() for one in run.objects}
+        run.apply_edits()
+        after = {one.id: one.surface.labels.sum() for one in run.objects}
+        inside = np.zeros(SHAPE, int)
+        for one in run.objects:
+            box = tuple(slice(c, c + n) for c, n in zip(one.corner, one.surface.shape, strict=True))
+            inside[box] += one.surface.labels
+    assert after[4] > before[4] and after[300] < before[300]
+    assert inside.max() == 1
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        ("step=1 add=ball:29,14,13,5", "without its object"),
+        ("step=1 add=ball:29,14,13,5 object=7", "object 7 was given, expected one of 4, 300"),
+        ("step=1 add=ball:29,14,13,5 object=x", "expected an object's id"),
+    ],
+)
+def test_an_edit_names_its_object(pair, edit, words):
+    volume, starts, _ = pair
+    with pytest.raises(UsageError, match=words):
+        segment_objects(volume, starts, edit=[edit], max_steps=3)
+
+
+def test_an_object_that_has_converged_goes_on_after_an_edit(pair):
+    volume, starts, _ = pair
+    plain = segment_objects(volume, starts, max_steps=200)
+    steps = max(one.stop.steps for one in plain.objects)
+    edited = segment_objects(volume, starts, max_steps=200, edit=[f"step={steps - 1} smoothness=1.5"])
+    assert {one.stop.reason for one in edited.objects} == {"converged"}
+    for one in edited.objects:
+        assert one.stop.steps >= plain.by_id[one.id].stop.steps
+        assert [record.step for record in one.history] == list(range(len(one.history)))
+        assert sum(record.edits for record in one.history) == 1
+        assert one.history[-1].area_mm2 < plain.by_id[one.id].history[-1].area_mm2
+
+
+# ------------------------------------------------------------------------------------------------- checkpoints
+
+
+@pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
+def test_several_objects_go_back_and_on_bit_for_bit(pair, flow):
+    volume, starts, _ = pair
+    config = RunConfig(flow=flow, max_steps=24, edit=["step=9 add=ball:29,14,5,4 object=4"])
+    with Run(volume, config, objects=starts) as straight, Run(volume, config, objects=starts) as back:
+        stepped(straight, 20)
+        checkpoints = {}
+        for _ in range(20):
+            checkpoints[back.step_number] = back.checkpoint()
+            back.step()
+        # A grid grew in between.
+        assert checkpoints[3].objects[0].shape != checkpoints[17].objects[0].shape
+        for k in (17, 3, 12):
+            back.restore(checkpoints[k])
+            assert back.step_number == k
+            stepped(back, 20 - k)
+            assert content(back) == content(straight), k
+        assert result_of(ended(back)).labels.tobytes() == result_of(ended(straight)).labels.tobytes()
+
+
+SAVED = {
+    "momentum": {},
+    "flowable mass on levels": {"flow": "flowable-mass", "levels": 2},
+    "noise": {"noise": 0.1, "seed": 4},
+    "sobolev": {"flow": "sobolev"},
+    "heavy ball, likelihood": {"flow": "momentum", "energy": "likelihood:model=histogram"},
+    "local region and area": {"energy": "local-region:R=5 + 0.2*area"},
+    "edits": {"edit": ["step=5 smoothness=0.4"]},
+}
+
+
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("name", SAVED)
+def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, several):
+    volume, starts, _ = pair
+    config = RunConfig(max_steps=26, threads=1, **({} if several else {"start": "ball:14,14,13,5"}), **SAVED[name])
+    objects = starts if several else None
+    with Run(volume, config, objects=objects) as straight:
+        stepped(straight, 11)
+        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), volume, straight.config)
+        whole = result_of(ended(straight))
+    with Run(volume, config, objects=objects) as other:
+        other.restore(load_checkpoint(tmp_path / "run.checkpoint", volume, other.config))
+        assert other.step_number == 11
+        resumed = result_of(ended(other))
+        assert content(other) == content(straight)
+    assert resumed.labels.tobytes() == whole.labels.tobytes() and resumed.psi.tobytes() == whole.psi.tobytes()
+    assert [s[1:] for s in resumed.levels] == [s[1:] for s in whole.levels] and resumed.warnings == whole.warnings
+
+
+def test_a_checkpoint_of_another_run_or_a_damaged_one_is_refused(pair, tmp_path):
+    volume, starts, _ = pair
+    config, path = RunConfig(max_steps=5), tmp_path / "run.checkpoint"
+    with Run(volume, config, objects=starts) as run:
+        run.step()
+        save_checkpoint(path, run.checkpoint(), volume, run.config)
+        assert load_checkpoint(path, volume, run.config.replace(threads=2)).step == 1
+        with pytest.raises(InputError, match="of another image or of other settings"):
+            load_checkpoint(path, volume, run.config.replace(smoothness=0.1))
+        with pytest.raises(InputError, match="of another image or of other settings"):
+            load_checkpoint(path, volume.with_array(volume.array + 1), run.config)
+        whole = path.read_bytes()
+        for damaged in (b"", whole[:100], whole[: len(whole) // 2], b"\0" * 1000, whole[:-40]):
+            path.write_bytes(damaged)
+            with pytest.raises(InputError, match="damaged"):
+                load_checkpoint(path, volume, run.config)
+        with pytest.raises(InputError, match="cannot be read"):
+            load_checkpoint(tmp_path / "absent", volume, run.config)
+
+
+def test_a_checkpoint_of_a_level_that_is_over_is_refused(pair):
+    volume, starts, _ = pair
+    with Run(volume, RunConfig(levels=2, max_steps=200), objects=starts) as run:
+        coarse = run.checkpoint()
+        while run.level > 0:
+            run.step()
+        with pytest.raises(ValueError, match="level 1"):
+            run.restore(coarse)
+
+
+# ------------------------------------------------------------------------------------- energies of one's own
+
+
+def test_an_energy_of_ones_own_moves_several_objects_as_a_named_one_does(pair):
+    volume, starts, _ = pair
+    made = segment_objects(volume, starts, energy=lambda image, spacing: ChanVese(image, 0.0, epsilon=1.5), max_steps=15)
+    named = segment_objects(volume, starts, max_steps=15)
+    assert made.energy == "custom: ChanVese" and named.energy == "chan-vese"
+    assert made.labels.tobytes() == named.labels.tobytes() and made.psi.tobytes() == named.psi.tobytes()
+    with pytest.raises(UsageError, match="several were given: the energy has one image"):
+        segment_objects(volume, starts, energy=ChanVese(volume.array, 0.0))
+
+
+def test_the_name_of_ones_own_energy_outlives_an_edit(pair):
+    volume, _, _ = pair
+    result = segment(
+        volume, start="ball:14,14,13,5", energy=lambda image, spacing: ChanVese(image), max_steps=6, edit=["step=3 cfl=0.3"]
+    )
+    assert result.energy == "custom: ChanVese" and result.report["config"]["energy"] == "custom: ChanVese"
+
+
+# ------------------------------------------------------------------------------------------- one result for all
+
+
+def test_one_result_with_a_tuple_of_objects(pair):
+    volume, starts, _ = pair
+    one = segment(volume, start="ball:14,14,13,5", max_steps=10)
+    many = segment_objects(volume, starts, max_steps=10)
+    assert type(one) is type(many) is accelsurf.Result is accelsurf.ObjectsResult
+    assert [o.id for o in one.objects] == [1] and not one.has_ids
+    assert [o.id for o in many.objects] == list(IDS) and many.has_ids and many.by_id[300] is many.objects[1]
+    assert one.objects[0].psi is one.psi and one.history is one.objects[0].history
+    assert many.volume_mm3 == pytest.approx(sum(o.volume_mm3 for o in many.objects))
+    assert len(repr(one)) < 120 and len(repr(many)) < 120 and len(repr(many.objects[0])) < 120
+    assert set(one.report) == set(many.report) and one.report["objects"] is None
+    assert [entry["id"] for entry in many.report["objects"]] == list(IDS)
+
+
+def test_a_label_map_with_one_id_keeps_its_id(pair):
+    volume, starts, _ = pair
+    result = segment_objects(volume, np.where(starts == 300, 300, 0), max_steps=5)
+    assert result.has_ids and set(np.unique(result.labels)) == {0, 300}
+
+
+def test_segment_takes_objects_too(pair, tmp_path):
+    volume, starts, _ = pair
+    io.write_labels(volume.with_array(starts.astype(np.uint16)), tmp_path / "starts.nii.gz")
+    by_file = segment(volume, objects=str(tmp_path / "starts.nii.gz"), max_steps=8)
+    assert by_file.labels.tobytes() == segment_objects(volume, starts, max_steps=8).labels.tobytes()
+
+
+# ------------------------------------------------------------------------------------ starts that are no texts
+
+BALL = {"max_steps": 6, "levels": 1}
+
+
+def test_starts_as_arrays_volumes_meshes_and_balls(pair):
+    volume, starts, _ = pair
+    mask = starts == 4
+    by_mask = segment(volume, start=mask, **BALL)
+    assert segment(volume, start=volume.with_array(mask.astype(np.uint8)), **BALL).psi.tobytes() == by_mask.psi.tobytes()
+    text = segment(volume, start="ball:14,14,13,5", **BALL)
+    assert segment(volume, start=[(14, 14, 13, 5)], **BALL).psi.tobytes() == text.psi.tobytes()
+    two = segment(volume, start=[(14, 14, 13, 5), (29, 14, 13, 4)], **BALL)
+    assert two.psi.tobytes() == segment(volume, start=("ball:14,14,13,5", "ball:29,14,13,4"), **BALL).psi.tobytes()
+    by_mesh = segment(volume, start=text.surface, max_steps=0, levels=1)
+    assert dice(by_mesh.labels > 0, text.labels > 0) > 0.97
+    inside = np.zeros(SHAPE, bool)
+    inside[:, :, :22] = True
+    held = segment(volume, start="ball:14,14,13,5", mask=inside, max_steps=30)
+    assert held.labels.any() and not held.labels[~inside].any()
+    learned = segment(volume, start="ball:14,14,13,5", energy="likelihood:update=no", foreground=mask, **BALL)
+    assert learned.terms[0]["inside"]["mean"] == pytest.approx(float(volume.array[mask].mean()), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("start", "error", "words"),
+    [
+        (np.zeros(SHAPE, bool), InputError, "start: the mask is empty"),
+        (np.ones((3, 4, 5)), GeometryError, r"start: an array of shape \(3, 4, 5\) was given"),
+        (Volume(np.ones(SHAPE, np.uint8), Geometry(SHAPE, (1.0, 1.0, 2.0))), GeometryError, "on another grid"),
+        ([(1, 2, 3)], UsageError, "start: a list was given, expected a text"),
+        (object(), UsageError, "start: a object was given, expected a text"),
+        ([(900, 0, 0, 3)], InputError, "no voxel centre is inside"),
+    ],
+)
+def test_starts_that_are_no_good_are_told_in_one_line(pair, start, error, words):
+    with pytest.raises(error, match=words) as caught:
+        segment(pair[0], start=start, **BALL)
+    assert len(str(caught.value)) < 400
+
+
+# ------------------------------------------------------------------------------------------------ command line
+
+
+def test_compare_and_strict_take_several_objects(pair, tmp_path, capsys):
+    volume, starts, truth = pair
+    io.write(volume, tmp_path / "cells.nii.gz")
+    io.write_labels(volume.with_array(starts.astype(np.uint16)), tmp_path / "starts.nii.gz")
+    io.write_labels(volume.with_array(truth.astype(np.uint16)), tmp_path / "truth.nii.gz")
+    words = [str(tmp_path / "cells.nii.gz"), "--objects", str(tmp_path / "starts.nii.gz"), "--max-steps", "12"]
+    out = tmp_path / "out"
+    assert cli.main(["compare", *words, "-o", str(out), "--reference", str(tmp_path / "truth.nii.gz"), "--quiet"]) == 0
+    runs = json.loads((out / "compare.json").read_text())["runs"]
+    assert [run["flow"] for run in runs] == ["gradient", "constant-density"]
+    for run in runs:
+        assert set(run["metrics"]["dice_by_object"]) == {"4", "300"} and [o["id"] for o in run["objects"]] == list(IDS)
+    assert (out / "compare.png").stat().st_size > 1000
+    levels = ["--levels", "2", "--edit", "step=3 smoothness=0.3"]
+    assert cli.main(["segment", *words, *levels, "-o", str(out), "--strict", "--quiet"]) == 4
+    assert "object 4: max-steps" in capsys.readouterr().err
+    names = {path.name for path in out.iterdir()}
+    assert {"cells_surface_4.ply", "cells_surface_300.ply", "cells_objects.csv", "cells_seg.nii.gz"} <= names
