@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import find_contours
 
-from accelsurf.analysis.surface_mesh import NODE_MARGIN, polydata, write_atomically, writer_for
+from accelsurf.analysis.surface_mesh import NODE_MARGIN, polydata, writer_for
 from accelsurf.errors import EmptyResultError, InputError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.io.files import write_bytes
 
 Floats = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ class Contours:
             When the file cannot be written.
         """
         writer, flip = writer_for(path, space, WRITERS, "contour")
-        write_atomically(Path(path), writer(tuple(loop * flip for loop in self.loops), space.upper()))
+        write_bytes(Path(path), writer(tuple(loop * flip for loop in self.loops), space.upper()))
 
 
 def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:

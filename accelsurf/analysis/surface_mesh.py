@@ -10,8 +10,6 @@ outward normals stay outward and no triangle has to be turned.
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
-from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
+from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
+from accelsurf.io.files import write_bytes
 
 Floats = NDArray[np.float64]
 Writer = TypeVar("Writer")
@@ -121,7 +120,7 @@ class Surface:
             When the file cannot be written.
         """
         writer, flip = writer_for(path, space, WRITERS, "mesh")
-        write_atomically(Path(path), writer(self.vertices * flip, self.faces, space.upper()))
+        write_bytes(Path(path), writer(self.vertices * flip, self.faces, space.upper()))
 
 
 def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
@@ -329,25 +328,3 @@ def writer_for(path: str | Path, space: str, writers: dict[str, Writer], kind: s
     if space not in SPACES:
         raise UsageError(f"{kind} space {space!r} given, one of {', '.join(SPACES)} expected")
     return writer, np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)
-
-
-def write_atomically(target: Path, content: bytes) -> None:
-    """Write a mesh file whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
-    # With the process number two runs that write the same name have different temporary files.
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        part.write_bytes(content)
-        os.replace(part, target)
-    except OSError as error:
-        raise OutputError(
-            f"{target}: the mesh cannot be written ({error.strerror or error})", hint="choose a folder you may write to"
-        ) from error
-    finally:
-        with contextlib.suppress(OSError):  # gone after the rename, or never made
-            part.unlink()

@@ -210,7 +210,9 @@ class Evolution:
         """The state between two steps, as a value; nothing of the run is changed by it."""
         self.initialize()
         surface = checkpoint_surface(self.surface)
-        return Checkpoint(self.level, self.state.copy(), surface, self.flow.state(), self.energy.state())
+        return Checkpoint(
+            self.level, self.state.copy(), surface, self.flow.state(), self.energy.state(), self.stop
+        )
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go back to a state made under the same settings; the steps that follow are then the same, bit for bit."""
@@ -218,7 +220,7 @@ class Evolution:
         restore_surface(self.surface, checkpoint.surface)
         self.flow.restore(self.surface, checkpoint.flow)
         self.energy.restore(self.surface, checkpoint.energy)
-        self._initialized, self._fields, self._stop_requested, self.stop = True, None, False, None
+        self._initialized, self._fields, self._stop_requested, self.stop = True, None, False, checkpoint.stop
 
     # -- one step ------------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from accelsurf.evolution.energy_budget import EnergyBudget
-from accelsurf.evolution.records import StepFields, StepRecord
+from accelsurf.evolution.records import StepFields, StepRecord, Stop
 from accelsurf.levelset import Snapshot, SurfaceState
 
 
@@ -82,13 +82,17 @@ class LoopState:
 
 
 class Checkpoint(NamedTuple):
-    """An evolution between two steps: the states of its four owners; see `Evolution.checkpoint`."""
+    """An evolution between two steps: the states of its four owners; see `Evolution.checkpoint`.
+
+    ``stop`` is why it has ended; beside others that go on, an object may have.
+    """
 
     level: int
     loop: LoopState
     surface: SurfaceState
     flow: dict[str, Any]
     energy: Any
+    stop: Stop | None = None
 
     @property
     def nbytes(self) -> int:

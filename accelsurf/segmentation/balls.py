@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Corner
+from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.pyramid import Level
 
 
@@ -52,13 +53,11 @@ def apply_balls(psi: NDArray[np.float32], balls: Sequence[Ball], grid: Level, co
         reach = (ball.radius + gamma) / np.array(grid.spacing)
         low = np.maximum(np.floor(middle - reach), 0).astype(int)
         high = np.minimum(np.ceil(middle + reach) + 1, psi.shape).astype(int)
-        box = tuple(slice(a, max(a, b)) for a, b in zip(low, high, strict=True))
-        axes = [np.arange(s.start, s.stop) for s in box]
-        squares = [((x - m) * h) ** 2 for x, m, h in zip(axes, middle, grid.spacing, strict=True)]
-        far = np.sqrt(squares[0][:, None, None] + squares[1][None, :, None] + squares[2][None, None, :])
-        inside = (far - ball.radius).astype(np.float32)
-        part = psi[box]
+        z, y, x = (slice(int(a), max(int(a), int(b))) for a, b in zip(low, high, strict=True))
+        box = z, y, x
+        distance = ball_distance(box, grid.spacing, middle, ball.radius)
+        near = psi[box]
         if ball.kind == "add":
-            np.minimum(part, inside, out=part)
+            np.minimum(near, distance, out=near)
         else:
-            np.maximum(part, -inside, out=part)
+            np.maximum(near, -distance, out=near)

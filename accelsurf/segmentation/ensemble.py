@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.evolution.records import Step, Stop, StopReason
-from accelsurf.grid.boxes import Corner, meeting, shared
+from accelsurf.grid.boxes import Corner, box_at, meeting, shared
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
@@ -142,8 +142,7 @@ class Ensemble:
                 tie = (a == b) & (a < 0)
                 psi[mine][tie] = np.float32(-1e-6 if i < j else 1e-6) * np.float32(self._smallest)
             if mask_distance is not None:
-                box = tuple(slice(c, c + n) for c, n in zip(corner, psi.shape, strict=True))
-                psi = np.maximum(psi, mask_distance[box])
+                psi = np.maximum(psi, mask_distance[box_at(corner, psi.shape)])
             out.append((corner, psi))
         return out
 
@@ -152,7 +151,7 @@ def union_of(starts: Sequence[ObjectStart], geometry: Geometry) -> NDArray[np.fl
     """Psi of the union of first surfaces on the whole grid."""
     union = np.full(geometry.shape, np.float32(0.5 * min(geometry.steps)), np.float32)
     for one in starts:
-        box = tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True))
+        box = box_at(one.corner, one.psi.shape)
         np.minimum(union[box], one.psi, out=union[box])
     return union
 
@@ -165,7 +164,7 @@ def within(one: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
     InputError
         When nothing of it lies there.
     """
-    box, roi = tuple(slice(c, c + n) for c, n in zip(one.corner, one.psi.shape, strict=True)), prepared.box
+    box, roi = box_at(one.corner, one.psi.shape), prepared.box
     a, b, c = (slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(box, roi, strict=True))
     if all(s.start < s.stop for s in (a, b, c)):
         psi = one.psi[tuple(slice(s.start - k, s.stop - k) for s, k in zip((a, b, c), one.corner, strict=True))]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelsurf.energies import gaussian_of
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.errors import UsageError
-from accelsurf.grid.boxes import Box
+from accelsurf.grid.boxes import Box, box_at
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.settings.energy_terms import HALF, Values
 from accelsurf.settings.run_config import RunConfig
@@ -118,8 +118,7 @@ class ImageContext:
         """
         part = copy.copy(self)
         if self._is_start and self._training is not None:
-            z, y, x = (slice(c, c + n) for c, n in zip(corner, start.shape, strict=True))
-            part._training, part._learned = self._training._replace(box=(z, y, x), inside=start), {}
+            part._training, part._learned = self._training._replace(box=box_at(corner, start.shape), inside=start), {}
         return part
 
     def with_channels(self, images: Sequence[Image]) -> ImageContext:

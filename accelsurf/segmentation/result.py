@@ -18,6 +18,7 @@ from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.grid import thumbnail
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
@@ -69,6 +70,10 @@ class SegmentedObject:
 
     def __repr__(self) -> str:
         return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
+
+    def _repr_html_(self) -> str:
+        """A slice with the outline of the object, and the repr, for notebooks."""
+        return thumbnail.as_html(repr(self), self.image, self.geometry, self.labels)
 
     @cached_property
     def labels(self) -> NDArray[np.uint8]:
@@ -194,6 +199,10 @@ class Result:
         size = " x ".join(str(n) for n in self.geometry.size)
         what = f"{len(self.objects)} objects" if self.has_ids else "1 object"
         return f"Result({what}, {self.volume_mm3:.6g} mm3, {self.stop.reason}, {size} voxels)"
+
+    def _repr_html_(self) -> str:
+        """A slice with the outlines of the objects, and the repr, for notebooks."""
+        return thumbnail.as_html(repr(self), self.image, self.geometry, self.labels)
 
     @property
     def _one(self) -> SegmentedObject:

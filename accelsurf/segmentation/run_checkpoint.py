@@ -12,7 +12,7 @@ from accelsurf import __version__
 from accelsurf.errors import InputError
 from accelsurf.evolution.energy_budget import EnergyBudget
 from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import StepFields, StepRecord
+from accelsurf.evolution.records import StepFields, StepRecord, Stop
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import EnergyRates
@@ -61,7 +61,7 @@ TYPES: dict[str, type] = {
     kind.__name__: kind
     for kind in (
         Checkpoint, EnergyBudget, EnergyRates, Level, LevelSummary, LoopState, ObjectCheckpoint, RunCheckpoint,
-        Snapshot, StepFields, StepRecord, SurfaceState,
+        Snapshot, StepFields, StepRecord, Stop, SurfaceState,
     )
 }
 

@@ -70,6 +70,15 @@ class NonOverlap(ConstrainedEnergy):
         # Raster order in the object's grid; only of the front.
         self._cells, self._forces = np.empty(0, np.int64), np.empty(0, np.float32)
 
+    def state(self) -> Any:
+        """The energy's own state, and the forces of the last step, which neighbours read."""
+        return self._energy.state(), self._cells, self._forces
+
+    def restore(self, surface: LevelSet, state: Any) -> None:
+        """Go on, on this surface, from what `state` returned on it."""
+        inner, self._cells, self._forces = state
+        self._energy.restore(surface, inner)
+
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front, with the reaction of neighbours that do not shrink."""
         own = np.asarray(self._energy.force(surface, front, curvature), np.float32)
