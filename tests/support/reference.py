@@ -531,13 +531,13 @@ def small_components(psi, most):
 # ---------------------------------------------------------------------------------------------------------- windows
 
 
-def node_weights(n, distance, before, reach, count) -> np.ndarray:
-    """Tent (nodes, voxels) of half width ``reach`` nodes at each node of an axis, by its formula."""
+def node_weights(n, distance, before, half_width, count) -> np.ndarray:
+    """Tent (nodes, voxels) of half width ``half_width`` nodes at each node of an axis, by its formula."""
     if count == 1:
         return np.ones((1, n))
     place = np.arange(n) / distance + before
     away = np.abs(np.arange(count)[:, None] - place[None, :])
-    return np.maximum(1.0 - away / reach, 0.0) / reach
+    return np.maximum(1.0 - away / half_width, 0.0) / half_width
 
 
 def window_sums(values, weights) -> np.ndarray:
