@@ -21,10 +21,10 @@ class Interface(NamedTuple):
 
     epsilon: float = 0.0
 
-    def fraction(self, surface: LevelSet, cut: np.ndarray) -> np.ndarray:
-        """Share (n,) of each band voxel that counts as inside; ``fraction_and_area`` are the sharp ones."""
+    def fraction(self, surface: LevelSet, sharp: np.ndarray) -> np.ndarray:
+        """Share (n,) of each band voxel that counts as inside; ``sharp`` (n,) from `LevelSet.fraction_and_area`."""
         if self.epsilon == 0:
-            return cut
+            return sharp
         fraction = np.empty(surface.size)
         surface.workers.parallel(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction)
         return fraction

@@ -17,9 +17,9 @@ from accelsurf.levelset import BandChange, LevelSet
 #: Half width of the tent along each axis that has the variance of a ball of radius 1.
 TENT = math.sqrt(6.0 / 5.0)
 #: Nodes per half width of the tent, where they are not closer than two voxels.
-MAX_REACH, MIN_REACH = 4, 2
+MAX_HALF_WIDTH, MIN_HALF_WIDTH = 4, 2
 #: A window with no more than this part on one side of the surface does not count.
-MIN_PART = 1e-6
+MIN_SHARE = 1e-6
 
 
 class LocalRegion(Energy):
@@ -83,8 +83,8 @@ class LocalRegion(Energy):
         check_shape(self._shape, surface)
         grid = surface.grid
         axes = [_layout(n, self.radius / h) for n, h in zip(grid[:3], grid[3:], strict=True)]
-        sizes, distances, before, reach = zip(*axes, strict=True)
-        self._nodes, self._reach = windows.Nodes(*sizes, *distances, *before), reach
+        sizes, distances, before, half_widths = zip(*axes, strict=True)
+        self._nodes, self._half_widths = windows.Nodes(*sizes, *distances, *before), half_widths
         count = math.prod(sizes)
         self._total = np.zeros((2, count))
         for some in runs(self._image.size):
@@ -106,27 +106,28 @@ class LocalRegion(Energy):
         """U of the present surface; also finds the means for the next `force`."""
         inside = self._inside.copy()
         self._scatter(surface, surface.band.cells, self._interface.fraction(surface, fraction), inside)
-        # Windows that the surface can cut, and the nodes that they are made of.
-        cut, made_of = self._box(surface, 1), self._box(surface, 2)
-        within = tuple(slice(c.start - m.start, c.stop - m.start) for c, m in zip(cut, made_of, strict=True))
+        # Windows that the surface can cross, and the nodes that they are made of.
+        crossed, made_of = self._box(surface, 1), self._box(surface, 2)
+        within = tuple(slice(c.start - m.start, c.stop - m.start) for c, m in zip(crossed, made_of, strict=True))
         nodes = (np.ascontiguousarray(field.reshape(self._nodes[:3])[made_of]) for field in inside)
         n1, total1 = (np.ascontiguousarray(self._smooth(surface, field)[within]) for field in nodes)
-        n, total = (np.ascontiguousarray(field[cut]) for field in self._windows)
+        n, total = (np.ascontiguousarray(field[crossed]) for field in self._windows)
         means = np.empty((3, n.size))
         surface.workers.parallel(
-            windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), MIN_PART, means
+            windows.two_means, n.size, n.ravel(), total.ravel(), n1.ravel(), total1.ravel(), MIN_SHARE, means
         )
         self._means = [self._smooth(surface, field.reshape(n.shape)).ravel() for field in means[:2]]
-        before = [b - s.start for b, s in zip(self._nodes[6:], cut, strict=True)]
+        before = [b - s.start for b, s in zip(self._nodes[6:], crossed, strict=True)]
         sizes = dict(zip(("nz", "ny", "nx"), n.shape, strict=True))
-        self._part = self._nodes._replace(**sizes, pz=before[0], py=before[1], px=before[2])
+        self._near_nodes = self._nodes._replace(**sizes, pz=before[0], py=before[1], px=before[2])
         return (self._one_mean - float(means[2].sum())) * surface.voxel_volume + self._area.value(area)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
         means = np.empty((surface.size, 2))
         surface.workers.parallel(
-            windows.read_nodes, surface.size, surface.grid, surface.band, front, self._part, tuple(self._means), means
+            windows.read_nodes, surface.size, surface.grid, surface.band, front,
+            self._near_nodes, tuple(self._means), means,
         )
         image = self._interface.force(self._image, surface, front, curvature, (0.0, 1.0, 0.0))
         force: np.ndarray = (means[:, 1] - 2.0 * image * means[:, 0]).astype(np.float32)
@@ -143,29 +144,32 @@ class LocalRegion(Energy):
         step = 1
         for axis in (2, 1, 0):
             size = field.shape[axis]
-            if self._reach[axis] > 1:
+            if self._half_widths[axis] > 1:
                 out = np.empty_like(field)
+                half_width = self._half_widths[axis]
                 surface.workers.parallel(
-                    windows.tent_along, field.size, field.ravel(), size * step, step, self._reach[axis], out.ravel()
+                    windows.tent_along, field.size, field.ravel(), size * step, step, half_width, out.ravel()
                 )
                 field = out
             step *= size
         return field
 
-    def _box(self, surface: LevelSet, reaches: int) -> tuple[slice, ...]:
-        """Nodes within ``reaches`` half widths of the window around the band."""
+    def _box(self, surface: LevelSet, widths: int) -> tuple[slice, ...]:
+        """Nodes within ``widths`` half widths of the window around the band."""
         index = np.unravel_index(surface.band.cells, surface.shape) if surface.size else ([0], [0], [0])
         box = []
         for axis in range(3):
             n, b, before = self._nodes[axis], self._nodes[3 + axis], self._nodes[6 + axis]
-            low = math.floor(np.min(index[axis]) / b + before) - reaches * self._reach[axis]
-            high = math.floor(np.max(index[axis]) / b + before) + reaches * self._reach[axis] + 2
+            low = math.floor(np.min(index[axis]) / b + before) - widths * self._half_widths[axis]
+            high = math.floor(np.max(index[axis]) / b + before) + widths * self._half_widths[axis] + 2
             box.append(slice(max(low, 0), min(high, n)))
         return tuple(box)
 
 
 def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
-    """Nodes along an axis of ``n`` voxels for a radius in voxels: (number, distance in voxels, before voxel 0, reach).
+    """Nodes along an axis of ``n`` voxels for a radius in voxels.
+
+    Returns (number, distance in voxels, how many before voxel 0, half width of the tent in nodes).
 
     They lie alike on both sides of the axis' middle, and beyond both ends, so that the windows on every voxel add up
     to 1. ``before`` has a part of a distance for the voxels between voxel 0 and the node before it.
@@ -178,7 +182,7 @@ def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
     if n == 1:
         return 1, 1.0, 0.0, 1
     half = TENT * radius
-    reach = 1 if half < 2.0 else min(MAX_REACH, max(MIN_REACH, int(half / 2.0)))
-    distance = max(half / reach, 1.0)
-    number = math.ceil((n - 1) / distance) + 1 + 2 * (reach - 1)
-    return number, distance, 0.5 * (number - 1 - (n - 1) / distance), reach
+    half_width = 1 if half < 2.0 else min(MAX_HALF_WIDTH, max(MIN_HALF_WIDTH, int(half / 2.0)))
+    distance = max(half / half_width, 1.0)
+    number = math.ceil((n - 1) / distance) + 1 + 2 * (half_width - 1)
+    return number, distance, 0.5 * (number - 1 - (n - 1) / distance), half_width

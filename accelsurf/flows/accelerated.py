@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -96,9 +97,9 @@ class Accelerated(Flow):
         if self.noise is not None:
             self.noise.zero_momentum()
 
+    @abstractmethod
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """The paper's T of two velocities half a step before and after."""
-        raise NotImplementedError
 
     def _energy_rates(self, area: np.ndarray, stages: tuple[np.ndarray, ...]) -> EnergyRates:
         """Energies from the velocities before, after diffusion, kick, noise and clipping."""

@@ -235,10 +235,10 @@ class FlowableMass(Accelerated):
         tangential = self.velocity - along[:, None] * normal
         diffuse(now.surface, front, along, diffusion * dm)
         for c in range(3):
-            part = np.ascontiguousarray(tangential[:, c])
-            if part.any():
-                diffuse(now.surface, front, part, diffusion * dm)
-                tangential[:, c] = part
+            component = np.ascontiguousarray(tangential[:, c])
+            if component.any():
+                diffuse(now.surface, front, component, diffusion * dm)
+                tangential[:, c] = component
         tangential -= (tangential * normal).sum(axis=1)[:, None] * normal
         return along[:, None] * normal + tangential, diffusion
 
@@ -283,10 +283,10 @@ class FlowableMass(Accelerated):
 
     @staticmethod
     def _extended(surface: LevelSet, velocity: np.ndarray, front: np.ndarray) -> np.ndarray:
-        parts = [np.ascontiguousarray(velocity[:, c]) for c in range(3)]
-        for part in parts:
-            surface.extend_outwards(part, front)
-        return np.stack(parts, axis=1)
+        components = [np.ascontiguousarray(velocity[:, c]) for c in range(3)]
+        for component in components:
+            surface.extend_outwards(component, front)
+        return np.stack(components, axis=1)
 
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 int rho V . V' dA."""

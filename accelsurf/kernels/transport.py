@@ -200,11 +200,11 @@ def area_stretch(start, stop, slot, grid, cells, front, motion, out):
         total = 0.0
         for a in range(3):
             b, c = (a + 1) % 3, (a + 2) % 3
-            part = 0.0
+            component = 0.0
             for i in range(3):
                 j, k = (i + 1) % 3, (i + 2) % 3
-                part += (f[b, j] * f[c, k] - f[b, k] * f[c, j]) * normal[s, i]
-            total += part * part
+                component += (f[b, j] * f[c, k] - f[b, k] * f[c, j]) * normal[s, i]
+            total += component * component
         out[s] = np.sqrt(total)
 
 

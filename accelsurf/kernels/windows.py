@@ -1,7 +1,7 @@
 """Sums over a window around every point, by a coarse lattice of nodes: O(1) per cell whatever the window's size.
 
-A voxel is shared by the eight nodes around it (linear weights); the nodes are smoothed by a tent of ``reach`` nodes
-along each axis; a point reads them by the same linear weights. Positions are voxels.
+A voxel is shared by the eight nodes around it (linear weights); the nodes are smoothed by a tent of
+``half_width`` nodes along each axis; a point reads them by the same linear weights. Positions are voxels.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def scatter_inside(dense, image, grid, nodes, counts, totals):
 
 
 @kernel(stage=Stage.ENERGY)
-def tent_along(start, stop, values, length, step, reach, out):
-    """Smooth raveled nodes along an axis by the tent (reach - |k|)/reach^2, |k| < reach; nothing lies beyond the ends.
+def tent_along(start, stop, values, length, step, half_width, out):
+    """Smooth raveled nodes along an axis by the tent (w - |k|)/w^2, |k| < w, w = ``half_width``; 0 beyond the ends.
 
     ``step`` is the distance of neighbours along the axis in the raveled array, ``length`` that times the axis' size.
     """
@@ -90,8 +90,8 @@ def tent_along(start, stop, values, length, step, reach, out):
         end = min(stop, first + length)
         for i in range(at, end):
             out[i] = 0.0
-        for k in range(1 - reach, reach):
-            weight, shift = (reach - abs(k)) / (reach * reach), k * step
+        for k in range(1 - half_width, half_width):
+            weight, shift = (half_width - abs(k)) / (half_width * half_width), k * step
             for i in range(max(at, first - shift), min(end, first + length - shift)):
                 out[i] += weight * values[i + shift]
         at = end

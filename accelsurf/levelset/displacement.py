@@ -41,9 +41,9 @@ def displacement(surface: LevelSet, before: Snapshot) -> Displacement:
     band, grid = surface.band, surface.grid
     at = np.minimum(np.searchsorted(before.cells, band.cells[on]), before.cells.size - 1)
     known = before.cells[at] == band.cells[on]
-    moved = np.abs(band.psi[on].astype(np.float64) - before.psi[at])
+    distance = np.abs(band.psi[on].astype(np.float64) - before.psi[at])
     to_closest, h = band.to_closest[on].astype(np.float64), np.array([grid.hz, grid.hy, grid.hx])
     per_mm = np.sqrt(((to_closest / h) ** 2).sum(axis=1) / np.maximum((to_closest**2).sum(axis=1), 1e-300))
-    voxels = np.where(known, moved * per_mm, surface.half_width)
+    voxels = np.where(known, distance * per_mm, surface.half_width)
     whole = float(area[on].sum())
     return Displacement(dot(area[on], voxels) / whole, float(area[on][voxels > FAR].sum()) / whole)

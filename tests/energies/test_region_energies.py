@@ -103,8 +103,8 @@ def test_local_energy_is_the_sum_over_all_windows(radius):
     share.reshape(-1)[surface.band.cells] = fraction
     layouts = [local_region._layout(n, radius / h) for n, h in zip(shape, spacing, strict=True)]
     weights = [
-        reference.node_weights(n, distance, before, reach, count)
-        for n, (count, distance, before, reach) in zip(shape, layouts, strict=True)
+        reference.node_weights(n, distance, before, half_width, count)
+        for n, (count, distance, before, half_width) in zip(shape, layouts, strict=True)
     ]
     for axis in weights:
         np.testing.assert_allclose(axis.sum(axis=0), 1.0)
@@ -115,8 +115,8 @@ def test_local_energy_is_the_sum_over_all_windows(radius):
 @pytest.mark.parametrize("radius", [5.0, 9.0, 20.0])
 def test_the_window_has_the_variance_of_the_ball(radius):
     """Along an axis, R^2/5, however the nodes lie."""
-    count, distance, before, reach = local_region._layout(201, radius)
-    window = reference.node_weights(201, distance, before, reach, count)[round(before + 100 / distance)]
+    count, distance, before, half_width = local_region._layout(201, radius)
+    window = reference.node_weights(201, distance, before, half_width, count)[round(before + 100 / distance)]
     away = np.arange(201) - np.average(np.arange(201), weights=window)
     assert np.average(away**2, weights=window) == pytest.approx(radius**2 / 5, rel=0.03)
 
@@ -124,8 +124,8 @@ def test_the_window_has_the_variance_of_the_ball(radius):
 @pytest.mark.parametrize("radius", [1.0, 2.6, 9.0, 50.0])
 @pytest.mark.parametrize("n", [2, 9, 200])
 def test_nodes_lie_alike_on_both_sides_of_the_middle(n, radius):
-    count, distance, before, reach = local_region._layout(n, radius)
-    weights = reference.node_weights(n, distance, before, reach, count)
+    count, distance, before, half_width = local_region._layout(n, radius)
+    weights = reference.node_weights(n, distance, before, half_width, count)
     np.testing.assert_allclose(weights[::-1, ::-1], weights, atol=1e-12)
 
 

@@ -12,13 +12,13 @@ from tests.support import reference
 pytestmark = pytest.mark.nojit
 
 SHAPE, SPACING = (7, 9, 11), (2.0, 1.0, 0.8)
-#: Nodes along each axis: (number, distance in voxels, before voxel 0), and the reach of the tent.
+#: Nodes along each axis: (number, distance in voxels, before voxel 0), and the half_width of the tent.
 NODES, REACH = windows.Nodes(7, 9, 10, 1.5, 2.3, 2.0, 1, 2, 2), (2, 3, 3)
 
 
 def weights():
     axes = zip(SHAPE, NODES[3:6], NODES[6:], REACH, NODES[:3], strict=True)
-    return [reference.node_weights(n, b, before, reach, count) for n, b, before, reach, count in axes]
+    return [reference.node_weights(n, b, before, half_width, count) for n, b, before, half_width, count in axes]
 
 
 def smoothed(field):

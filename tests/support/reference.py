@@ -171,7 +171,7 @@ def distance(psi, spacing, cells, parts=4):
 def corrected(iteration, foot, level, past, spacing):
     """One of Chopp's two corrections at once, the part along the level relaxed by the secant of two residues.
 
-    ``level`` is (psi, gradient per mm) at the ``foot`` (mm from the cell); ``past`` (last residue, its square, the last
+    ``level`` is (psi, gradient per mm) at the ``to_closest`` (mm from the cell); ``past`` (last residue, its square, the last
     relaxation, the square of the first residue). Returns (foot, its status, past, by how much of a limit each of
     the decisions was made).
     """
@@ -531,13 +531,13 @@ def small_components(psi, most):
 # ---------------------------------------------------------------------------------------------------------- windows
 
 
-def node_weights(n, distance, before, reach, count) -> np.ndarray:
-    """Tent (nodes, voxels) of half width ``reach`` nodes at each node of an axis, by its formula."""
+def node_weights(n, distance, before, half_width, count) -> np.ndarray:
+    """Tent (nodes, voxels) of half width ``half_width`` nodes at each node of an axis, by its formula."""
     if count == 1:
         return np.ones((1, n))
     place = np.arange(n) / distance + before
     away = np.abs(np.arange(count)[:, None] - place[None, :])
-    return np.maximum(1.0 - away / reach, 0.0) / reach
+    return np.maximum(1.0 - away / half_width, 0.0) / half_width
 
 
 def window_sums(values, weights) -> np.ndarray:

@@ -172,10 +172,10 @@ def shared_cells(
 ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
     """Slots of the band cells that lie on a neighbour's grid too, and the neighbour's psi there, mm."""
     index = np.unravel_index(surface.band.cells, surface.shape)
-    moved = [i + (a - b) for i, a, b in zip(index, corner, other.corner, strict=True)]
+    shifted = [i + (a - b) for i, a, b in zip(index, corner, other.corner, strict=True)]
     inside = np.ones(surface.size, np.bool_)
-    for i, n in zip(moved, other.surface.shape, strict=True):
+    for i, n in zip(shifted, other.surface.shape, strict=True):
         inside &= (i >= 0) & (i < n)
     on = np.flatnonzero(inside)
-    values: Any = other.surface.psi[tuple(i[on] for i in moved)]
+    values: Any = other.surface.psi[tuple(i[on] for i in shifted)]
     return on, values
