@@ -171,7 +171,7 @@ def distance(psi, spacing, cells, parts=4):
 def corrected(iteration, foot, level, past, spacing):
     """One of Chopp's two corrections at once, the part along the level relaxed by the secant of two residues.
 
-    ``level`` is (psi, gradient per mm) at the ``to_closest`` (mm from the cell); ``past`` (last residue, its square, the last
+    ``level`` is (psi, gradient per mm) at the foot (mm from the cell); ``past`` (last residue, its square, the last
     relaxation, the square of the first residue). Returns (foot, its status, past, by how much of a limit each of
     the decisions was made).
     """
