@@ -103,7 +103,6 @@ class PreprocessedInput:
 def preprocess(
     volumes: Sequence[Volume],
     config: RunConfig,
-    start: NDArray[np.float32] | None = None,
     given: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> tuple[PreprocessedInput, NDArray[np.float32]]:
     """Prepare the image, the first surface and the mask of a run.
@@ -113,8 +112,6 @@ def preprocess(
     volumes : sequence of Volume
         The channels, on one grid.
     config : RunConfig
-    start : ndarray (nz, ny, nx), optional
-        psi of the first surfaces on the whole grid, in place of the start of ``config``.
     given : mapping of str to ndarray (nz, ny, nx), optional
         psi on the whole grid in place of the texts of ``start``, ``mask``, ``foreground`` and ``background``.
 
@@ -135,8 +132,7 @@ def preprocess(
     geometry = cropped(whole, box)
     presmooth = in_mm(config.presmooth, whole)
     smoothed = presmoothed(first, presmooth)
-    if start is None:
-        start = given["start"] if "start" in given else starts.build(config.start, first, smoothed)
+    start = given["start"] if "start" in given else starts.build(config.start, first, smoothed)
     foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
     distance = _mask_distance(config, given, whole, box)
     psi = _start_within(_crop(start, box), distance, config)

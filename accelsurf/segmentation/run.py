@@ -96,12 +96,13 @@ class Run:
         config = seeded(config)
         self.volume, self.config, self._energy = volume, config, energy
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
-        given = config.objects if objects is None else objects
-        self.has_ids = given is not None
-        several = [] if given is None else object_starts.read(given, volume.geometry, AROUND)
+        labels = config.objects if objects is None else objects
+        self.has_ids = labels is not None
+        several = [] if labels is None else object_starts.read(labels, volume.geometry, AROUND)
         union = union_of(several, volume.geometry) if several else None
         channels = [volume, *channels, *read_further(config.channel)]
-        self.prepared, psi = preprocess(channels, config, union, arrays)
+        given = {**(arrays or {}), **({} if union is None else {"start": union})}
+        self.prepared, psi = preprocess(channels, config, given)
         starts = [ObjectStart(one.id, one.corner, one.psi) for one in (within(o, self.prepared) for o in several)]
         for edit in config.edit:
             self.check(edit, [one.id for one in starts] or [1])
@@ -113,7 +114,7 @@ class Run:
         self._inputs = LevelInputs(self.prepared.images, self.prepared.mask_distance, grids)
         if not starts:
             starts = [ObjectStart(1, (0, 0, 0), psi)]
-        del psi, union, several
+        del psi, union, several, given, arrays
         self._max_steps = config.max_steps
         self.objects = tuple(self._object(place, start) for place, start in enumerate(starts))
         del starts

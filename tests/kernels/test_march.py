@@ -913,4 +913,4 @@ def test_a_range_of_slots_writes_nothing_outside_itself():
 
 def test_a_band_is_three_arrays_in_slot_order():
     band = Band(np.arange(3), np.zeros(3, np.float32), np.zeros((3, 3), np.float32))
-    assert band._fields == ("cells", "psi", "foot")
+    assert band._fields == ("cells", "psi", "to_closest")
