@@ -14,7 +14,8 @@ from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
-from accelsurf.settings.run_config import FLOWS, RunConfig
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.session import Session

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from skimage import color
 
+from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
 from accelsurf.viewer.core.frame import Frame, ObjectState
 from accelsurf.viewer.frontends.export import write_html
@@ -40,14 +41,15 @@ def test_objects_and_reference_are_told_apart_with_any_colour_vision(name):
 def two_objects(volume):
     """A frame of two balls, each on a box of the image's grid, and a history for each."""
     frames, history = viewing.run_frames(volume, volume.geometry.center_world(), levels=1, max_steps=8)
+    changed = [record._replace(potential=0.5 * record.potential, volume_mm3=9.0) for record in history]
     objects = []
-    for number, middle in ((4, 11), (7, 31)):
+    for number, middle, record in ((4, 11, history[-1]), (7, 31, changed[-1])):
         z, y, x = np.indices((16, 30, 20)).astype(np.float32)
         corner = (2, 5, middle - 10)
         psi = np.sqrt((2.0 * (z - 8)) ** 2 + (y - 15) ** 2 + (x - 10) ** 2) - 7
-        objects.append(ObjectState(number, LevelSet(psi, volume.geometry.spacing), corner))
-    changed = [record._replace(potential=0.5 * record.potential, volume_mm3=9.0) for record in history]
-    return Frame.of(objects, (history[-1], changed[-1]), volume.geometry), (history, changed)
+        objects.append(ObjectState(number, record, LevelSet(psi, volume.geometry.spacing), corner))
+    level = pyramid.levels(volume.geometry.shape, volume.geometry.spacing, 1)[0]
+    return Frame.of(objects, level), (history, changed)
 
 
 def count(picture, code):
