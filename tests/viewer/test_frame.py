@@ -5,8 +5,8 @@ import pytest
 
 from accelsurf import Volume
 from accelsurf.evolution.records import StepFields
-from accelsurf.levelset import LevelSet
 from accelsurf.grid import pyramid
+from accelsurf.levelset import LevelSet
 from accelsurf.report import tables
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig

@@ -1,0 +1,149 @@
+"""A session of several objects: it runs, goes back, is changed by hand, and what it saves repeats it, byte for byte."""
+
+import numpy as np
+import pytest
+
+from accelsurf import io, segment_objects
+from accelsurf.errors import UsageError
+from accelsurf.grid.volume import Volume
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.nearest_object import nearest_object
+from accelsurf.viewer.core.session import Session
+from tests.support.steering import at, labels_of, views
+
+#: Middles (z, y, x) of two balls that touch.
+MIDDLES, RADIUS = {3: (12, 14, 12), 8: (12, 14, 29)}, 8.6
+
+
+def volume():
+    z, y, x = np.indices((24, 28, 42))
+    inside = np.zeros(z.shape, bool)
+    for c in MIDDLES.values():
+        inside |= (z - c[0]) ** 2 + (y - c[1]) ** 2 + (x - c[2]) ** 2 < RADIUS**2
+    noise = np.random.default_rng(0).normal(0, 20, z.shape)
+    return Volume.from_array((100 * inside + noise).astype(np.float32))
+
+
+@pytest.fixture
+def config(tmp_path):
+    """Settings that start each object from a small cube in it."""
+    labels = np.zeros((24, 28, 42), np.uint8)
+    for own, (z, y, x) in MIDDLES.items():
+        labels[z - 3 : z + 4, y - 3 : y + 4, x - 3 : x + 4] = own
+    path = tmp_path / "starts.nii.gz"
+    io.write_labels(volume().with_array(labels), path)
+    return RunConfig(objects=str(path), threads=1)
+
+
+@pytest.fixture
+def session(config):
+    with Session(volume(), config) as made:
+        made.ready.result(60)
+        yield made
+
+
+def repeated(toml):
+    """The labels that the saved configuration gives."""
+    return segment_objects(volume(), config=RunConfig.from_toml(toml)).labels
+
+
+def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
+    assert session.status.objects == (3, 8)
+    straight = labels_of(at(session, 12), tmp_path / "a")[0]
+    session.go_to(5).result(60)
+    assert session.wait(60) and session.status.step == 5
+    assert labels_of(at(session, 12), tmp_path / "b")[0] == straight
+    session.go_to(6).result(60)
+    session.edit_ball("add", "ball:38,14,12,3", 3).result(60)
+    assert session.status.message == "added ball:38,14,12,3 to object 3"
+    session.change(smoothness=0.2).result(60)
+    at(session, 14)
+    session.edit_ball("remove", "ball:12,6,12,4").result(60)
+    at(session, 17)
+    paths = session.save(tmp_path / "saved").result(60)
+    assert {"run.toml", "surface_seg.nii.gz", "surface_objects.csv", "surface_trace.csv", "surface_preview.png"} | {
+        "surface_surface_3.ply", "surface_surface_8.ply", "surface_report.json"
+    } == {path.name for path in paths}
+    assert [(edit.step, edit.object) for edit in session.status.edits] == [(6, 3), (6, None), (14, 3)]
+    labels = io.read_labels(tmp_path / "saved/surface_seg.nii.gz").array
+    assert set(np.unique(labels)) == {0, 3, 8}
+    again = repeated(tmp_path / "saved/run.toml")
+    assert again.dtype == labels.dtype and again.tobytes() == labels.tobytes() != straight
+    session.undo().result(60)
+    assert session.wait(60) and session.status.step == 14 and len(session.status.edits) == 2
+
+
+def test_a_run_goes_on_after_it_converged_and_is_repeated(session, tmp_path):
+    session.play().result(60)
+    assert session.wait(120)
+    first = session.status
+    assert first.stop.reason == "converged"
+    saved, toml = labels_of(session, tmp_path)
+    assert repeated(toml).tobytes() == saved
+    session.edit_ball("remove", "ball:29,8,12,5").result(60)
+    assert session.status.edits[-1].object == 8
+    at(session, first.step + 6)
+    saved, toml = labels_of(session, tmp_path)
+    assert repeated(toml).tobytes() == saved
+    session.play().result(60)
+    assert session.wait(120) and session.status.step > first.step + 6
+    saved, toml = labels_of(session, tmp_path)
+    assert repeated(toml).tobytes() == saved
+
+
+def test_a_session_on_two_levels_is_repeated(config, tmp_path):
+    with Session(volume(), config.replace(levels=2)) as two:
+        two.play().result(60)
+        assert two.wait(120) and two.status.stop.reason == "converged"
+        end, straight = two.status.step, labels_of(two, tmp_path)
+        assert repeated(straight[1]).tobytes() == straight[0]
+        two.go_to(3).result(60)
+        assert two.wait(60) and two.status.step == 3
+        seen = views(two)[-1].frame
+        assert seen.level == 1 and [surface.level.number for surface in seen.surfaces] == [1, 1]
+        two.play_to(end).result(60)
+        assert two.wait(120) and labels_of(two, tmp_path)[0] == straight[0]
+
+
+def test_a_ball_without_an_object_is_the_nearest_ones(session):
+    run = session_run(session)
+    for own, (z, y, x) in MIDDLES.items():
+        assert nearest_object(run, f"ball:{x},{y},{z},2") == own
+    assert nearest_object(run, "ball:2,14,12,2") == 3 and nearest_object(run, "ball:22,2,12,2") == 8
+    session.edit_ball("add", "ball:22,2,12,2").result(60)
+    assert [edit.object for edit in session.status.edits] == [8]
+
+
+def session_run(session):
+    """The run of a session that is paused."""
+    return session._do(lambda timeline: timeline.run).result(60)
+
+
+def test_bad_commands_change_nothing(session):
+    at(session, 2)
+    for call, message in (
+        (lambda: session.edit_ball("add", "ball:22,2,12,2", 5), "object 5 was given, expected one of 3, 8"),
+        (lambda: session.start_from(["ball:12,14,12,4"]), "was given with objects"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            call().result(60)
+        assert session.status.failed and session.status.edits == () and session.status.step == 2
+
+
+def test_one_object_without_an_id_is_named_by_nothing():
+    with Session(volume(), RunConfig(start="ball:12,14,12,4", threads=1)) as session:
+        session.ready.result(60)
+        session.edit_ball("add", "ball:15,14,12,4").result(60)
+        assert session.status.objects == () and session.status.edits[0].object is None
+        assert session.status.message == "added ball:15,14,12,4"
+
+
+def test_views_have_a_surface_and_a_history_of_each(session):
+    at(session, 7)
+    view = views(session)[-1]
+    assert [surface.id for surface in view.frame.surfaces] == [3, 8] and view.frame.step == 7
+    assert [[record.step for record in history] for history in view.histories] == [list(range(8))] * 2
+    for surface, middle in zip(view.frame.surfaces, MIDDLES.values(), strict=True):
+        assert np.linalg.norm(surface.middle() - middle) < 2 and surface.corner != (0, 0, 0)
+        near = np.argwhere(np.abs(surface.psi) < 0.5)
+        assert np.abs(surface.sample("speed", near)).max() > 0
