@@ -5,33 +5,22 @@ import pytest
 
 from accelsurf import io, segment_objects
 from accelsurf.errors import UsageError
-from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
+from tests.support import two_balls
 from tests.support.steering import at, labels_of, views
-
-#: Middles (z, y, x) of two balls that touch.
-MIDDLES, RADIUS = {3: (12, 14, 12), 8: (12, 14, 29)}, 8.6
 
 
 def volume():
-    z, y, x = np.indices((24, 28, 42))
-    inside = np.zeros(z.shape, bool)
-    for c in MIDDLES.values():
-        inside |= (z - c[0]) ** 2 + (y - c[1]) ** 2 + (x - c[2]) ** 2 < RADIUS**2
-    noise = np.random.default_rng(0).normal(0, 20, z.shape)
-    return Volume.from_array((100 * inside + noise).astype(np.float32))
+    return two_balls.image(two_balls.TOUCHING)
 
 
 @pytest.fixture
 def config(tmp_path):
     """Settings that start each object from a small cube in it."""
-    labels = np.zeros((24, 28, 42), np.uint8)
-    for own, (z, y, x) in MIDDLES.items():
-        labels[z - 3 : z + 4, y - 3 : y + 4, x - 3 : x + 4] = own
     path = tmp_path / "starts.nii.gz"
-    io.write_labels(volume().with_array(labels), path)
+    io.write_labels(two_balls.starts(two_balls.TOUCHING), path)
     return RunConfig(objects=str(path), threads=1)
 
 
@@ -42,9 +31,9 @@ def session(config):
         yield made
 
 
-def repeated(toml):
+def repeated(toml, image=None):
     """The labels that the saved configuration gives."""
-    return segment_objects(volume(), config=RunConfig.from_toml(toml)).labels
+    return segment_objects(image or volume(), config=RunConfig.from_toml(toml)).labels
 
 
 def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
@@ -91,6 +80,23 @@ def test_a_run_goes_on_after_it_converged_and_is_repeated(session, tmp_path):
     assert repeated(toml).tobytes() == saved
 
 
+def test_an_object_that_stood_still_while_others_moved_is_repeated_too(tmp_path):
+    """The saved number of steps is that of the run, not of an object that has made fewer."""
+    image, path = two_balls.image(two_balls.UNEQUAL), tmp_path / "starts.nii.gz"
+    io.write_labels(two_balls.starts(two_balls.UNEQUAL), path)
+    with Session(image, RunConfig(objects=str(path), threads=1)) as session:
+        session.play().result(60)
+        assert session.wait(120) and session.status.stop.reason == "converged"
+        session.edit_ball("add", "ball:12,18,12,4").result(60)
+        session.edit_ball("add", "ball:28,20,12,4").result(60)
+        assert [edit.object for edit in session.status.edits] == [3, 8]
+        at(session, session.status.step + 6)
+        small, large = views(session)[-1].histories
+        assert len(small) < len(large) - 5
+        saved, toml = labels_of(session, tmp_path)
+        assert repeated(toml, image).tobytes() == saved
+
+
 def test_a_session_on_two_levels_is_repeated(config, tmp_path):
     with Session(volume(), config.replace(levels=2)) as two:
         two.play().result(60)
@@ -107,7 +113,7 @@ def test_a_session_on_two_levels_is_repeated(config, tmp_path):
 
 def test_a_ball_without_an_object_is_the_nearest_ones(session):
     run = session_run(session)
-    for own, (z, y, x) in MIDDLES.items():
+    for own, (z, y, x, _) in two_balls.TOUCHING.items():
         assert nearest_object(run, f"ball:{x},{y},{z},2") == own
     assert nearest_object(run, "ball:2,14,12,2") == 3 and nearest_object(run, "ball:22,2,12,2") == 8
     session.edit_ball("add", "ball:22,2,12,2").result(60)
@@ -143,7 +149,7 @@ def test_views_have_a_surface_and_a_history_of_each(session):
     view = views(session)[-1]
     assert [surface.id for surface in view.frame.surfaces] == [3, 8] and view.frame.step == 7
     assert [[record.step for record in history] for history in view.histories] == [list(range(8))] * 2
-    for surface, middle in zip(view.frame.surfaces, MIDDLES.values(), strict=True):
-        assert np.linalg.norm(surface.middle() - middle) < 2 and surface.corner != (0, 0, 0)
+    for surface, ball in zip(view.frame.surfaces, two_balls.TOUCHING.values(), strict=True):
+        assert np.linalg.norm(surface.middle() - ball[:3]) < 2 and surface.corner != (0, 0, 0)
         near = np.argwhere(np.abs(surface.psi) < 0.5)
         assert np.abs(surface.sample("speed", near)).max() > 0
