@@ -1,14 +1,22 @@
 """A session of several objects: it runs, goes back, is changed by hand, and what it saves repeats it, byte for byte."""
 
+import os
+import subprocess
+import sys
+import threading
+
 import numpy as np
 import pytest
 
-from accelsurf import io, segment_objects
+from accelsurf import cli, io, segment_objects
+from accelsurf.cli import view
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
-from tests.support import two_balls
+from accelsurf.viewer.frontends.requests import RequestHandler
+from accelsurf.viewer.scene.scene import Scene
+from tests.support import two_balls, viewing
 from tests.support.steering import at, labels_of, views
 
 
@@ -153,3 +161,68 @@ def test_views_have_a_surface_and_a_history_of_each(session):
         assert np.linalg.norm(surface.middle() - ball[:3]) < 2 and surface.corner != (0, 0, 0)
         near = np.argwhere(np.abs(surface.psi) < 0.5)
         assert np.abs(surface.sample("speed", near)).max() > 0
+
+
+def test_it_goes_back_to_any_step_with_little_memory_and_two_threads(config, tmp_path):
+    before = threading.active_count()
+    with Session(volume(), config.replace(threads=2), checkpoint_mb=1) as small:
+        straight = {step: labels_of(at(small, step), tmp_path)[0] for step in range(3, 16)}
+        assert len(small.status.checkpoints) < 10
+        for step in (14, 6, 11, 3):
+            small.go_to(step).result(60)
+            assert small.wait(60) and small.status.step == step
+            assert labels_of(small, tmp_path)[0] == straight[step]
+    assert threading.active_count() == before
+
+
+def test_the_command_opens_a_session_of_the_objects(config, tmp_path, monkeypatch):
+    io.write(volume(), tmp_path / "scan.nii.gz")
+    seen = []
+    monkeypatch.setattr(view, "_front_end", lambda page: page)
+    monkeypatch.setattr(view, "_open_window", lambda session, *_: seen.append(session.status.objects))
+    assert cli.run(["view", str(tmp_path / "scan.nii.gz"), "--objects", config.objects]) == 0
+    assert seen == [(3, 8)]
+
+
+def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
+    viewing.needs_graphics()
+    scene = Scene(session.volume, size=(640, 360))
+    try:
+        handler = RequestHandler(session, scene, tmp_path)
+        handler.request("mode", "add")
+        for asked, own in (("8", 8), (3, 3), ("nearest", None)):
+            handler.request("object", asked)
+            assert handler.object_id == own and not handler.message
+        for bad in ("5", 5, "", None, True, "3 or 8", [3], float("nan")):
+            handler.request("object", "8")
+            handler.request("object", bad)
+            assert handler.object_id == 8 and "was given" in handler.message
+        handler.request("radius", 3.0)
+        handler.request("press", 0.625, 0.25, False)
+        handler.request("release")
+        assert session.wait(60)
+        handler.collect_results()
+        assert session.status.edits[-1].object == 8 and session.status.edits[-1].add.startswith("ball:")
+    finally:
+        scene.close()
+
+
+def test_the_panel_offers_the_objects():
+    pytest.importorskip("PySide6")
+    code = """
+from PySide6.QtWidgets import QApplication
+application = QApplication([])
+from accelsurf.grid.geometry import Geometry
+from accelsurf.viewer.frontends.controls import Panel
+panel = Panel(Geometry((8, 9, 10), (1.0, 1.0, 1.0)))
+panel.show_objects(())
+print(panel.object.isVisibleTo(panel), panel.object_id)
+panel.show_objects((3, 8))
+print(panel.object.isVisibleTo(panel), [panel.object.itemText(k) for k in range(panel.object.count())], panel.object_id)
+panel.object.setCurrentText("8")
+panel.show_objects((3, 8))
+print(panel.object_id)
+"""
+    environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
+    assert done.stdout.splitlines() == ["False None", "True ['nearest', '3', '8'] None", "8"], done.stderr
