@@ -10,7 +10,7 @@ import pytest
 
 from accelsurf import cli, io, segment_objects
 from accelsurf.cli import view
-from accelsurf.errors import UsageError
+from accelsurf.errors import OutputError, UsageError
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
@@ -68,6 +68,21 @@ def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
     assert again.dtype == labels.dtype and again.tobytes() == labels.tobytes() != straight
     session.undo().result(60)
     assert session.wait(60) and session.status.step == 14 and len(session.status.edits) == 2
+
+
+def test_files_of_others_are_not_replaced_and_those_of_the_session_are(session, tmp_path):
+    other = tmp_path / "surface_surface_5.ply"
+    other.write_bytes(b"precious")
+    at(session, 2)
+    with pytest.raises(OutputError, match="surface_surface_5.ply: exists already"):
+        session.save(tmp_path).result(60)
+    assert other.read_bytes() == b"precious"
+    first = session.save(tmp_path, overwrite=True).result(60)
+    assert not other.exists()  # it would be taken for a surface of this run
+    meshes = {path.name: path.read_bytes() for path in first if path.suffix == ".ply"}
+    at(session, 6)
+    assert session.save(tmp_path).result(60) == first
+    assert len(meshes) == 2 and all((tmp_path / name).read_bytes() != old for name, old in meshes.items())
 
 
 def test_a_run_goes_on_after_it_converged_and_is_repeated(session, tmp_path):

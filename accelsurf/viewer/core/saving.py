@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from accelsurf import __version__, io
@@ -61,14 +61,9 @@ def save(
     suffix = "" if source is None else io.split_name(source)[1]
     labels = outputs.label_format(config, suffix)
     outputs.check(config, labels, run.volume.geometry)
-    is_2d = run.volume.geometry.slice_axis is not None
-    all_names = outputs.names(config, labels, is_2d).items()
+    all_names = outputs.names(config, labels, run.volume.geometry.slice_axis is not None).items()
     names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
-    paths = {kind: folder / last for kind, last in names.items()}
-    if result.has_ids:
-        # There is a mesh of each object; those that exist are replaced or removed.
-        paths = {kind: path for kind, path in paths.items() if not kind.startswith(object_files.EACH)}
-        paths |= {path.name: path for path in object_files.existing(folder, names)}
+    paths = _result_paths(result, folder, names)
     paths |= {"run": folder / RUN_FILE} if "run" in what else {}
     paths |= {"report": folder / f"{name}_report.json"} if "report" in what else {}
     _check_paths(paths, replaceable)
@@ -82,6 +77,14 @@ def save(
         _write_report(paths["report"], config, source, result, written)
         written.append(("report", paths["report"]))
     return [path for _, path in written]
+
+
+def _result_paths(result: Result, folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
+    """The files of a result by kind; of meshes of several objects those that exist: they are replaced or removed."""
+    if not result.has_ids:
+        return {kind: folder / last for kind, last in names.items()}
+    paths = {kind: folder / last for kind, last in names.items() if not kind.startswith(object_files.EACH)}
+    return paths | {path.name: path for path in object_files.existing(folder, names)}
 
 
 def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -> None:
