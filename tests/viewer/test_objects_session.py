@@ -153,6 +153,7 @@ def test_bad_commands_change_nothing(session):
     for call, message in (
         (lambda: session.edit_ball("add", "ball:22,2,12,2", 5), "object 5 was given, expected one of 3, 8"),
         (lambda: session.start_from(["ball:12,14,12,4"]), "was given with objects"),
+        (lambda: session.change(objects="others.nii.gz"), "objects cannot change while a run runs"),
     ):
         with pytest.raises(UsageError, match=message):
             call().result(60)
