@@ -21,12 +21,12 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.analysis.surface_mesh import write_atomically
 from accelsurf.errors import UsageError, check_known
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.volume import Volume
+from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.scene.chart import EnergyChart
@@ -342,7 +342,7 @@ class Scene:
         self.render()
         picture = grab(self.plotter.render_window)
         if path is not None:
-            write_atomically(Path(path), png_bytes(picture))
+            write_bytes(Path(path), png_bytes(picture))
         return picture
 
     def close(self) -> None:
