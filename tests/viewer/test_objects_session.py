@@ -11,6 +11,7 @@ import pytest
 from accelsurf import cli, io, segment_objects
 from accelsurf.cli import view
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
@@ -134,18 +135,14 @@ def test_a_session_on_two_levels_is_repeated(config, tmp_path):
         assert two.wait(120) and labels_of(two, tmp_path)[0] == straight[0]
 
 
-def test_a_ball_without_an_object_is_the_nearest_ones(session):
-    run = session_run(session)
-    for own, (z, y, x, _) in two_balls.TOUCHING.items():
-        assert nearest_object(run, f"ball:{x},{y},{z},2") == own
-    assert nearest_object(run, "ball:2,14,12,2") == 3 and nearest_object(run, "ball:22,2,12,2") == 8
-    session.edit_ball("add", "ball:22,2,12,2").result(60)
-    assert [edit.object for edit in session.status.edits] == [8]
-
-
-def session_run(session):
-    """The run of a session that is paused."""
-    return session._do(lambda timeline: timeline.run).result(60)
+def test_a_ball_without_an_object_is_the_nearest_ones(config):
+    with Run(volume(), config) as run:
+        for own, (z, y, x, _) in two_balls.TOUCHING.items():
+            assert nearest_object(run, f"ball:{x},{y},{z},2") == own
+        assert nearest_object(run, "ball:2,14,12,2") == 3 and nearest_object(run, "ball:22,2,12,2") == 8
+    with Session(volume(), config) as session:
+        session.edit_ball("add", "ball:22,2,12,2").result(60)
+        assert [edit.object for edit in session.status.edits] == [8]
 
 
 def test_bad_commands_change_nothing(session):
