@@ -84,8 +84,7 @@ def seconds_alone(source: Path, start: str, steps: int) -> tuple[float, float]:
     from accelsurf import io
     from accelsurf.segmentation.run import Run
 
-    run = Run(io.read(source), config_of(start))
-    with run.workers:
+    with Run(io.read(source), config_of(start)) as run:
         run.step()
         began, spent = time.perf_counter(), time.process_time()
         for _ in range(steps):

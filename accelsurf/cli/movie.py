@@ -15,6 +15,7 @@ from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
+    from accelsurf.evolution.records import Stop
     from accelsurf.grid.volume import Volume
     from accelsurf.segmentation.run import Run
     from accelsurf.viewer.frontends.movie_file import MovieSettings
@@ -29,7 +30,7 @@ class Look:
     """What the pictures show, and how many there are."""
 
     color: Annotated[Literal["plain", "speed", "force", "density"], Parameter(group=MOVIE)] = "plain"
-    """Colour the surface: plain, or by outward speed, force or density."""
+    """Colour the surfaces: plain, or by outward speed, force or density."""
 
     theme: Annotated[Literal["dark", "light"], Parameter(group=MOVIE)] = "dark"
     """Colours of the background and text: dark or light."""
@@ -75,7 +76,8 @@ def movie(
 ) -> int:
     """Make a movie of a run; needs no screen.
 
-    Runs as accelsurf segment does, with the same options and the same result, and draws the steps. Given a folder with
+    Runs as accelsurf segment does, with the same options and the same result, and draws the steps; with --objects each
+    object in a colour of its own. Given a folder with
     the results of a run, it repeats that run with the settings in its report.
 
     Parameters
@@ -117,8 +119,7 @@ def movie(
     finally:
         scene.close()
     if not display.quiet and run.stop is not None:
-        ending = f"{run.stop.reason} after {run.stop.steps} steps ({run.stop.message})"
-        print(f"{image.name}: {ending}\n  {what}  {target.absolute()}")
+        print(f"{image.name}: {_ending(run.stop, run.has_ids)}\n  {what}  {target.absolute()}")
     return INTERRUPTED if watcher.interrupted else 0
 
 
@@ -172,6 +173,13 @@ def _draw(run: Run, scene: Scene, target: Path, movie: MovieSettings | None, wat
         return "picture"
     count = movie_file.write(target, movie_file.pictures(run, scene, movie, watcher.on_step), movie)
     return f"{count} frames, {count / movie.fps:.1f} s"
+
+
+def _ending(stop: Stop, has_ids: bool) -> str:
+    """How a run ended, in words."""
+    if has_ids:
+        return f"{stop.message}; up to {stop.steps} steps"
+    return f"{stop.reason} after {stop.steps} steps ({stop.message})"
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -54,7 +54,8 @@ def view(
     mouse.
 
     The window needs a screen and more packages: pip install "accelsurf[viewer]". Runs on one level unless --levels
-    asks for more.
+    asks for more. With --objects each object has a colour of its own, and a ball that is added or removed changes the
+    nearest one, or the one that you choose.
 
     Parameters
     ----------

@@ -61,10 +61,15 @@ class Ensemble:
         if self._pool is not None:
             self._pool.shutdown()
 
-    def step(self, wake: bool = True) -> tuple[Step, ...]:
+    def step(self, steps_left: int, wake: bool = True) -> tuple[Step, ...]:
         """One step of each object that moves; none when all have ended on their level.
 
-        Objects that have converged move again when others run into them, unless ``wake`` is false.
+        Parameters
+        ----------
+        steps_left : int
+            How many steps may follow, this one included, whatever an object has made itself.
+        wake : bool
+            Whether objects that have converged move again when others run into them.
         """
         if not self._meets:
             steps = [one.step() for one in self._objects]
@@ -72,6 +77,8 @@ class Ensemble:
         moving = [one for one in self._objects if one.moves]
         if not moving:
             return ()
+        for one in moving:
+            one.set_max_steps(steps_left + len(one.evolution.history))
         meets = self._meet()
         steps = [step for batch in self._batches(meets) for step in self._each(EvolvingObject.step, batch)]
         self._each(EvolvingObject.grow_grid, [one for one in moving if one.moves])

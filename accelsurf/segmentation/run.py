@@ -186,7 +186,7 @@ class Run:
 
     @property
     def max_steps(self) -> int:
-        """Limit of the steps of each object, on all levels together."""
+        """Limit of the steps, on all levels together; those in which an object stands still count too."""
         return self._max_steps
 
     def extend(self, max_steps: int) -> None:
@@ -226,10 +226,10 @@ class Run:
             In the order in which they were made; empty when the run has ended.
         """
         self.apply_edits()
-        steps = self._ensemble.step(not self._stop_requested)
+        steps = self._ensemble.step(self._max_steps - self._steps_made, not self._stop_requested)
         while not steps and self.level > 0:
             self._next_level()
-            steps = self._ensemble.step(not self._stop_requested)
+            steps = self._ensemble.step(self._max_steps - self._steps_made, not self._stop_requested)
         if steps:
             self._steps_made += 1
         return steps

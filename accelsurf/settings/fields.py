@@ -99,7 +99,7 @@ class SettingFields(BaseModel):
         "Several objects at once, in place of --start: a label map on the image's grid with the first voxels of each "
         "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
         "id,x_vox,y_vox,z_vox,r_vox. They never overlap.",
-        entry=SettingEntry(RUN, metavar="FILE"),
+        entry=SettingEntry(RUN, metavar="FILE", fixed=True),
     )
     mask: str | None = setting(
         None,

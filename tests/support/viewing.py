@@ -37,10 +37,10 @@ def run_frames(volume, center, **options):
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
     run = Run(volume, RunConfig(**{"start": start, "threads": 1, "max_steps": 30, **options}))
     frames = []
-    with run.workers:
-        for step in run:
-            frames.append(Frame.of_run(run, step))
-    return frames, run.evolution.history
+    with run:
+        for _ in run:
+            frames.append(Frame.of_run(run))
+    return frames, run.history
 
 
 CHROMIUM_FLAGS = (

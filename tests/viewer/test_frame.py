@@ -5,8 +5,9 @@ import pytest
 
 from accelsurf import Volume
 from accelsurf.evolution.records import StepFields
+from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
-from accelsurf.report import document
+from accelsurf.report import tables
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState
@@ -21,9 +22,9 @@ def ball_volume(n=40, radius=11.0, spacing=(2.0, 1.0, 1.0), center=(19.0, 18.0, 
 
 def frames_of(volume, **options):
     run = Run(volume, RunConfig(**{"start": "ball:24,17,26,6", "threads": 1, "max_steps": 12, **options}))
-    with run.workers:
-        for step in run.evolution:
-            (surface,) = Frame.of_run(run, step).surfaces
+    with run:
+        for step in run:
+            (surface,) = Frame.of_run(run).surfaces
             yield step, surface
 
 
@@ -34,7 +35,7 @@ def test_psi_of_the_frame_is_psi_of_the_surface():
         assert np.array_equal(surface.psi, step.surface.psi[z : z + nz, y : y + ny, x : x + nx])
         # The inside lies in the box, wherever the band is.
         assert (surface.psi < 0).sum() == step.surface.labels.sum()
-        assert surface.record is step.row
+        assert surface.record is step.record
 
 
 def test_a_frame_is_a_copy():
@@ -54,17 +55,17 @@ def test_making_frames_changes_nothing(flow):
     volume = ball_volume()
     options = {"start": "ball:24,17,26,6", "threads": 1, "max_steps": 12, "flow": flow}
     run = Run(volume, RunConfig(**options))
-    with run.workers:
-        for _ in run.evolution:
+    with run:
+        for _ in run:
             pass
     watched = list(frames_of(volume, flow=flow))
     psi = watched[-1][0].surface.psi
-    assert np.array_equal(run.evolution.surface.psi, psi)
+    assert np.array_equal(run.objects[0].surface.psi, psi)
 
     def trace(history):
-        return document.trace_csv([record._replace(seconds=0.0) for record in history])
+        return tables.trace_csv([record._replace(seconds=0.0) for record in history])
 
-    assert trace(run.evolution.history) == trace([step.row for step, _ in watched])
+    assert trace(run.history) == trace([step.record for step, _ in watched])
 
 
 def test_coarse_frames_lie_where_the_image_is():
@@ -107,8 +108,8 @@ def test_density_is_of_flowable_mass_only():
 
 def test_max_voxels_bounds_the_copy():
     run = Run(ball_volume(), RunConfig(start="ball:24,17,26,6", threads=1, max_steps=1))
-    for step in run:
-        (whole,), (small,) = Frame.of_run(run, step).surfaces, Frame.of_run(run, step, 1000).surfaces
+    for _ in run:
+        (whole,), (small,) = Frame.of_run(run).surfaces, Frame.of_run(run, max_voxels=1000).surfaces
         assert small.psi.size <= 1000 < whole.psi.size
         assert np.array_equal(small.psi, whole.psi[:: small.stride, :: small.stride, :: small.stride])
         places = np.argwhere(small.psi < 0)
@@ -127,8 +128,8 @@ def test_objects_in_boxes_lie_where_they_lie_in_the_whole_image():
     volume = ball_volume()
     run = Run(volume, RunConfig(start="ball:24,17,26,6", threads=1, max_steps=4, levels=1))
     *_, step = run
-    run.workers.close()
-    whole, fields, corner = step.surface, step.step_fields, (3, 4, 5)
+    run.close()
+    whole, fields, corner = step.surface, step.fields, (3, 4, 5)
     psi = np.ascontiguousarray(whole.psi[3:18, 4:36, 5:38])
     boxed = LevelSet(psi, volume.geometry.spacing, half_width=whole.requested_half_width)
 
@@ -138,8 +139,8 @@ def test_objects_in_boxes_lie_where_they_lie_in_the_whole_image():
 
     inside = all_inside(fields.cells, whole.shape, corner, boxed.shape)
     own = StepFields(to_box(fields.cells[inside]), fields.force[inside], fields.speed[inside])
-    objects = [ObjectState(1, whole, (0, 0, 0), fields), ObjectState(2, boxed, corner, own)]
-    frame = Frame.of(objects, (step.row, step.row), volume.geometry)
+    objects = [ObjectState(1, step.record, whole, (0, 0, 0), fields), ObjectState(2, step.record, boxed, corner, own)]
+    frame = Frame.of(objects, pyramid.levels(volume.geometry.shape, volume.geometry.spacing, 1)[0])
     first, second = frame.surfaces
     assert [surface.id for surface in frame.surfaces] == [1, 2] and second.shape == psi.shape
     assert np.allclose(first.middle(), second.middle())

@@ -14,10 +14,12 @@ from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
-from accelsurf.settings.run_config import FLOWS, RunConfig
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.session import Session
+from tests.support.steering import at, labels_of, views
 
 
 def volume(shape=(24, 30, 34), spacing=(1.5, 1.0, 1.0)):
@@ -31,22 +33,11 @@ def volume(shape=(24, 30, 34), spacing=(1.5, 1.0, 1.0)):
 START = "ball:17,15,16,6"
 
 
-def at(session, step):
-    session.play_to(step).result(60)
-    assert session.wait(60) and session.status.step == step
-    return session
-
-
 @pytest.fixture
 def session():
     with Session(volume(), RunConfig(start=START)) as made:
         made.ready.result(60)
         yield made
-
-
-def labels_of(session, folder):
-    session.save(folder, ("labels", "run"), overwrite=True).result(60)
-    return io.read_labels(folder / "surface_seg.nii.gz").array.tobytes(), folder / "run.toml"
 
 
 @pytest.mark.parametrize("flow", FLOWS)
@@ -287,22 +278,6 @@ def test_the_end_is_prompt_and_saves_first(tmp_path):
 
 
 # ------------------------------------------------------------------------------------------------------- what is drawn
-
-
-def views(session, seconds=20.0):
-    """All views until it is paused and nothing new comes."""
-    seen, end = [], time.monotonic() + seconds
-    while time.monotonic() < end:
-        view = session.next_view()
-        if view is not None:
-            seen.append(view)
-        elif session.wait(0.0) and not session.has_unseen_state:
-            view = session.next_view()
-            if view is None:
-                return seen
-            seen.append(view)
-        time.sleep(0.005)
-    raise AssertionError("never paused")
 
 
 def test_frames_come_when_asked_for_and_the_last_is_of_the_last_state(session):

@@ -5,13 +5,18 @@ import re
 
 import numpy as np
 import pytest
+from PIL import Image
 from skimage import color
 
+from accelsurf import cli, io, segment_objects, show
+from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
+from accelsurf.segmentation.run import Run
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState
 from accelsurf.viewer.frontends.export import write_html
 from accelsurf.viewer.scene import colors
-from tests.support import viewing
+from tests.support import two_balls, viewing
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -40,14 +45,15 @@ def test_objects_and_reference_are_told_apart_with_any_colour_vision(name):
 def two_objects(volume):
     """A frame of two balls, each on a box of the image's grid, and a history for each."""
     frames, history = viewing.run_frames(volume, volume.geometry.center_world(), levels=1, max_steps=8)
+    changed = [record._replace(potential=0.5 * record.potential, volume_mm3=9.0) for record in history]
     objects = []
-    for number, middle in ((4, 11), (7, 31)):
+    for number, middle, record in ((4, 11, history[-1]), (7, 31, changed[-1])):
         z, y, x = np.indices((16, 30, 20)).astype(np.float32)
         corner = (2, 5, middle - 10)
         psi = np.sqrt((2.0 * (z - 8)) ** 2 + (y - 15) ** 2 + (x - 10) ** 2) - 7
-        objects.append(ObjectState(number, LevelSet(psi, volume.geometry.spacing), corner))
-    changed = [record._replace(potential=0.5 * record.potential, volume_mm3=9.0) for record in history]
-    return Frame.of(objects, (history[-1], changed[-1]), volume.geometry), (history, changed)
+        objects.append(ObjectState(number, record, LevelSet(psi, volume.geometry.spacing), corner))
+    level = pyramid.levels(volume.geometry.shape, volume.geometry.spacing, 1)[0]
+    return Frame.of(objects, level), (history, changed)
 
 
 def count(picture, code):
@@ -110,3 +116,71 @@ def test_objects_without_a_quantity_keep_their_colour(scene_of, tmp_path):
     meshes = json.loads(re.search(r'application/json">(.*?)</script>', page).group(1))["meshes"]
     assert ["colors" in mesh for mesh in meshes] == [False, True, False]  # the box, and both objects
     assert meshes[2]["color"] == pytest.approx([int(second[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+
+
+# -- of a run -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(tmp_path):
+    """An image of two balls that touch, and the label map to start from."""
+    image, starts = tmp_path / "balls.nii.gz", tmp_path / "starts.nii.gz"
+    io.write(two_balls.image(two_balls.TOUCHING), image)
+    io.write_labels(two_balls.starts(two_balls.TOUCHING), starts)
+    return image, starts
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_frame_of_a_run_lies_where_the_labels_are(files, levels):
+    volume, config = io.read(files[0]), RunConfig(objects=str(files[1]), threads=1, levels=levels)
+    with Run(volume, config) as run:
+        while run.step():
+            frame = Frame.of_run(run)
+            assert [surface.id for surface in frame.surfaces] == [3, 8]
+            assert {surface.level for surface in frame.surfaces} == {run.grid}
+    result = segment_objects(volume, config=config)
+    final = Frame.of_result(result)
+    for surface, same in zip(frame.surfaces, final.surfaces, strict=True):
+        inside = result.labels == surface.id
+        common, own = same.overlap(inside)
+        assert common == own == inside.sum()
+        assert np.linalg.norm(surface.middle() - same.middle()) < 0.1
+        assert surface.record._replace(seconds=0) == same.record._replace(seconds=0)
+
+
+def test_a_preview_of_a_run_has_both_colours(files, tmp_path, capsys):
+    image, starts = files
+    out = tmp_path / "last.png"
+    options = ["--objects", str(starts), "--threads", "1", "--theme", "light", "--size", "960x540"]
+    assert cli.run(["movie", str(image), "--preview", "-o", str(out), *options]) == 0
+    assert "of 2 objects 2 converged; up to" in capsys.readouterr().out
+    with Image.open(out) as opened:
+        picture = np.asarray(opened.convert("RGB"))
+    for part in (picture[:, :480], picture[:270, 480:720], picture[270:, 720:]):
+        assert all(count(part, code) > 10 for code in colors.OBJECT_COLORS[:2])
+
+
+def test_a_movie_is_made_again_from_a_folder(files, tmp_path):
+    image, starts = files
+    look = ["--size", "320x180", "--hold", "0", "--every", "10", "--quiet"]
+    run = ["--objects", str(starts), "--threads", "1", "--max-steps", "30"]
+    assert cli.run(["segment", str(image), "-o", str(tmp_path / "out"), *run, "--quiet"]) == 0
+    assert cli.run(["movie", str(tmp_path / "out"), "-o", str(tmp_path / "a.gif"), *look]) == 0
+    assert cli.run(["movie", str(image), "-o", str(tmp_path / "b.gif"), *run, *look]) == 0
+    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+
+
+def test_a_result_is_shown_with_both_colours(files, tmp_path):
+    result = segment_objects(io.read(files[0]), str(files[1]), threads=1, max_steps=20)
+    show(result, to=tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as opened:
+        picture = np.asarray(opened.convert("RGB"))
+    assert all(count(picture, code) > 100 for code in colors.OBJECT_COLORS[:2])
+
+
+def test_the_legend_of_many_objects_ends(scene_of):
+    volume, _ = viewing.ball_image()
+    frame, histories = two_objects(volume)
+    scene = scene_of(volume)
+    scene.update(Frame(frame.surfaces * 15), histories * 15)
+    assert len(scene.legend) == 21 and scene.legend[-1] == "and 10 more"

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.evolution.records import Step, StepFields, StepRecord
+from accelsurf.evolution.records import StepFields, StepRecord
 from accelsurf.flows import Flow
 from accelsurf.flows.flowable_mass import FlowableMass
 from accelsurf.grid import pyramid
-from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.levelset import LevelSet
+from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
 
 #: What the surface can be coloured by; ``plain`` is one colour.
@@ -25,46 +26,30 @@ Floats = NDArray[np.float64]
 Index = tuple[int, int, int]
 
 
-class DrawableObject(Protocol):
-    """What a frame needs to know of each object of a run.
+class ObjectState(NamedTuple):
+    """What a frame needs to know of an object.
 
     Attributes
     ----------
     id : int
         Its label.
+    record : StepRecord
+        Of the step.
     surface : LevelSet
         On a grid of its own, a box of the level's grid.
     corner : (int, int, int)
         Index (z, y, x) on the level's grid of the first voxel of the surface's grid.
-    step_fields : StepFields or None
-        What acted in the last step; None before the first step on this level.
+    fields : StepFields or None
+        What acted in the last step; None before the first step on this grid.
     flow : Flow or None
         What moves it; a density is shown if the flow has one.
     """
 
-    @property
-    def id(self) -> int: ...  # noqa: D102
-
-    @property
-    def surface(self) -> LevelSet: ...  # noqa: D102
-
-    @property
-    def corner(self) -> Index: ...  # noqa: D102
-
-    @property
-    def step_fields(self) -> StepFields | None: ...  # noqa: D102
-
-    @property
-    def flow(self) -> Flow | None: ...  # noqa: D102
-
-
-class ObjectState(NamedTuple):
-    """An object as `DrawableObject` describes it."""
-
     id: int
+    record: StepRecord
     surface: LevelSet
     corner: Index
-    step_fields: StepFields | None = None
+    fields: StepFields | None = None
     flow: Flow | None = None
 
 
@@ -116,23 +101,31 @@ class SurfaceFrame:
     first: Index = (0, 0, 0)
 
     @classmethod
-    def of(
-        cls, an_object: DrawableObject, record: StepRecord, level: pyramid.Level, max_voxels: int | None, first: Index
-    ) -> SurfaceFrame:
+    def of(cls, state: ObjectState, level: pyramid.Level, max_voxels: int | None, first: Index) -> SurfaceFrame:
         """Copy what is drawn of an object; parameters as of `Frame.of`."""
-        surface, corner = an_object.surface, an_object.corner
-        quantities = _quantities(an_object)
+        record, surface, corner, quantities = state.record, state.surface, state.corner, _quantities(state)
         ranges = _band_box(surface)
         if ranges is None:
             nothing = np.zeros((0, 0, 0), np.float32)
-            return cls(an_object.id, record, level, nothing, corner, 1, corner, surface.shape, quantities, first)
+            return cls(state.id, record, level, nothing, corner, 1, corner, surface.shape, quantities, first)
         stride = 1
         if max_voxels is not None:
             while math.prod(-(-(b - a) // stride) for a, b in ranges) > max_voxels:
                 stride += 1
         psi = surface.psi[tuple(slice(a, b, stride) for a, b in ranges)].copy()
         offset = (corner[0] + ranges[0][0], corner[1] + ranges[1][0], corner[2] + ranges[2][0])
-        return cls(an_object.id, record, level, psi, offset, stride, corner, surface.shape, quantities, first)
+        return cls(state.id, record, level, psi, offset, stride, corner, surface.shape, quantities, first)
+
+    @classmethod
+    def of_result(cls, one: SegmentedObject, level: pyramid.Level) -> SurfaceFrame:
+        """Copy what is drawn of an object of a result; ``level`` is the image's grid."""
+        record, corner, inside = one.history[-1], corner_of(one.box), one.psi < 0
+        box = bounding_box(inside, 2)
+        if box is None or inside.all():
+            nothing = np.zeros((0, 0, 0), np.float32)
+            return cls(one.id, record, level, nothing, corner, 1, corner, one.psi.shape)
+        z, y, x = (a + b for a, b in zip(corner, corner_of(box), strict=True))
+        return cls(one.id, record, level, one.psi[box].copy(), (z, y, x), 1, corner, one.psi.shape)
 
     @property
     def has_surface(self) -> bool:
@@ -221,8 +214,8 @@ class Frame:
 
     @classmethod
     def of(
-        cls, objects: Sequence[DrawableObject], records: Sequence[StepRecord], geometry: Geometry,
-        max_voxels: int | None = None, first: Index = (0, 0, 0),
+        cls, states: Iterable[ObjectState], level: pyramid.Level, max_voxels: int | None = None,
+        first: Index = (0, 0, 0),
     ) -> Frame:
         """The frame of the present state of some objects; call it between two steps.
 
@@ -230,26 +223,30 @@ class Frame:
 
         Parameters
         ----------
-        objects : sequence of DrawableObject
+        states : iterable of ObjectState
             At least one, in order of ids.
-        records : sequence of StepRecord
-            Of the step, for each object.
-        geometry : Geometry
-            Of the image, or of the region of interest.
+        level : Level
+            The grid that they are on.
         max_voxels : int, optional
             If an object's box has more voxels, psi is taken at every second one along each axis, or third, ...:
             pictures of a large volume while it runs. Parts thinner than that may be missing from them.
         first : (int, int, int), optional
-            Index (z, y, x) in the image of the region's first voxel.
+            Index (z, y, x) in the image of the first voxel of the grid's region of interest.
         """
-        number = records[0].level
-        level = pyramid.levels(geometry.shape, geometry.spacing, number + 1)[number]
-        pairs = zip(objects, records, strict=True)
-        return cls(tuple(SurfaceFrame.of(each, record, level, max_voxels, first) for each, record in pairs))
+        return cls(tuple(SurfaceFrame.of(state, level, max_voxels, first) for state in states))
 
     @classmethod
-    def of_run(cls, run: Run, step: Step, max_voxels: int | None = None) -> Frame:
-        """The frame of a step that a run has made; call it before the next one.
+    def of_run(cls, run: Run, records: Sequence[StepRecord] = (), max_voxels: int | None = None) -> Frame:
+        """The frame of the present state of a run.
+
+        Parameters
+        ----------
+        run : Run
+            Between two steps.
+        records : sequence of StepRecord, optional
+            What is said of each object; the record of its last step unless given.
+        max_voxels : int, optional
+            As for `of`.
 
         Examples
         --------
@@ -257,39 +254,35 @@ class Frame:
         >>> from accelsurf.settings.run_config import RunConfig
         >>> image = np.zeros((24, 24, 24))
         >>> image[6:18, 6:18, 6:18] = 1
-        >>> run = Run(Volume.from_array(image), RunConfig(start="ball:11,11,11,4", max_steps=2, threads=1))
-        >>> for step in run:
-        ...     frame = Frame.of_run(run, step)
-        >>> run.workers.close()
+        >>> with Run(Volume.from_array(image), RunConfig(start="ball:11,11,11,4", max_steps=2, threads=1)) as run:
+        ...     for step in run:
+        ...         frame = Frame.of_run(run)
         >>> surface = frame.surfaces[0]
         >>> frame.step, surface.psi.shape, sorted(surface.quantities)
         (2, (18, 18, 18), ['force', 'speed'])
         """
-        only = ObjectState(1, step.surface, (0, 0, 0), step.step_fields, run.evolution.flow)
-        return cls.of([only], [step.row], run.geometry, max_voxels, run.prepared.first)
+        records = records or [one.evolution.history[-1] for one in run.objects]
+        states = (
+            ObjectState(one.id, record, one.surface, one.corner, one.evolution.state.fields, one.flow)
+            for one, record in zip(run.objects, records, strict=True)
+        )
+        return cls.of(states, run.grid, max_voxels, run.prepared.first)
 
     @classmethod
-    def of_psi(cls, psi: NDArray[np.float32], geometry: Geometry, record: StepRecord) -> Frame:
-        """The frame of a run that has ended, of the last ``record`` and psi (nz, ny, nx) on the image's grid."""
-        level = pyramid.levels(geometry.shape, geometry.spacing, 1)[0]
-        inside, corner = psi < 0, (0, 0, 0)
-        if not inside.any() or inside.all():
-            nothing = np.zeros((0, 0, 0), np.float32)
-            return cls((SurfaceFrame(1, record, level, nothing, corner, 1, corner, level.shape),))
-        ends = [np.flatnonzero(inside.any(axis=tuple(b for b in range(3) if b != a)))[[0, -1]] for a in range(3)]
-        box = [(max(int(a) - 2, 0), min(int(b) + 3, n)) for (a, b), n in zip(ends, psi.shape, strict=True)]
-        part = psi[tuple(slice(a, b) for a, b in box)].copy()
-        return cls((SurfaceFrame(1, record, level, part, (box[0][0], box[1][0], box[2][0]), 1, corner, level.shape),))
+    def of_result(cls, result: Result) -> Frame:
+        """The frame of the final state of a run that has ended."""
+        level = pyramid.levels(result.geometry.shape, result.geometry.spacing, 1)[0]
+        return cls(tuple(SurfaceFrame.of_result(one, level) for one in result.objects))
 
     @property
     def step(self) -> int:
-        """Number of the step."""
-        return self.surfaces[0].record.step
+        """Number of the step; of several objects, that of those that moved longest."""
+        return max(surface.record.step for surface in self.surfaces)
 
     @property
     def level(self) -> int:
         """Number of the level that the step was made on; 0 is the finest."""
-        return self.surfaces[0].record.level
+        return self.surfaces[0].level.number
 
     @property
     def volume_mm3(self) -> float:
@@ -312,20 +305,33 @@ class Frame:
         return 2.0 * sum(common for common, _ in parts) / total if total else 1.0
 
 
-def histories_of_run(run: Run, last: StepRecord | None = None) -> tuple[tuple[StepRecord, ...], ...]:
-    """The records so far of each object of a run, as copies; ``last`` is one more, of a step not made yet."""
-    return ((*run.evolution.history, *(() if last is None else (last,))),)
+def histories_of_run(run: Run, present: Sequence[StepRecord] = ()) -> tuple[tuple[StepRecord, ...], ...]:
+    """Return the records so far of each object of a run, as copies.
+
+    Parameters
+    ----------
+    run : Run
+    present : sequence of StepRecord, optional
+        A record of each object as it is now, added to the history of those that have not ended.
+    """
+    histories = [tuple(one.evolution.history) for one in run.objects]
+    if not present:
+        return tuple(histories)
+    return tuple(
+        history if one.stop is not None else (*history, record)
+        for one, history, record in zip(run.objects, histories, present, strict=True)
+    )
 
 
-def _quantities(an_object: DrawableObject) -> dict[str, BandQuantity]:
+def _quantities(state: ObjectState) -> dict[str, BandQuantity]:
     """Copies of what the surface can be coloured by."""
-    quantities, fields, flow = {}, an_object.step_fields, an_object.flow
+    quantities, fields, flow = {}, state.fields, state.flow
     if fields is not None:
         quantities["speed"] = BandQuantity(fields.cells, -fields.speed)
         quantities["force"] = BandQuantity(fields.cells, -np.asarray(fields.force, np.float32))
     # Between two grids the flow's density may still be that of the other band.
-    if isinstance(flow, FlowableMass) and flow.density.size == an_object.surface.size:
-        quantities["density"] = BandQuantity(an_object.surface.band.cells, flow.density.copy())
+    if isinstance(flow, FlowableMass) and flow.density.size == state.surface.size:
+        quantities["density"] = BandQuantity(state.surface.band.cells, flow.density.copy())
     return quantities
 
 

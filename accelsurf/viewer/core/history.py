@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from accelsurf.segmentation.run import RunCheckpoint
+from accelsurf.segmentation.run_checkpoint import RunCheckpoint
 
 
 class CheckpointHistory:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
-from accelsurf.report import document, outputs
+from accelsurf.io.files import write_bytes
+from accelsurf.report import document, file_entries, object_files, outputs
 from accelsurf.segmentation.api import Result, result_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -60,23 +61,30 @@ def save(
     suffix = "" if source is None else io.split_name(source)[1]
     labels = outputs.label_format(config, suffix)
     outputs.check(config, labels, run.volume.geometry)
-    is_2d = run.volume.geometry.slice_axis is not None
-    all_names = outputs.names(config, labels, is_2d).items()
+    all_names = outputs.names(config, labels, run.volume.geometry.slice_axis is not None).items()
     names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
-    paths = {kind: folder / last for kind, last in names.items()}
+    paths = _result_paths(result, folder, names)
     paths |= {"run": folder / RUN_FILE} if "run" in what else {}
     paths |= {"report": folder / f"{name}_report.json"} if "report" in what else {}
     _check_paths(paths, replaceable)
     written = []
     if "run" in paths:
-        outputs.write_bytes(paths["run"], _toml(config, result, source).encode())
+        write_bytes(paths["run"], _toml(config, result, source).encode())
         written.append(("run", paths["run"]))
-    picture = outputs.scene(result, outputs.told(name, result))
-    written += list(outputs.write_result(result, folder, names, picture))
+    content = outputs.preview_content(result, outputs.outcome_title(name, result))
+    written += list(outputs.write_result(result, folder, names, content))
     if "report" in paths:
         _write_report(paths["report"], config, source, result, written)
         written.append(("report", paths["report"]))
     return [path for _, path in written]
+
+
+def _result_paths(result: Result, folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
+    """The files of a result by kind; of meshes of several objects those that exist: they are replaced or removed."""
+    if not result.has_ids:
+        return {kind: folder / last for kind, last in names.items()}
+    paths = {kind: folder / last for kind, last in names.items() if not kind.startswith(object_files.EACH)}
+    return paths | {path.name: path for path in object_files.existing(folder, names)}
 
 
 def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -> None:
@@ -95,25 +103,27 @@ def _write_report(
         exit_code=0,
         argv=sys.argv,
         config=config,
-        source=None if source is None else document.describe_input(source, geometry=result.geometry),
+        source=None if source is None else file_entries.describe_input(source, geometry=result.geometry),
         result=result,
-        outputs=[document.describe_output(path, kind) for kind, path in written],
+        outputs=[file_entries.describe_output(path, kind) for kind, path in written],
     )
-    outputs.write_bytes(path, (document.to_json(contents) + "\n").encode())
+    write_bytes(path, (document.to_json(contents) + "\n").encode())
 
 
 def _kind(output: str) -> str:
     """The one of `KINDS` that an output belongs to."""
-    return {"labels": "labels", "sdf": "labels", "trace": "trace", "preview": "picture"}.get(output, "mesh")
+    kinds = {"labels": "labels", "sdf": "labels", "objects": "report", "trace": "trace", "preview": "picture"}
+    return kinds.get(output, "mesh")
 
 
 def repeating(run: Run) -> RunConfig:
     """Return the configuration that repeats this run from the start up to the present step."""
-    stop = run.stop
-    steps = run.step_number if stop is None else stop.steps
+    # The last step of a run that has ended moves nothing.
+    steps = run.step_number if run.stop is None else run.step_number - 1
     edits = tuple(edit for edit in run.config.edit if edit.step <= steps)
     # A run that met its stop rule meets it again; a paused one ends here.
-    ends = stop is not None and stop.reason not in ("interrupted", "max-steps")
+    reasons = ["interrupted" if one.stop is None else one.stop.reason for one in run.objects]
+    ends = not {"interrupted", "max-steps"} & set(reasons)
     return run.config.replace(edit=edits, max_steps=max(run.config.max_steps, steps + 1) if ends else steps)
 
 

@@ -117,7 +117,7 @@ class Session:
         drawing_seconds : float, optional
             How long the last frame took to draw.
         """
-        view = self._views.take(drawing_seconds)
+        view = self._views.fetch(drawing_seconds)
         if not self._status.playing and self.has_unseen_state and self._commands.is_empty:
             self._commands.wake()
         return view
@@ -162,15 +162,17 @@ class Session:
         """
         return self._do(lambda timeline: timeline.change(settings))
 
-    def edit_ball(self, kind: Literal["add", "remove"], ball: str) -> Future[None]:
-        """Add a ball, ``ball:X,Y,Z,R``, to the object, or remove one from it.
+    def edit_ball(self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None) -> Future[None]:
+        """Add a ball, ``ball:X,Y,Z,R``, to an object, or remove one from it.
+
+        Of several objects it is the one with this id, or else the one that is nearest to the ball's centre.
 
         Raises
         ------
         UsageError, InputError
-            From the Future, when it is no ball or lies outside the volume.
+            From the Future, when it is no ball or lies outside the volume, or there is no such object.
         """
-        return self._do(lambda timeline: timeline.edit_ball(kind, ball))
+        return self._do(lambda timeline: timeline.edit_ball(kind, ball, object_id))
 
     def start_from(self, start: Sequence[str]) -> Future[None]:
         """Begin another run from another start, with the settings in force."""
@@ -312,9 +314,9 @@ class Session:
             return
         began, run = time.perf_counter(), timeline.run
         try:
-            step = run.look()
-            frame = Frame.of_run(run, step, PLAYING_VOXELS if playing else None)
-            histories = histories_of_run(run, None if run.stop is not None else step.row)
+            records = [step.record for step in run.current()]
+            frame = Frame.of_run(run, records, PLAYING_VOXELS if playing else None)
+            histories = histories_of_run(run, records)
         except Exception as error:
             self._views.refuse()
             self._status = Status.of(timeline, error_line(error), True)

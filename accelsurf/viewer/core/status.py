@@ -37,6 +37,8 @@ class Status(NamedTuple):
         Whether that is an error.
     undoable : int
         How many changes can be undone.
+    objects : tuple of int
+        Ids of the objects; none for a run of one object without an id.
     """
 
     ready: bool
@@ -49,6 +51,7 @@ class Status(NamedTuple):
     message: str
     failed: bool
     undoable: int
+    objects: tuple[int, ...] = ()
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:
@@ -63,12 +66,13 @@ class Status(NamedTuple):
             playing=timeline.is_playing,
             step=timeline.step_number,
             checkpoints=timeline.checkpoints.steps,
-            settings=timeline.run.now,
+            settings=timeline.run.settings,
             edits=timeline.run.config.edit,
             stop=timeline.run.stop,
             message=message,
             failed=failed,
             undoable=timeline.undoable,
+            objects=tuple(one.id for one in timeline.run.objects) if timeline.run.has_ids else (),
         )
 
     @property

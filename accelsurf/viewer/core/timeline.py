@@ -13,8 +13,9 @@ from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.history import CheckpointHistory
+from accelsurf.viewer.core.nearest_object import nearest_object
 
-#: Why a run has ended for good: there is nothing to continue from.
+#: Why an object has ended for good: there is nothing to continue from.
 FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
 
 
@@ -76,7 +77,7 @@ class Timeline:
     def close(self) -> None:
         """End the run's threads."""
         self.pause()
-        self.run.workers.close()
+        self.run.close()
 
     # -- play and pause ------------------------------------------------------------------------------------
 
@@ -101,20 +102,24 @@ class Timeline:
         """
         run = self.run
         stop = run.stop
-        if stop is not None and stop.reason in FINAL_REASONS:
+        if stop is not None and all(reason in FINAL_REASONS for reason in self._reasons()):
             raise UsageError(f"the run has ended: {stop.message}", "go back, change the settings, or restart")
-        if stop is not None and stop.reason == "max-steps":
+        if stop is not None and "max-steps" in self._reasons():
             run.restore(self._present)
         elif stop is not None:
             self._replace_edits((*self._edits_so_far(), Edit(step=self.step_number)))
-        if self.step_number >= run.evolution.max_steps:
-            run.evolution.extend(self.step_number + max(run.config.max_steps, 1))
+        if self.step_number >= run.max_steps:
+            run.extend(self.step_number + max(run.config.max_steps, 1))
         if 0 <= last_step <= self.step_number:
             if not self._playing:
                 return
             # It plays without an end: one more step, then it pauses.
             last_step = self.step_number + 1
         self._playing, self._last_step, self._message = True, last_step, ""
+
+    def _reasons(self) -> list[str]:
+        """Why the objects that have ended did."""
+        return [one.stop.reason for one in self.run.objects if one.stop is not None]
 
     def single_step(self) -> None:
         """Have one step more made than was asked for; pause after it."""
@@ -127,7 +132,7 @@ class Timeline:
     def apply_edits(self) -> None:
         """Apply the edits of the present step, so that their effect is seen; not while it plays, which does that."""
         if not self._playing:
-            self.run.apply()
+            self.run.apply_edits()
 
     # -- back and forward ----------------------------------------------------------------------------------
 
@@ -151,7 +156,7 @@ class Timeline:
     def restart(self) -> None:
         """Go to the start and forget all edits but the settings in force."""
         run = self.run
-        base, now, config = run.config.at(-1), run.now, run.config
+        base, now, config = run.config.at(-1), run.settings, run.config
         changed = {key: getattr(now, key) for key in RunConfig.model_fields if getattr(now, key) != getattr(base, key)}
         changed.pop("seed", None)
         self.pause()
@@ -190,7 +195,7 @@ class Timeline:
     def _replace_run(self, config: RunConfig) -> None:
         """Begin another run; the present one stays until that one is ready."""
         before, self.run = self.run, Run(self.volume, config, None, self._channels)
-        before.workers.close()
+        before.close()
         self.checkpoints.clear()
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -224,24 +229,35 @@ class Timeline:
             self._replace_edits(altered)
         self._message = ", ".join(f"{key} {value}" for key, value in settings.items())
 
-    def edit_ball(self, kind: Literal["add", "remove"], ball: str) -> None:
-        """Add a ball to the object (``add``), or remove one from it (``remove``).
+    def edit_ball(self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None) -> None:
+        """Add a ball to an object (``add``), or remove one from it (``remove``).
+
+        Parameters
+        ----------
+        kind : {"add", "remove"}
+        ball : str
+            ``ball:X,Y,Z,R``.
+        object_id : int, optional
+            Of a run of objects with ids: the one that is nearest to the ball's centre unless given.
 
         Raises
         ------
         UsageError, InputError
-            When it is no ball or lies outside.
+            When it is no ball or lies outside, or there is no such object.
         """
-        edit = RunConfig(edit=[{"step": self.step_number, kind: ball}]).edit
-        self._replace_edits((*self._edits_so_far(), *edit))
-        self._message = f"{'added' if kind == 'add' else 'removed'} {ball}"
+        (edit,) = RunConfig(edit=[{"step": self.step_number, kind: ball, "object": object_id}]).edit
+        if object_id is None and self.run.has_ids:
+            edit = edit.model_copy(update={"object": nearest_object(self.run, ball)})
+        self._replace_edits((*self._edits_so_far(), edit))
+        whose = "" if edit.object is None else f" {'to' if kind == 'add' else 'from'} object {edit.object}"
+        self._message = f"{'added' if kind == 'add' else 'removed'} {ball}{whose}"
 
     def start_from(self, start: tuple[str, ...]) -> None:
         """Begin another run, with the settings in force."""
         run = self.run
         before = run.config
         self.pause()
-        self._replace_run(run.now.replace(start=start))
+        self._replace_run(run.settings.replace(start=start))
         self._changes.append((before, 0))
         self._message = "start: " + " + ".join(start)
 
@@ -282,7 +298,7 @@ class Timeline:
             if edit.step >= step:
                 run.check(edit)
         before.replace(edit=edits)
-        if run.stop is not None or run.edits_done > self._present.done:
+        if run.stop is not None or run.edits_done > self._present.edits_done:
             run.restore(self._present)
         run.set_edits(edits)
         self.checkpoints.drop_after(step)
@@ -294,7 +310,7 @@ class Timeline:
         self, folder: Path, name: str, source: Path | None, what: tuple[str, ...], overwrite: bool
     ) -> list[Path]:
         """Write files, see `saving.save`; those written before may be replaced."""
-        self.run.apply()
+        self.run.apply_edits()
         written = saving.save(self.run, folder, name, source, what, None if overwrite else self._written)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"

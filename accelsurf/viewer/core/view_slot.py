@@ -26,7 +26,7 @@ class ViewSlot:
         """Version of the state that the last view shows; -1 before the first."""
         return self._version
 
-    def take(self, drawing_seconds: float) -> View | None:
+    def fetch(self, drawing_seconds: float) -> View | None:
         """Take the view out, or None, and ask for the next; ``drawing_seconds`` is what the last took to draw."""
         if drawing_seconds:
             self._drawing_seconds = drawing_seconds
@@ -47,5 +47,5 @@ class ViewSlot:
         self._next_time = time.perf_counter() - seconds + pause
 
     def refuse(self) -> None:
-        """No view can be made of this state: make none until `take` asks again."""
+        """No view can be made of this state: make none until `fetch` asks again."""
         self._wanted = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ class CanvasTools(QObject):
     canvas : pyvistaqt.QtInteractor
     radius : callable
         Returns the radius of ball and brush, mm.
+    object_id : callable
+        Returns the id of the object that the brush changes; None is the nearest.
 
     Attributes
     ----------
@@ -37,9 +40,17 @@ class CanvasTools(QObject):
         One of `controls.TOOLS`.
     """
 
-    def __init__(self, session: Session, scene: Scene, canvas: QtInteractor, radius: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        session: Session,
+        scene: Scene,
+        canvas: QtInteractor,
+        radius: Callable[[], float],
+        object_id: Callable[[], int | None],
+    ) -> None:
         super().__init__(canvas)
-        self._session, self._scene, self._canvas, self._radius = session, scene, canvas, radius
+        self._session, self._scene, self._canvas = session, scene, canvas
+        self._radius, self._object_id = radius, object_id
         self.tool = "look"
         self._dragged_tile = ""
         self._points: list[str] = []
@@ -159,7 +170,8 @@ class CanvasTools(QObject):
             self._session.start_from(self._points)
         elif self._center is None or np.linalg.norm(world - self._center) >= BRUSH_STEP * self._radius():
             self._center = world
-            self._session.edit_ball("add" if self.tool == "grow" else "remove", self._ball(world))
+            kind: Literal["add", "remove"] = "add" if self.tool == "grow" else "remove"
+            self._session.edit_ball(kind, self._ball(world), self._object_id())
         self._mark(world)
 
     def _mark(self, world: NDArray[np.float64]) -> None:

@@ -24,18 +24,17 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.settings.energy_expression import SIMPLE
-from accelsurf.settings.run_config import FLOWS, RunConfig
+from accelsurf.settings.catalogue import help_of, sliders
+from accelsurf.settings.energy_terms import examples
+from accelsurf.settings.entry import Slider
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import COLORS
 
 #: Positions of a slider; and how long after the last change its value is emitted, milliseconds.
 TICKS, DELAY_MS = 1000, 250
-UNITS = {
-    "smoothness": "Smoothness (mm)",
-    "diffusion": "Diffusion (mm2 per unit of time)",
-    "friction": "Friction of momentum (per unit of time)",
-    "cfl": "Largest motion in a step (CFL, voxels)",
-}
+#: In the list of objects: the one that is nearest to the ball's centre.
+NEAREST = "nearest"
 #: Tool -> (its key, what is written on it, what it does).
 TOOLS = {
     "look": ("V", "Look", "Turn the surface; drag in a slice to move the slices"),
@@ -89,7 +88,7 @@ class Amount(QWidget):
             self.word = QComboBox()
             self.word.addItems([*words, "value"])
             self.word.setFixedWidth(66)
-            self.word.activated.connect(self._chosen)
+            self.word.activated.connect(self._on_word)
             line.addWidget(self.word)
         line.addWidget(self.slider, 1)
         line.addWidget(self.box)
@@ -146,7 +145,7 @@ class Amount(QWidget):
             self.slider.setValue(self._tick(value))
         self._delay.start()
 
-    def _chosen(self) -> None:
+    def _on_word(self) -> None:
         self._enable()
         if self.word is not None and self.word.currentText() == "value" and self.box.value() <= 0:
             self.box.setValue(0.25 * self._high)
@@ -161,8 +160,8 @@ class Panel(QWidget):
     """All that can be steered. Each signal says what the user asked for."""
 
     setting = Signal(str, object)
-    tool_chosen = Signal(str)
-    color_chosen = Signal(str)
+    tool_wanted = Signal(str)
+    color_wanted = Signal(str)
     volume_wanted = Signal(bool)
     planes_wanted = Signal(bool)
     theme_wanted = Signal(str)
@@ -178,14 +177,9 @@ class Panel(QWidget):
         column = QVBoxLayout(self)
         column.setContentsMargins(8, 6, 8, 6)
         column.setSpacing(6)
-        self.choices = {"energy": _choice(SIMPLE), "flow": _choice(FLOWS)}
+        self.choices = {"energy": _choice(examples()), "flow": _choice(tuple(FLOWS))}
         finest = min(steps)
-        self.amounts = {
-            "smoothness": Amount(0.0, 5.0 * finest, power=2.0),
-            "diffusion": Amount(0.0, 20.0 * finest**2, ("auto", "free"), power=2.0),
-            "friction": Amount(0.01, 5.0, ("t",), power=2.0),
-            "cfl": Amount(0.05, 1.0, digits=2, limit=1.0),
-        }
+        self.amounts = {key: _amount(slider, finest) for key, slider in sliders().items()}
         column.addWidget(self._settings())
         column.addWidget(self._tools(finest, min(extents or [finest])))
         column.addWidget(self._appearance())
@@ -211,8 +205,8 @@ class Panel(QWidget):
             form.addRow(key.capitalize(), choice)
         for key, amount in self.amounts.items():
             amount.changed.connect(lambda value, key=key: self.setting.emit(key, value))
-            amount.setToolTip(RunConfig.model_fields[key].description or "")
-            form.addRow(QLabel(UNITS[key]))
+            amount.setToolTip(help_of(key))
+            form.addRow(QLabel(sliders()[key].label))
             form.addRow(amount)
         return group
 
@@ -228,7 +222,7 @@ class Panel(QWidget):
             button.setCheckable(True)
             button.setToolTip(f"{tip} ({key})")
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-            button.clicked.connect(lambda _, name=name: self.tool_chosen.emit(name))
+            button.clicked.connect(lambda _, name=name: self.tool_wanted.emit(name))
             self._buttons.addButton(button)
             self.tools[name] = button
             grid.addWidget(button, *((0, place * 2) if place < 3 else (1, (place - 3) * 3)), 1, 2 if place < 3 else 3)
@@ -237,7 +231,27 @@ class Panel(QWidget):
         self.radius.show_value(max(0.06 * smallest, 2.0 * finest))
         grid.addWidget(QLabel("Radius of ball and brush (mm)"), 2, 0, 1, 6)
         grid.addWidget(self.radius, 3, 0, 1, 6)
+        self.object = _choice((NEAREST,))
+        self.object.setToolTip("Which object Grow and Shrink change")
+        self._object_label = QLabel("Object")
+        grid.addWidget(self._object_label, 4, 0, 1, 2)
+        grid.addWidget(self.object, 4, 2, 1, 4)
+        self.show_objects(())
         return group
+
+    def show_objects(self, ids: Sequence[int]) -> None:
+        """Offer these objects to choose from; none for a run of one without an id."""
+        names = [NEAREST, *map(str, ids)]
+        if [self.object.itemText(place) for place in range(self.object.count())] != names:
+            self.object.clear()
+            self.object.addItems(names)
+        for part in (self._object_label, self.object):
+            part.setVisible(bool(ids))
+
+    @property
+    def object_id(self) -> int | None:
+        """Id of the object to be changed; None is the nearest."""
+        return None if self.object.currentText() == NEAREST else int(self.object.currentText())
 
     def _appearance(self) -> QGroupBox:
         group = QGroupBox("Show")
@@ -245,7 +259,7 @@ class Panel(QWidget):
         form.setSpacing(5)
         form.setContentsMargins(8, 4, 8, 6)
         self.color = _choice(COLORS)
-        self.color.activated.connect(lambda: self.color_chosen.emit(self.color.currentText()))
+        self.color.activated.connect(lambda: self.color_wanted.emit(self.color.currentText()))
         self.theme = _choice(("dark", "light"))
         self.theme.activated.connect(lambda: self.theme_wanted.emit(self.theme.currentText()))
         self.volume, self.planes = QCheckBox("Volume"), QCheckBox("Slices in 3D")
@@ -283,6 +297,12 @@ class Panel(QWidget):
         """Multiply the radius of ball and brush."""
         value = float(self.radius.value) * factor
         self.radius.show_value(min(max(value, self.radius.box.minimum()), 1e5) if math.isfinite(value) else 1.0)
+
+
+def _amount(slider: Slider, finest: float) -> Amount:
+    """The widget of a setting, in an image whose smallest spacing is ``finest`` mm."""
+    unit = finest**slider.voxel_power
+    return Amount(slider.low * unit, slider.high * unit, slider.words, slider.power, slider.digits, slider.limit)
 
 
 def _choice(names: Sequence[str]) -> QComboBox:

@@ -77,7 +77,9 @@ class Window(QMainWindow):
         self.scene = Scene(session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name)
         self.panel = Panel(geometry)
         self.bar = PlaybackBar()
-        self.tools = CanvasTools(session, self.scene, self.canvas, lambda: float(self.panel.radius.value))
+        self.tools = CanvasTools(
+            session, self.scene, self.canvas, lambda: float(self.panel.radius.value), lambda: self.panel.object_id
+        )
         self._theme = theme
         self.drawing_seconds = 0.0
         self._shown: Status | None = None
@@ -121,9 +123,9 @@ class Window(QMainWindow):
         bar.step_wanted.connect(self._go_to)
         bar.help_wanted.connect(self.toggle_help)
         panel.setting.connect(lambda key, value: session.change(**{key: value}))
-        panel.tool_chosen.connect(self.use_tool)
+        panel.tool_wanted.connect(self.use_tool)
         panel.radius.changed.connect(lambda _: self.tools.show_ball())
-        panel.color_chosen.connect(self.color_by)
+        panel.color_wanted.connect(self.color_by)
         panel.volume_wanted.connect(lambda on: self._redraw(lambda: self.scene.show_volume(on)))
         panel.planes_wanted.connect(lambda on: self._redraw(lambda: self.scene.show_planes(on)))
         panel.theme_wanted.connect(self.paint)
@@ -187,10 +189,10 @@ class Window(QMainWindow):
         if self._saving is not None:
             return
         if self._folder is None:
-            chosen = QFileDialog.getExistingDirectory(self, "Save labels, mesh, picture and run.toml in")
-            if not chosen:
+            folder = QFileDialog.getExistingDirectory(self, "Save labels, mesh, picture and run.toml in")
+            if not folder:
                 return
-            self._folder = Path(chosen)
+            self._folder = Path(folder)
         self._saving = self.session.save(self._folder, overwrite=self._overwrite)
         self._show_note("saving ...", 600)
 
@@ -277,6 +279,7 @@ class Window(QMainWindow):
         self.bar.show_status(status)
         self.panel.save.setEnabled(status.ready)
         self.panel.show_settings(status.settings, status.undoable)
+        self.panel.show_objects(status.objects)
         self.setWindowTitle(f"accelsurf - {self.session.name} - step {status.step} - {status.word}")
         self._show_message(status)
 

@@ -14,9 +14,9 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
-from accelsurf.analysis.surface_mesh import write_atomically
 from accelsurf.errors import UsageError
 from accelsurf.grid.orientation import LETTERS
+from accelsurf.io.files import write_bytes
 from accelsurf.viewer.scene.colors import REFERENCE, SHADES, color_range, object_color
 from accelsurf.viewer.scene.grey_images import png_bytes
 from accelsurf.viewer.scene.scene import Scene
@@ -79,7 +79,7 @@ def write_html(scene: Scene, path: str | Path) -> None:
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{path.name}: {path.suffix or 'no suffix'} was given, expected .html")
-    write_atomically(path, html_page(scene).encode())
+    write_bytes(path, html_page(scene).encode())
 
 
 def _triangles(mesh: pv.PolyData, color: str, middle: NDArray[Any], opacity: float, quantity: str) -> dict[str, Any]:

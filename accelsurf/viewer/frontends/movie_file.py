@@ -16,7 +16,7 @@ from PIL import Image, features
 
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.evolution.records import Step, StepRecord
+from accelsurf.evolution.records import StepRecord
 from accelsurf.io.files import staging
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -28,6 +28,8 @@ FORMATS = (".mp4", ".gif", ".webp")
 MIN_SIDE, MAX_SIDE = 160, 4096
 
 Picture = NDArray[np.uint8]
+#: Called with each record and the id of its object (None for one without an id); a true value ends the run.
+OnStep = Callable[[StepRecord, int | None], bool | None]
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,7 @@ def check_target(path: Path, size: tuple[int, int]) -> None:
         raise UsageError("webp: Pillow was built without it here", "take .mp4 or .gif")
 
 
-def pictures(
-    run: Run, scene: Scene, movie: MovieSettings, on_step: Callable[[StepRecord], bool | None] | None = None
-) -> Iterator[Picture]:
+def pictures(run: Run, scene: Scene, movie: MovieSettings, on_step: OnStep | None = None) -> Iterator[Picture]:
     """Run to the end and draw the steps.
 
     Parameters
@@ -102,17 +102,17 @@ def pictures(
         Of the same image.
     movie : MovieSettings
     on_step : callable, optional
-        Called with each record; a true return value ends the run.
+        As `OnStep` says.
 
     Yields
     ------
     ndarray (height, width, 3), uint8
     """
     turn = movie.orbit / movie.fps
-    with run.workers:
-        for step in _steps(run, on_step):
-            if step.row.step % movie.every == 0 or run.stop is not None:
-                scene.update(Frame.of_run(run, step), histories_of_run(run))
+    with run:
+        for number in _steps(run, on_step):
+            if number % movie.every == 0 or run.stop is not None:
+                scene.update(Frame.of_run(run), histories_of_run(run))
                 yield scene.screenshot()
                 scene.orbit(turn)
     for _ in range(math.ceil(movie.hold * movie.fps)):
@@ -120,20 +120,21 @@ def pictures(
         scene.orbit(turn)
 
 
-def run_to_last(run: Run, scene: Scene, on_step: Callable[[StepRecord], bool | None] | None = None) -> None:
+def run_to_last(run: Run, scene: Scene, on_step: OnStep | None = None) -> None:
     """Run to the end and draw the last step in a scene; parameters as of `pictures`."""
-    with run.workers:
-        for step in _steps(run, on_step):
+    with run:
+        for _ in _steps(run, on_step):
             if run.stop is not None:
-                scene.update(Frame.of_run(run, step), histories_of_run(run))
+                scene.update(Frame.of_run(run), histories_of_run(run))
 
 
-def _steps(run: Run, on_step: Callable[[StepRecord], bool | None] | None) -> Iterator[Step]:
-    """The steps of a run, which ends early when ``on_step`` asks for it."""
-    for step in run:
-        if on_step is not None and on_step(step.row):
-            run.evolution.ask_to_stop()
-        yield step
+def _steps(run: Run, on_step: OnStep | None) -> Iterator[int]:
+    """Run, yielding the number of each step when all objects have made it; ends early when ``on_step`` asks for it."""
+    while steps := run.step():
+        for step in steps:
+            if on_step is not None and on_step(step.record, step.object_id if run.has_ids else None):
+                run.request_stop()
+        yield run.step_number - 1
 
 
 def write(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:

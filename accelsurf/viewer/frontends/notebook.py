@@ -36,7 +36,7 @@ def show(
     to: str | Path | None = None,
     backend: str | None = None,
 ) -> Any:
-    """Show a result, or an image, as `accelsurf view` does: the surface in mm, three slices, the energies.
+    """Show a result, or an image, as `accelsurf view` does: the surfaces in mm, three slices, the energies.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def show(
     plotter = None if to is not None else _plotter(image.geometry, size, backend)
     scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size)
     if isinstance(what, Result):
-        scene.update(Frame.of_psi(what.psi, what.geometry, what.history[-1]), (what.history,))
+        scene.update(Frame.of_result(what), [one.history for one in what.objects])
     scene.show_volume(volume)
     scene.show_planes(planes)
     if plotter is not None:

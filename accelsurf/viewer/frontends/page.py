@@ -1,7 +1,7 @@
 """The scene in a page: a session steered from a browser on this machine, served by trame.
 
 The page shows pictures of the same scene as the window, drawn here, and sends requests, which `requests` checks. It
-loads nothing from elsewhere. Whoever has the token of the address may steer; nobody else is answered.
+loads nothing from elsewhere. Whoever has the token of the address can change the run; nobody else is answered.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.settings.energy_expression import SIMPLE
-from accelsurf.settings.run_config import FLOWS
+from accelsurf.settings.energy_terms import examples
+from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.frontends.display import INSTALL
 from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
-from accelsurf.viewer.frontends.requests import RequestHandler
+from accelsurf.viewer.frontends.requests import SETTINGS, RequestHandler
 from accelsurf.viewer.scene.scene import Scene
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
@@ -63,7 +63,7 @@ class Page:
     ----------
     requests : RequestHandler
     token : str
-        Whoever has it may steer.
+        Whoever has it can change the run.
     address : str
         What to open, with the token; empty before the page is served.
 
@@ -119,9 +119,11 @@ class Page:
             "step": status.step, "last": max((status.step, *status.checkpoints)), "playing": status.playing,
             "state_word": status.word, "undoable": status.undoable, "message": requests.message or status.message,
             "failed": bool(requests.message) or status.failed,
-            **{key: getattr(settings, key) for key in ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")},
+            **{key: getattr(settings, key) for key in SETTINGS},
             # The run's energy may be an expression that is not in the list.
-            "energies": list(dict.fromkeys((*SIMPLE, settings.energy))),
+            "energies": list(dict.fromkeys((*examples(), settings.energy))),
+            "objects": ["nearest", *map(str, status.objects)] if status.objects else [],
+            "object": str(requests.object_id or "nearest"),
             "mode": requests.mouse.mode, "radius": requests.mouse.radius, "color": requests.color,
             "theme": requests.theme, "volume": requests.volume, "planes": requests.planes,
             "files": [{"name": name, "link": link.format(name)} for name in sorted(requests.files)],

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.settings.catalogue import choices, sliders
 from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.saving import KINDS
 from accelsurf.viewer.core.session import Session
@@ -22,7 +23,7 @@ from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.space import VIEWS
 
 #: Settings that a page may change, those of sliders and lists, and the largest number of letters of a value.
-SETTINGS = ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")
+SETTINGS = (*sliders(), *choices())
 MAX_LETTERS = 40
 #: Smallest and largest size of a picture, pixels.
 MIN_SIZE, MAX_SIZE = (480, 272), (2560, 1600)
@@ -50,6 +51,8 @@ class RequestHandler:
         What went wrong last, in one line; empty when nothing did.
     files : dict of str to Path
         What has been saved, by name.
+    object_id : int or None
+        Id of the object that balls are added to or removed from; None is the nearest.
     """
 
     def __init__(self, session: Session, scene: Scene, folder: Path, overwrite: bool = False) -> None:
@@ -57,6 +60,7 @@ class RequestHandler:
         self.mouse = Mouse(scene)
         self.changed, self.message = True, ""
         self.files: dict[str, Path] = {}
+        self.object_id: int | None = None
         self.color, self.theme, self.volume, self.planes = "plain", "dark", False, False
         self._waiting: list[tuple[Future[Any], Callable[[Any], None] | None]] = []
         self._requests: dict[str, Callable[..., None]] = {
@@ -70,6 +74,7 @@ class RequestHandler:
             "set": self._set,
             "save": self._save,
             "mode": lambda mode: self.mouse.set_mode(_word(mode, ("look", "start", "add", "remove"))),
+            "object": self._object,
             "radius": self._radius,
             "press": lambda x, y, shift: self.mouse.press(*self._pixel(x, y), bool(shift)),
             "move": lambda x, y: self.mouse.move(*self._pixel(x, y)),
@@ -143,6 +148,12 @@ class RequestHandler:
         # The session chooses the names; a file elsewhere would not be served all the same.
         self.files |= {path.name: path for path in paths if path.resolve().parent == home}
 
+    def _object(self, number: Any) -> None:
+        ids = self.session.status.objects
+        known = {"nearest": None, **{str(own): own for own in ids}}
+        word = str(_whole(number, 0, 2**32)) if isinstance(number, (int, float)) else number
+        self.object_id = known[_word(word, tuple(known))]
+
     def _radius(self, mm: Any) -> None:
         self.mouse.radius = _number(mm, 0.0, float(max(self.scene.geometry.extent_mm)))
 
@@ -154,7 +165,7 @@ class RequestHandler:
         if mode == "start":
             self._ask(self.session.start_from((ball,)))
         else:
-            self._ask(self.session.edit_ball("add" if mode == "add" else "remove", ball))
+            self._ask(self.session.edit_ball("add" if mode == "add" else "remove", ball, self.object_id))
 
     def _color(self, name: Any) -> None:
         self.color = _word(name, COLORS)

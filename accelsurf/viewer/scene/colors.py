@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.report.preview import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from accelsurf.report.canvas import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 
 class Theme(NamedTuple):

@@ -21,12 +21,12 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.analysis.surface_mesh import write_atomically
 from accelsurf.errors import UsageError, check_known
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.orientation import Upright
+from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.volume import Volume
+from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.scene.chart import EnergyChart
@@ -40,6 +40,8 @@ from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import VIEWS, SpaceTile
 
+#: Lines of the legend at most.
+MAX_LEGEND = 20
 #: Size of a window or picture unless another is asked for, pixels.
 SIZE = (1280, 720)
 TILES = ("axial", "coronal", "sagittal")
@@ -114,7 +116,7 @@ class Scene:
         return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
 
     def _build(self) -> None:
-        plotter, upright, grey = self.plotter, Upright.of(self.geometry), grey_values(self.volume)
+        plotter, upright, grey = self.plotter, DisplayOrientation.of(self.geometry), grey_values(self.volume)
         flat = self.geometry.slice_axis
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
@@ -179,8 +181,10 @@ class Scene:
             return []
         lines = [
             (f"object {surface.id}" if several else "surface", object_color(position))
-            for position, surface in enumerate(frame.surfaces)
+            for position, surface in enumerate(frame.surfaces[:MAX_LEGEND])
         ]
+        if len(frame.surfaces) > MAX_LEGEND:
+            lines.append((f"and {len(frame.surfaces) - MAX_LEGEND} more", self._theme.ink))
         return lines if self._reference is None else [*lines, (f"reference, Dice {self.dice:.3f}", REFERENCE)]
 
     def _caption(self, frame: Frame) -> list[str]:
@@ -249,7 +253,7 @@ class Scene:
         """Go ``count`` slices further in a tile, one of ``slice_tiles``, towards larger world coordinates."""
         tile = self.slice_tiles[name]
         index = self._cursor.copy()
-        sign = -1 if Upright.of(self.geometry).flips[tile.plane] else 1
+        sign = -1 if DisplayOrientation.of(self.geometry).flips[tile.plane] else 1
         index[tile.axis] = round(index[tile.axis]) + sign * count
         self.cursor = self.geometry.index_to_world(index)
 
@@ -338,7 +342,7 @@ class Scene:
         self.render()
         picture = grab(self.plotter.render_window)
         if path is not None:
-            write_atomically(Path(path), png_bytes(picture))
+            write_bytes(Path(path), png_bytes(picture))
         return picture
 
     def close(self) -> None:

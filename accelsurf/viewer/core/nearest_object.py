@@ -1,0 +1,50 @@
+"""Which object of a run a ball is meant for, when the user has not said so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.initialization import starts
+from accelsurf.segmentation.balls import Ball
+from accelsurf.segmentation.evolving_object import EvolvingObject
+from accelsurf.segmentation.run import Run
+
+
+def nearest_object(run: Run, ball: str) -> int:
+    """Return the id of the object that is nearest to a ball's centre; the one that contains it, if there is one.
+
+    Parameters
+    ----------
+    run : Run
+        Between two steps.
+    ball : str
+        ``ball:X,Y,Z,R``.
+
+    Raises
+    ------
+    UsageError, InputError
+        When it is no ball or lies outside.
+    """
+    centre = Ball("add", *starts.ball_of(ball, run.geometry)).on_level(run.grid)[0]
+    return min(run.objects, key=lambda one: _distance(one, centre)).id
+
+
+def _distance(one: EvolvingObject, place: np.ndarray) -> float:
+    """Distance, mm, of an index (z, y, x) on the level's grid from an object; not above 0 in it; inf without a surface.
+
+    Accurate to about a voxel.
+    """
+    surface = one.surface
+    if surface.size == 0:
+        return float("inf")
+    own = place - one.corner
+    voxel = np.rint(own).astype(int)
+    if (voxel >= 0).all() and (voxel < surface.shape).all():
+        psi = float(surface.psi[tuple(voxel)])
+        if psi < 0:
+            return psi
+    cells = surface.band.cells[surface.band.psi < 0]
+    if not cells.size:
+        return float("inf")
+    offsets = np.stack(np.unravel_index(cells, surface.shape), axis=1) - own
+    return float(np.linalg.norm(offsets * one.grid.spacing, axis=1).min())
