@@ -32,7 +32,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.frontends.display import INSTALL
 from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
-from accelsurf.viewer.frontends.requests import RequestHandler
+from accelsurf.viewer.frontends.requests import SETTINGS, RequestHandler
 from accelsurf.viewer.scene.scene import Scene
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
@@ -92,7 +92,7 @@ class Page:
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
 
-    # -- the page ------------------------------------------------------------------------------------------
+    # -- the page -----------------------------------------------------------------------------------------
 
     def _make_server(self) -> Any:
         get_server, layout, style = _import_trame()
@@ -119,7 +119,7 @@ class Page:
             "step": status.step, "last": max((status.step, *status.checkpoints)), "playing": status.playing,
             "state_word": status.word, "undoable": status.undoable, "message": requests.message or status.message,
             "failed": bool(requests.message) or status.failed,
-            **{key: getattr(settings, key) for key in ("smoothness", "diffusion", "friction", "cfl", "energy", "flow")},
+            **{key: getattr(settings, key) for key in SETTINGS},
             # The run's energy may be an expression that is not in the list.
             "energies": list(dict.fromkeys((*SIMPLE, settings.energy))),
             "mode": requests.mouse.mode, "radius": requests.mouse.radius, "color": requests.color,
@@ -139,7 +139,7 @@ class Page:
         if tuple(self.scene.plotter.render_window.GetSize()) == before:
             self.requests.changed = changed
 
-    # -- serving -------------------------------------------------------------------------------------------
+    # -- serving ------------------------------------------------------------------------------------------
 
     async def serve(self) -> None:
         """Serve until the task is cancelled.
