@@ -89,7 +89,7 @@ class Session:
         self._thread = threading.Thread(target=self._loop, name="accelsurf session", daemon=True)
         self._thread.start()
 
-    # -- to watch ------------------------------------------------------------------------------------------
+    # -- to watch -----------------------------------------------------------------------------------------
 
     @property
     def status(self) -> Status:
@@ -126,7 +126,7 @@ class Session:
         """Wait until no step is being made and no command is left; False when the time was not enough."""
         return self._commands.wait_for(self._is_idle, timeout)
 
-    # -- commands ------------------------------------------------------------------------------------------
+    # -- commands -----------------------------------------------------------------------------------------
 
     def play(self) -> Future[None]:
         """Make steps until the run ends or is paused; a converged run continues, with its stop rule reset."""
@@ -233,7 +233,7 @@ class Session:
     def _is_idle(self) -> bool:
         return not self._status.playing and self._commands.pending == 0 and self.ready.done()
 
-    # -- the thread ----------------------------------------------------------------------------------------
+    # -- the thread ---------------------------------------------------------------------------------------
 
     def _loop(self) -> None:
         """All that the session's thread does."""

@@ -52,7 +52,7 @@ class Timeline:
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
 
-    # -- where it stands -----------------------------------------------------------------------------------
+    # -- where it stands ----------------------------------------------------------------------------------
 
     @property
     def step_number(self) -> int:
@@ -79,7 +79,7 @@ class Timeline:
         self.pause()
         self.run.close()
 
-    # -- play and pause ------------------------------------------------------------------------------------
+    # -- play and pause -----------------------------------------------------------------------------------
 
     def step(self) -> None:
         """Make one step; pause when the run has ended or the wanted step is reached."""
@@ -134,7 +134,7 @@ class Timeline:
         if not self._playing:
             self.run.apply_edits()
 
-    # -- back and forward ----------------------------------------------------------------------------------
+    # -- back and forward ---------------------------------------------------------------------------------
 
     def go_to(self, step: int) -> None:
         """Go back, or forward again, to a step that has been made.
@@ -200,7 +200,7 @@ class Timeline:
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
 
-    # -- changes -------------------------------------------------------------------------------------------
+    # -- changes ------------------------------------------------------------------------------------------
 
     def change(self, settings: dict[str, Any]) -> None:
         """Change settings from here on.
@@ -304,7 +304,7 @@ class Timeline:
         self.checkpoints.drop_after(step)
         self._changes.append((before, step))
 
-    # -- files ---------------------------------------------------------------------------------------------
+    # -- files --------------------------------------------------------------------------------------------
 
     def save(
         self, folder: Path, name: str, source: Path | None, what: tuple[str, ...], overwrite: bool

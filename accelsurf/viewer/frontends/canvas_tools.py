@@ -75,7 +75,7 @@ class CanvasTools(QObject):
         if self.tool == "ball" and self._center is not None:
             self._mark(self._center)
 
-    # -- edges ---------------------------------------------------------------------------------------------
+    # -- edges --------------------------------------------------------------------------------------------
 
     @property
     def is_software(self) -> bool:
@@ -92,7 +92,7 @@ class CanvasTools(QObject):
         if window.GetMultiSamples() != samples:
             window.SetMultiSamples(samples)
 
-    # -- events --------------------------------------------------------------------------------------------
+    # -- events -------------------------------------------------------------------------------------------
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Mouse and keys on the canvas; False passes an event on to VTK."""
@@ -155,7 +155,7 @@ class CanvasTools(QObject):
         self._scene.render()
         return True
 
-    # -- tools ---------------------------------------------------------------------------------------------
+    # -- tools --------------------------------------------------------------------------------------------
 
     def _apply(self, world: NDArray[np.float64]) -> None:
         """Apply the tool at a point."""

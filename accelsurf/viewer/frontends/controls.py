@@ -276,7 +276,7 @@ class Panel(QWidget):
         form.addRow("Theme", self.theme)
         return group
 
-    # -- settings in force ----------------------------------------------------------------------------------
+    # -- settings in force --------------------------------------------------------------------------------
 
     def show_settings(self, settings: RunConfig, undoable: int) -> None:
         """Show the settings in force, except where the user is changing one."""

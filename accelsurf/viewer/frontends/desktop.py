@@ -92,7 +92,7 @@ class Window(QMainWindow):
         self._timer.timeout.connect(self._poll)
         self._timer.start()
 
-    # -- layout --------------------------------------------------------------------------------
+    # -- layout -------------------------------------------------------------------------------------------
 
     def _lay_out(self) -> None:
         whole = QWidget()
@@ -161,7 +161,7 @@ class Window(QMainWindow):
             **{key: functools.partial(self.use_tool, name) for name, (key, _, _) in TOOLS.items()},
         }
 
-    # -- actions of the user -------------------------------------------------------------------------------
+    # -- actions of the user ------------------------------------------------------------------------------
 
     def toggle(self) -> None:
         """Play or pause."""
@@ -247,7 +247,7 @@ class Window(QMainWindow):
         self._note, self._note_until = text, time.monotonic() + seconds
         self._show_message(self.session.status)
 
-    # -- news of the session ---------------------------------------------------------------------------------------
+    # -- news of the session ------------------------------------------------------------------------------
 
     def _poll(self) -> None:
         view = self.session.next_view(self.drawing_seconds)
@@ -307,7 +307,7 @@ class Window(QMainWindow):
             self._show_note(f"saved in {self._folder.absolute()}: {names}", 20)
         self._show_message(self.session.status)
 
-    # -- the window ----------------------------------------------------------------------------------------
+    # -- the window ---------------------------------------------------------------------------------------
 
     def showEvent(self, event: QShowEvent) -> None:
         """Fit the camera: the size is known only now."""

@@ -92,7 +92,7 @@ class Page:
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
 
-    # -- the page ------------------------------------------------------------------------------------------
+    # -- the page -----------------------------------------------------------------------------------------
 
     def _make_server(self) -> Any:
         get_server, layout, style = _import_trame()
@@ -141,7 +141,7 @@ class Page:
         if tuple(self.scene.plotter.render_window.GetSize()) == before:
             self.requests.changed = changed
 
-    # -- serving -------------------------------------------------------------------------------------------
+    # -- serving ------------------------------------------------------------------------------------------
 
     async def serve(self) -> None:
         """Serve until the task is cancelled.

@@ -122,7 +122,7 @@ class RequestHandler:
             elif then is not None:
                 then(future.result())
 
-    # -- requests ------------------------------------------------------------------------------------------
+    # -- requests -----------------------------------------------------------------------------------------
 
     def _ask(self, future: Future[Any], then: Callable[[Any], None] | None = None) -> None:
         self.message = ""

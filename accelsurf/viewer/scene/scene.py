@@ -139,7 +139,7 @@ class Scene:
         self._legend = Legend(largest)
         self._show_slices()
 
-    # -- what is drawn -------------------------------------------------------------------------------------
+    # -- what is drawn ------------------------------------------------------------------------------------
 
     def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = ()) -> None:
         """Draw a frame.
@@ -288,7 +288,7 @@ class Scene:
             if tile is not None:
                 tile.paint(self._theme)
 
-    # -- pictures ------------------------------------------------------------------------------------------
+    # -- pictures -----------------------------------------------------------------------------------------
 
     def look_from(self, view: str) -> None:
         """Look at the whole image from one of `space.VIEWS`: corner, front, back, left, right, top or bottom.

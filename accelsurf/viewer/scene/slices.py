@@ -69,7 +69,7 @@ class SliceTile:
         self._bar = ScaleBar(renderer, theme.ink)
         self._letters = self._write_letters() if anatomical else []
 
-    # -- places --------------------------------------------------------------------------------------------
+    # -- places -------------------------------------------------------------------------------------------
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
@@ -114,7 +114,7 @@ class SliceTile:
         x, y, _ = self.renderer.camera.focal_point
         return x + (right - 0.5) * width * mm, y + (up - 0.5) * height * mm
 
-    # -- what is drawn -------------------------------------------------------------------------------------
+    # -- what is drawn ------------------------------------------------------------------------------------
 
     def show(self, cursor: NDArray[np.float64]) -> None:
         """Go to the slice nearest to an index (z, y, x) of the image, and draw the cursor's lines."""

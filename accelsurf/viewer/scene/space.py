@@ -71,7 +71,7 @@ class SpaceTile:
         plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
         self.look_from()
 
-    # -- the surface ---------------------------------------------------------------------------------------
+    # -- the surface --------------------------------------------------------------------------------------
 
     def show(self, frame: Frame, color: str) -> None:
         """Draw the surfaces of a frame, coloured by a quantity; each in its own colour where it lacks that."""
@@ -133,7 +133,7 @@ class SpaceTile:
             self._ball.position = tuple(center)
             self._ball.scale = (radius, radius, radius)
 
-    # -- the image -----------------------------------------------------------------------------------------
+    # -- the image ----------------------------------------------------------------------------------------
 
     def show_volume(self, on: bool) -> None:
         """Draw the image translucent, bright parts denser, or not."""
@@ -191,7 +191,7 @@ class SpaceTile:
             quad.points = self._geometry.index_to_world(corners).astype(np.float32)
             actor.mapper.SetInputData(quad)
 
-    # -- camera --------------------------------------------------------------------------------------------
+    # -- camera -------------------------------------------------------------------------------------------
 
     def look_from(self, view: str = "corner") -> None:
         """Look at the whole image from one of `VIEWS`."""
@@ -267,7 +267,7 @@ class SpaceTile:
             return None
         return np.asarray(picker.GetPickPosition())
 
-    # -- theme and size ------------------------------------------------------------------------------------
+    # -- theme and size -----------------------------------------------------------------------------------
 
     def fit(self, window_height: int) -> None:
         """Make text readable, and the bar as long as the camera's scale asks for."""
