@@ -138,6 +138,11 @@ def ask(served, *request):
     return talk(served, hello(served.token), packed(call_of("trame.trigger", "ask", list(request), {})))
 
 
+def test_the_token_is_never_taken_for_an_option(served):
+    # It stands on a command line that trame reads: one in 64 of another alphabet would begin with a dash.
+    assert re.fullmatch("[0-9a-f]{48}", served.token)
+
+
 def test_who_has_the_token_is_answered(served):
     now = state(served)
     assert now["step"] == 0 and now["flow"] == "constant-density" and now["title"] == "ball.nii.gz"

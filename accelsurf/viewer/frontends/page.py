@@ -84,7 +84,7 @@ class Page:
     ) -> None:
         self.session, self.scene = session, scene
         self.requests = RequestHandler(session, scene, folder, overwrite)
-        self.token, self.address = secrets.token_urlsafe(24), ""
+        self.token, self.address = secrets.token_hex(24), ""
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
@@ -217,7 +217,7 @@ def _jpeg(picture: NDArray[np.uint8]) -> bytes:
 @contextlib.contextmanager
 def _command_line_for_trame(token: str) -> Iterator[None]:
     """Give trame a command line of its own: it would read ours."""
-    ours, sys.argv = sys.argv, ["accelsurf", "--authKey", token]
+    ours, sys.argv = sys.argv, ["accelsurf", f"--authKey={token}"]
     try:
         yield
     finally:
