@@ -163,7 +163,9 @@ def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = F
     try:
         result = _compute(place, config, watcher, log)
         names = place.names(config, result.geometry.slice_axis is not None)
-        content = outputs.preview_content(result, outputs.outcome_title(place.name, result))
+        title = outputs.outcome_title(place.name, result)
+        # The picture shows the surface, which is extracted here.
+        content = log.timed("mesh", lambda: outputs.preview_content(result, title))
         for kind, path in outputs.write_result(result, place.folder, names, content, log.seconds):
             log.outputs.append(describe_output(path, kind))
         error, warnings = shortcoming(place.name, result, strict)
