@@ -100,7 +100,7 @@ class Surface:
         return self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).astype(np.int64).ravel()
 
     def write(self, path: str | Path, space: str = "lps") -> None:
-        """Write a mesh file: .ply (binary), .stl (binary), .obj or .vtp, by suffix.
+        """Write a mesh file, in one of the formats for surfaces of `accelsurf.settings.file_formats`, by suffix.
 
         The file appears complete or not at all: it is written under a temporary name and renamed. An existing file
         is replaced. The coordinate space and the unit stand in the header (.vtp: in the field data).

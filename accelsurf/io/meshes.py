@@ -24,7 +24,7 @@ def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[n
     Parameters
     ----------
     path : str or Path
-        .ply, .stl, .obj or .vtp; mm.
+        In one of the formats of `accelsurf.settings.file_formats` that can be read; mm.
     geometry : Geometry
         The grid.
     ras : bool
@@ -52,7 +52,7 @@ def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     Parameters
     ----------
     path : str or Path
-        .ply, .stl, .obj or .vtp.
+        In one of the formats of `accelsurf.settings.file_formats` that can be read.
 
     Returns
     -------

@@ -16,6 +16,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import images
 from accelsurf.io.formats import raster, tiff
+from accelsurf.settings.file_formats import IMAGE_FORMATS
 
 SUFFIXES = (".png", ".tif", ".tiff")
 GREY = {"photometric": "minisblack"}
@@ -33,6 +34,10 @@ def refuse(path, words, **options):
 
 
 # ------------------------------------------------------------------------------------------------- round trip
+
+
+def test_the_entry_of_tiff_names_the_types_that_are_encoded():
+    assert IMAGE_FORMATS["tif"].types == tuple(raster.STORED)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "int8", "int16", "uint32", "int32", "float32"])
