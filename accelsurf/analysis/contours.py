@@ -63,8 +63,8 @@ class Contours:
     def write(self, path: str | Path, space: str = "lps") -> None:
         """Write the contours, in one of the formats for them of `accelsurf.settings.file_formats`, by suffix.
 
-        A .vtp has closed polylines. A CSV has the columns contour (counted from 0), x_lps_mm, y_lps_mm, z_lps_mm (or x_ras_mm, ...); the last row
-        of a contour repeats its first.
+        A .vtp has closed polylines. A CSV has the columns contour (counted from 0), x_lps_mm, y_lps_mm, z_lps_mm (or
+        x_ras_mm, ...); the last row of a contour repeats its first.
         The file appears complete or not at all; an existing one is replaced.
 
         Parameters

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats import nifti_grid, nrrd_metaimage
-from accelsurf.settings.file_formats import ImageFormat, image_format, image_suffixes
+from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
 from accelsurf.settings.registry import load
 
 
@@ -60,6 +59,5 @@ def is_anatomical(metadata: Mapping[str, str]) -> bool:
     metadata : mapping of str to str
         As in `Volume.metadata`.
     """
-    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
-    coded = any(bytes.fromhex(metadata.get(nifti_grid.METADATA_KEY, ""))[17:21])
-    return coded or "space: left-" in metadata.get(nrrd_metaimage.NRRD_KEY, "")
+    said = (form.is_anatomical for form in IMAGE_FORMATS.values())
+    return any(load(asked)(metadata) for asked in said if asked is not None)

@@ -43,6 +43,9 @@ class ImageFormat:
         it; all are in a folder of their own until they are complete.
     read_channels : str or callable, optional
         As ``read``, returns a list of a Volume for each channel; None: the format has one channel.
+    is_anatomical : str or callable, optional
+        Of the metadata of a Volume that was read, whether its header said that the world's axes are a patient's; also
+        asked of volumes that were read from other formats. None: it never does.
     types : tuple of str
         The numpy types of values that it holds; empty: all of integers and floats of 4 and 8 bytes.
     one_slice : bool
@@ -63,6 +66,7 @@ class ImageFormat:
     read: Function
     write: Function
     read_channels: Function | None = None
+    is_anatomical: Function | None = None
     types: tuple[str, ...] = ()
     one_slice: bool = False
     keeps: KeptGrid = "all"
@@ -82,6 +86,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write_compressed",
         f"{_FORMATS}.nifti_volumes:read_channels",
+        f"{_FORMATS}.nifti_grid:is_anatomical",
     ),
     ImageFormat(
         "nii",
@@ -91,6 +96,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write",
         f"{_FORMATS}.nifti_volumes:read_channels",
+        f"{_FORMATS}.nifti_grid:is_anatomical",
     ),
     ImageFormat(
         "nrrd",
@@ -100,6 +106,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.itk_volumes:read",
         f"{_FORMATS}.itk_volumes:write_nrrd",
         f"{_FORMATS}.itk_volumes:read_channels",
+        f"{_FORMATS}.nrrd_metaimage:is_anatomical",
     ),
     *(
         ImageFormat(

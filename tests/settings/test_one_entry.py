@@ -22,7 +22,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.flows import Gradient
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io import channels, meshes
+from accelsurf.io import channels, headers, meshes
 from accelsurf.report import outputs
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run_setup import choose_levels, window_reach
@@ -107,7 +107,7 @@ def read_toy_mesh(content):
 
 IMAGE = ImageFormat(
     "toy", "a toy that holds bytes", (".toy",), parse_toy, read_toy, write_toy, types=("uint8",), keeps="spacing",
-    distances="nrrd",
+    distances="nrrd", is_anatomical=lambda metadata: metadata.get("toy") == "patient",
 )
 MESH = MeshFormat("toymesh", "a toy that holds triangles", surface=toy_mesh, read=read_toy_mesh)
 REGISTERED = (
@@ -220,6 +220,7 @@ def test_an_image_is_read_and_written(toys, tmp_path):
     assert io.split_name("a/ball.toy") == ("ball", ".toy") and io.image_suffixes()[-1] == ".toy"
     (only,) = channels.read(tmp_path / "ball.toy")
     np.testing.assert_array_equal(only.array, bytes_volume().array)
+    assert headers.is_anatomical({"toy": "patient"}) and not headers.is_anatomical(back.metadata)
     with pytest.raises(UsageError, match=r"values of type float32 given, a \.toy holds uint8"):
         io.write(volume(), tmp_path / "float.toy")
     (tmp_path / "ball.toy").write_bytes(b"TIY" + bytes(99))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -240,3 +240,8 @@ def put_nrrd_space(path: Path, lines: str) -> None:
         elif key in wanted:
             written.append(f"{key}: {wanted[key]}")
     path.write_bytes("\n".join(written).encode() + gap + voxels)
+
+
+def is_anatomical(metadata: Mapping[str, str]) -> bool:
+    """Whether an NRRD named its space by a patient's axes."""
+    return "space: left-" in metadata.get(NRRD_KEY, "")
