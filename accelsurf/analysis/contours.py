@@ -11,7 +11,6 @@ two array axes is the one to the right.)
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -62,10 +61,10 @@ class Contours:
         return float(np.linalg.norm(total))
 
     def write(self, path: str | Path, space: str = "lps") -> None:
-        """Write the contours: .vtp (closed polylines) or .csv, by suffix.
+        """Write the contours, in one of the formats for them of `accelsurf.settings.file_formats`, by suffix.
 
-        A CSV has the columns contour (counted from 0), x_lps_mm, y_lps_mm, z_lps_mm (or x_ras_mm, ...); the last row
-        of a contour repeats its first.
+        A .vtp has closed polylines. A CSV has the columns contour (counted from 0), x_lps_mm, y_lps_mm, z_lps_mm (or
+        x_ras_mm, ...); the last row of a contour repeats its first.
         The file appears complete or not at all; an existing one is replaced.
 
         Parameters
@@ -82,7 +81,7 @@ class Contours:
         OutputError
             When the file cannot be written.
         """
-        writer, flip = writer_for(path, space, WRITERS, "contour")
+        writer, flip = writer_for(path, space, "contour")
         write_bytes(Path(path), writer(tuple(loop * flip for loop in self.loops), space.upper()))
 
 
@@ -144,18 +143,16 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     return Contours(tuple(loops))
 
 
-def _vtp(loops: tuple[Floats, ...], space: str) -> bytes:
+def vtp_bytes(loops: tuple[Floats, ...], space: str) -> bytes:
+    """The bytes of a .vtp file; ``space`` is LPS or RAS."""
     ends = np.cumsum([len(loop) for loop in loops])
     lines = [[*range(end - len(loop), end), end - len(loop)] for end, loop in zip(ends, loops, strict=True)]
     return polydata(np.concatenate(loops), np.concatenate(lines), ends + np.arange(1, len(ends) + 1), "Lines", space)
 
 
-def _csv(loops: tuple[Floats, ...], space: str) -> bytes:
+def csv_bytes(loops: tuple[Floats, ...], space: str) -> bytes:
+    """The bytes of a .csv file; ``space`` is LPS or RAS."""
     lines = [",".join(("contour", *(f"{axis}_{space.lower()}_mm" for axis in "xyz")))]
     for number, loop in enumerate(loops):
         lines += [f"{number},{x:.6f},{y:.6f},{z:.6f}" for x, y, z in (*loop, loop[0])]
     return ("\n".join(lines) + "\n").encode()
-
-
-WRITERS: dict[str, Callable[[tuple[Floats, ...], str], bytes]] = {".vtp": _vtp, ".csv": _csv}
-"""Formats by suffix: loops and the space's name in capitals to the bytes of the file."""

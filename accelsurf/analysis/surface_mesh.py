@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +23,10 @@ from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
+from accelsurf.settings.file_formats import MESH_FORMATS, Shape, mesh_formats
+from accelsurf.settings.registry import load
 
 Floats = NDArray[np.float64]
-Writer = TypeVar("Writer")
 Ints = NDArray[np.int32]
 
 NODE_MARGIN = 1e-4
@@ -100,7 +100,7 @@ class Surface:
         return self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).astype(np.int64).ravel()
 
     def write(self, path: str | Path, space: str = "lps") -> None:
-        """Write a mesh file: .ply (binary), .stl (binary), .obj or .vtp, by suffix.
+        """Write a mesh file, in one of the formats for surfaces of `accelsurf.settings.file_formats`, by suffix.
 
         The file appears complete or not at all: it is written under a temporary name and renamed. An existing file
         is replaced. The coordinate space and the unit stand in the header (.vtp: in the field data).
@@ -119,7 +119,7 @@ class Surface:
         OutputError
             When the file cannot be written.
         """
-        writer, flip = writer_for(path, space, WRITERS, "mesh")
+        writer, flip = writer_for(path, space, "surface")
         write_bytes(Path(path), writer(self.vertices * flip, self.faces, space.upper()))
 
 
@@ -220,7 +220,8 @@ def _merge_cap_edges(zyx: Floats, faces: Ints, shape: tuple[int, int, int]) -> t
     return zyx[used], numbers.reshape(-1, 3).astype(np.int32)
 
 
-def _ply(vertices: Floats, faces: Ints, space: str) -> bytes:
+def ply_bytes(vertices: Floats, faces: Ints, space: str) -> bytes:
+    """The bytes of a .ply file; ``space`` is LPS or RAS."""
     header = (
         f"ply\nformat binary_little_endian 1.0\ncomment SPACE={space}\ncomment UNIT=mm\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -231,7 +232,8 @@ def _ply(vertices: Floats, faces: Ints, space: str) -> bytes:
     return header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes()
 
 
-def _stl(vertices: Floats, faces: Ints, space: str) -> bytes:
+def stl_bytes(vertices: Floats, faces: Ints, space: str) -> bytes:
+    """The bytes of a .stl file; ``space`` is LPS or RAS."""
     rows = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -242,14 +244,16 @@ def _stl(vertices: Floats, faces: Ints, space: str) -> bytes:
     return header + np.uint32(len(faces)).astype("<u4").tobytes() + rows.tobytes()
 
 
-def _obj(vertices: Floats, faces: Ints, space: str) -> bytes:
+def obj_bytes(vertices: Floats, faces: Ints, space: str) -> bytes:
+    """The bytes of a .obj file; ``space`` is LPS or RAS."""
     head = f"# accelsurf SPACE={space} UNIT=mm\n"
     points = ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel().tolist())
     triangles = ("f %d %d %d\n" * len(faces)) % tuple((faces + 1).ravel().tolist())
     return (head + points + triangles).encode()
 
 
-def _vtp(vertices: Floats, faces: Ints, space: str) -> bytes:
+def vtp_bytes(vertices: Floats, faces: Ints, space: str) -> bytes:
+    """The bytes of a .vtp file; ``space`` is LPS or RAS."""
     return polydata(vertices, faces.ravel(), np.arange(3, 3 * len(faces) + 1, 3), "Polys", space)
 
 
@@ -297,11 +301,8 @@ def _codes(text: str) -> str:
     return " ".join(str(ord(letter)) for letter in text) + " 0"
 
 
-WRITERS: dict[str, Callable[[Floats, Ints, str], bytes]] = {".ply": _ply, ".stl": _stl, ".obj": _obj, ".vtp": _vtp}
-"""Mesh formats by suffix: vertices, faces and the space's name in capitals to the bytes of the file."""
 
-
-def writer_for(path: str | Path, space: str, writers: dict[str, Writer], kind: str) -> tuple[Writer, Floats]:
+def writer_for(path: str | Path, space: str, shape: Shape) -> tuple[Callable[..., bytes], Floats]:
     """Choose a writer by a file's suffix, and the factors that bring LPS points to the space asked for.
 
     Parameters
@@ -310,10 +311,8 @@ def writer_for(path: str | Path, space: str, writers: dict[str, Writer], kind: s
         The file to be written.
     space : {"lps", "ras"}
         Its coordinates.
-    writers : dict
-        Writers by suffix.
-    kind : str
-        What is written, as errors say it.
+    shape : {"surface", "contour"}
+        What is written.
 
     Raises
     ------
@@ -321,10 +320,12 @@ def writer_for(path: str | Path, space: str, writers: dict[str, Writer], kind: s
         For another suffix or space.
     """
     target = Path(path)
+    kind = "mesh" if shape == "surface" else "contour"
+    writers = {MESH_FORMATS[name].suffix: MESH_FORMATS[name].writer(shape) for name in mesh_formats(shape)}
     writer = writers.get(target.suffix.lower())
     if writer is None:
         known = ", ".join(writers)
         raise UsageError(f"{target.name}: {kind} format {target.suffix!r} given, one of {known} expected")
     if space not in SPACES:
         raise UsageError(f"{kind} space {space!r} given, one of {', '.join(SPACES)} expected")
-    return writer, np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)
+    return load(writer), np.array([-1.0, -1.0, 1.0]) if space == "ras" else np.ones(3)

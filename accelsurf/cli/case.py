@@ -186,8 +186,7 @@ def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = F
 
 def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
     from accelsurf import io
-    from accelsurf.io import channels
-    from accelsurf.io.formats import raster
+    from accelsurf.io import channels, images
 
     volume, *more = log.timed("load", lambda: channels.read(place.source))
     log.geometry = volume.geometry
@@ -196,7 +195,7 @@ def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Res
         log.warnings.append(note)
     labels = place.label_format(config)
     outputs.check(config, labels, volume.geometry)
-    if not raster.preserves(volume.geometry, f".{labels}"):
+    if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     canvas.preload_library()
     result = evolve(place.name, volume, more, config, watcher)

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, RUN, Display, Output, Overwrite, SharedSettings, required, run_config
+from accelsurf.cli.options import (
+    FILES,
+    RUN,
+    Display,
+    InputFile,
+    Output,
+    Overwrite,
+    SharedSettings,
+    required,
+    run_config,
+)
 from accelsurf.errors import UsageError
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
@@ -22,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def compare(
-    input: Annotated[Path | None, Parameter(name=("--input", "-i"), group=FILES)] = None,
+    input: InputFile = None,
     *,
     output: Output = None,
     flows: Annotated[str, Parameter(group=RUN)] = "gradient,constant-density",
@@ -40,7 +50,7 @@ def compare(
     Parameters
     ----------
     input
-        The image: .nii, .nii.gz, .nrrd, .mha, .mhd, .png or .tif.
+        The image.
     output
         Folder for the outputs; made when missing.
     flows

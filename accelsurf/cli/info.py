@@ -23,6 +23,8 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
     known = _known()
     if as_json:
         presets = {name: preset._asdict() for name, preset in PRESETS.items()}
+        for said in presets.values():
+            del said["name"]
         print(to_json({**known, "presets": presets, "config_schema": RunConfig.json_schema()}))
         return 0
     for title, value in known.items():
@@ -38,14 +40,13 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
 
 def _known() -> dict[str, Any]:
     """Names by kind: lists of them, or dicts with what each means."""
-    from accelsurf import io
     from accelsurf.cli import EXIT_CODES
     from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts
     from accelsurf.phantoms import recipes
     from accelsurf.report.environment import versions
     from accelsurf.settings.energy_terms import TERMS, image_terms
-    from accelsurf.settings.fields import MeshFormat
+    from accelsurf.settings.file_formats import MESH_FORMATS, image_suffixes
     from accelsurf.settings.flow_specs import FLOWS
     from accelsurf.settings.trace_columns import TRACE_COLUMNS
 
@@ -55,8 +56,8 @@ def _known() -> dict[str, Any]:
         "flows": list(FLOWS),
         "starts": list(starts.KINDS),
         "stop_reasons": list(get_args(StopReason)),
-        "volume_formats": list(io.SUFFIXES),
-        "mesh_formats": list(get_args(MeshFormat)),
+        "volume_formats": list(image_suffixes()),
+        "mesh_formats": list(MESH_FORMATS),
         "recipes": recipes.recipe_names(),
         "energy_terms": {
             name: spec.help + (f" (settings: {', '.join(spec.settings)})" if spec.settings else "")

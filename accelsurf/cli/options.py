@@ -12,6 +12,7 @@ from accelsurf.errors import UsageError
 from accelsurf.settings import toml
 from accelsurf.settings.catalogue import default_shown, entry, help_of, is_switch
 from accelsurf.settings.entry import SettingGroup
+from accelsurf.settings.file_formats import input_help
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 
@@ -20,6 +21,9 @@ RUN, FILES = GROUPS[SettingGroup.RUN], GROUPS[SettingGroup.FILES]
 SHOW = Group("Display", sort_key=len(GROUPS) + 1)
 
 ProgressKind = Literal["bar", "json", "none"]
+InputFile = Annotated[
+    Path | None, Parameter(name=("--input", "-i"), group=FILES, help=f"The image: {input_help()}.")
+]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 OutputFolder = Annotated[Path, Parameter(name=("--output", "-o"), group=FILES)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
@@ -80,7 +84,7 @@ def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunCon
     given = {f.name: getattr(settings, f.name) for f in fields(settings)} if settings is not None else {}
     typed = {key: value for key, value in given.items() if value is not None}
     preset = typed.get("preset")
-    under = PRESETS[preset].settings if preset in PRESETS else {}
+    under = PRESETS[preset].settings if preset is not None and preset in PRESETS else {}
     return RunConfig(**{**(toml.read(file) if file is not None else {}), **under, **typed, **forced})
 
 

@@ -7,12 +7,12 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, Settings, required, run_config
+from accelsurf.cli.options import FILES, SHOW, Display, InputFile, Output, Overwrite, Settings, required, run_config
 from accelsurf.errors import UsageError
 
 
 def segment(
-    input: Annotated[Path | None, Parameter(name=("--input", "-i"), group=FILES)] = None,
+    input: InputFile = None,
     *,
     output: Output = None,
     config: Annotated[Path | None, Parameter(group=FILES)] = None,
@@ -32,7 +32,7 @@ def segment(
     Parameters
     ----------
     input
-        The image: .nii, .nii.gz, .nrrd, .mha, .mhd, .png or .tif.
+        The image.
     output
         Folder for the outputs; made when missing.
     config

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, SHOW, Overwrite, Settings, required, run_config
+from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, Settings, required, run_config
 from accelsurf.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class PageOptions:
 
 
 def view(
-    input: Annotated[Path | None, Parameter(name=("--input", "-i"), group=FILES)] = None,
+    input: InputFile = None,
     *,
     result: Annotated[Path | None, Parameter(group=FILES)] = None,
     config: Annotated[Path | None, Parameter(group=FILES)] = None,
@@ -60,7 +60,7 @@ def view(
     Parameters
     ----------
     input
-        The image: .nii, .nii.gz, .nrrd, .mha, .mhd, .png or .tif.
+        The image.
     result
         Folder to save in; without it the window asks for one.
     config

@@ -1,4 +1,4 @@
-"""Read and write volumes: NIfTI, NRRD, MetaImage, PNG, TIFF.
+"""Read and write volumes, in the formats of `accelsurf.settings.file_formats`.
 
 What is read is checked before it is believed: the header is parsed first (`accelsurf.io.headers`), then the memory that
 the volume needs is compared with what there is, then the voxels are counted, and only then are they read. What is
@@ -12,24 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io import headers, itk
+from accelsurf.io import headers
 from accelsurf.io.files import naming, staging
-from accelsurf.io.formats import nifti, raster
-from accelsurf.io.formats.deflate import gzip_file
-from accelsurf.io.formats.raw_header import RawHeader
-from accelsurf.io.headers import FORMATS, SUFFIXES, split_name
-from accelsurf.io.memory import available_memory, check_memory
-
-WARNING_KEY = "warning"
-"""Where `Volume.metadata` keeps a warning about the file that was read; absent when there is none."""
-
-_HEADER_SAMPLE = 1 << 14  # bytes, more than any header written here has
+from accelsurf.io.headers import split_name
+from accelsurf.io.memory import available_memory
+from accelsurf.settings.file_formats import ImageFormat, image_format, image_suffixes
+from accelsurf.settings.registry import load
 
 
 def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Volume:
@@ -38,7 +31,7 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Vo
     Parameters
     ----------
     path : path-like
-        A file that ends in one of `SUFFIXES`.
+        A file that ends in one of `accelsurf.io.image_suffixes`.
     memory_bytes : int, optional
         Memory to plan with; by default what the machine has available now.
 
@@ -66,55 +59,10 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Vo
     """
     path = Path(path)
     with naming(path):
-        suffix = headers.input_suffix(path)
-        header = headers.parse(path, suffix)
+        form, header = headers.parse(path)
         available = available_memory() if memory_bytes is None else memory_bytes
-        if isinstance(header, raster.RasterHeader):
-            return _read_raster(path, suffix, header, available)
-        if isinstance(header, nifti.NiftiFile):
-            nifti.check_single(header.nifti)
-            if header.nifti.version == 2:
-                return read_nifti(path, header, available)[0]
-        reader = itk.open_reader(path, FORMATS[suffix].itk_name)
-        itk.check_kind(reader)
-        check_memory(reader.GetSize(), itk.voxel_bytes(reader), available)
-        header.check_complete()
-        image = itk.execute(reader)
-        geometry = itk.geometry_of(image)
-        return Volume(sitk.GetArrayFromImage(image), geometry, _metadata(header, geometry), path)
-
-
-def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
-    """Read the volumes of a NIfTI file that ITK does not read: one of version 2, or several one after the other.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : NiftiFile
-        Its header.
-    available : int
-        Bytes of memory.
-
-    Raises
-    ------
-    InputError
-        When the file is incomplete or larger than the memory; GeometryError when its header contradicts itself.
-    """
-    fields = header.nifti
-    # The voxels as they are stored and as they are given are in memory at the same time.
-    voxel_bytes = fields.voxel_type.itemsize + fields.value_type.itemsize
-    check_memory(fields.size[:3], fields.channels * voxel_bytes, available)
-    header.check_complete()
-    geometry = fields.grid.geometry()
-    metadata = _metadata(header, geometry)
-    return [Volume(array, geometry, dict(metadata), path) for array in nifti.read_channels(header)]
-
-
-def _metadata(header: RawHeader, geometry: Geometry) -> dict[str, str]:
-    """The metadata of a volume: fields of its header, and a warning when qform and sform disagree."""
-    warning = header.nifti.grid.check_agreement(geometry) if isinstance(header, nifti.NiftiFile) else ""
-    return header.metadata | ({WARNING_KEY: warning} if warning else {})
+        volume: Volume = load(form.read)(path, header, available)
+    return volume
 
 
 def read_labels(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Volume:
@@ -143,7 +91,7 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
     volume : Volume
         Booleans are written as uint8, half precision as float32.
     path : path-like
-        A file name that ends in one of `SUFFIXES`; for .mhd the voxels go to a .zraw file beside it.
+        A file name that ends in one of `accelsurf.io.image_suffixes`; for .mhd the voxels go to a .zraw file beside it.
 
     Raises
     ------
@@ -154,19 +102,14 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
     """
     path = Path(path)
     stem, suffix = split_name(path)
-    if not suffix:
-        raise UsageError(f"{path}: unknown file type, one of {', '.join(SUFFIXES)} expected")
+    form = image_format(suffix)
+    if form is None:
+        raise UsageError(f"{path}: unknown file type, one of {', '.join(image_suffixes())} expected")
     volume = volume.with_array(_storable(volume.array))
-    if suffix in raster.SUFFIXES:
-        raster.check_writable(volume.array, suffix)
+    _check_writable(volume.array, form, suffix)
     with staging(path) as folder:
         target = folder / (stem + suffix)  # in lower case, as ITK insists on
-        draft = target.with_name(stem + ".nii") if suffix == ".nii.gz" else target
-        _save(volume, draft, suffix)
-        _restore_grid(draft, suffix, volume)
-        if suffix == ".nii.gz":
-            gzip_file(draft, target)
-            draft.unlink()
+        load(form.write)(volume, target)
         for file in folder.iterdir():  # the data file of an .mhd first: a header never names what is not there
             if file != target:
                 os.replace(file, path.parent / file.name)
@@ -188,33 +131,32 @@ def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     if low < 0 or high > 2**32 - 1:
         raise InputError(f"labels from {low} to {high} given, 0 to {2**32 - 1} expected", hint="renumber the labels")
     values = values.astype(label_type(high))
-    if high == 1 and split_name(path)[1] in raster.SUFFIXES:
+    form = image_format(split_name(path)[1])
+    if high == 1 and form is not None and form.white_labels:
         values *= 255
     write(volume.with_array(values), path)
+
+
+def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
+    """The grid that is read back from a file with a suffix, where it keeps less than all of it.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The grid to be written.
+    suffix : str
+        One of `accelsurf.io.image_suffixes`.
+    """
+    form = image_format(suffix)
+    if form is None or form.keeps == "all":
+        return geometry
+    depth = 1.0 if form.keeps == "pixel" else geometry.spacing[0]
+    return Geometry(geometry.shape, (depth, *geometry.spacing[1:]))
 
 
 def label_type(largest: int) -> np.dtype[Any]:
     """Smallest unsigned type that holds labels up to ``largest``."""
     return np.dtype(np.uint8 if largest <= 255 else np.uint16 if largest <= 65535 else np.uint32)
-
-
-def _read_raster(path: Path, suffix: str, header: raster.RasterHeader, available: int) -> Volume:
-    """Read a PNG or TIFF. ITK opens it last, because it prints messages about damaged files."""
-    check_memory(header.shape[::-1], header.pixel_bytes, available)
-    header.check_complete()
-    image = itk.execute(itk.open_reader(path, FORMATS[suffix].itk_name))
-    array = sitk.GetArrayFromImage(image)
-    note = ""
-    if image.GetNumberOfComponentsPerPixel() > 1:
-        array, note = raster.to_grey(array)
-    if array.size != np.prod(header.shape):
-        size = " x ".join(map(str, reversed(header.shape)))
-        raise InputError(
-            f"the header announces {size} pixels, ITK reads {image.GetSize()}", hint="save it as a plain TIFF or PNG"
-        )
-    spacing = header.spacing or (1.0, *image.GetSpacing()[1::-1])
-    metadata = {WARNING_KEY: note} if note else {}
-    return Volume(array.reshape(header.shape), Geometry(header.shape, spacing), metadata, path)
 
 
 def _storable(array: NDArray[Any]) -> NDArray[Any]:
@@ -226,29 +168,18 @@ def _storable(array: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
 
 
-def _save(volume: Volume, path: Path, suffix: str) -> None:
-    form = FORMATS[suffix]
-    if form.encode:
-        path.write_bytes(form.encode(volume.array, volume.geometry.spacing))
-    else:
-        itk.save(volume, path, form.itk_name, compress=not suffix.startswith(".nii"))
-
-
-def _restore_grid(path: Path, suffix: str, volume: Volume) -> None:
-    """Give a file the header fields that placed the volume when it was read, where they still place it there."""
-    form = FORMATS[suffix]
-    fields = volume.metadata.get(form.metadata_key)
-    if form.put_grid is None or fields is None:
-        return
-    # The header alone is tried first: metadata may have come from another grid than the volume has now.
-    trial = path.with_name("trial" + path.name)
-    with path.open("rb") as file:
-        trial.write_bytes(file.read(_HEADER_SAMPLE))
-    form.put_grid(trial, fields)
-    grid = itk.geometry_of(itk.open_reader(trial, form.itk_name))
-    trial.unlink()
-    if grid.matches(volume.geometry):
-        form.put_grid(path, fields)
+def _check_writable(array: NDArray[Any], form: ImageFormat, suffix: str) -> None:
+    """Refuse what a format cannot hold."""
+    if form.one_slice and array.shape[0] > 1:
+        raise UsageError(
+            f"a volume of {array.shape[0]} slices given, a {suffix} holds one",
+            "write a .tif stack, or a volume format",
+        )
+    if form.types and array.dtype.name not in form.types:
+        raise UsageError(
+            f"values of type {array.dtype} given, a {suffix} holds {', '.join(form.types)}",
+            "convert them first, or write a volume format",
+        )
 
 
 def _as_integers(array: NDArray[Any]) -> NDArray[Any]:

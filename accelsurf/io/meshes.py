@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import logging
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +11,9 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
-from accelsurf.io.formats import vtp
+from accelsurf.settings.file_formats import MESH_FORMATS
+from accelsurf.settings.registry import load
 
-SUFFIXES = (".ply", ".stl", ".obj", ".vtp")
 #: Triangles worked on at once, for the sake of memory.
 TRIANGLES_AT_ONCE = 1 << 16
 
@@ -29,7 +24,7 @@ def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[n
     Parameters
     ----------
     path : str or Path
-        .ply, .stl, .obj or .vtp; mm.
+        In one of the formats of `accelsurf.settings.file_formats` that can be read; mm.
     geometry : Geometry
         The grid.
     ras : bool
@@ -57,7 +52,7 @@ def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     Parameters
     ----------
     path : str or Path
-        .ply, .stl, .obj or .vtp.
+        In one of the formats of `accelsurf.settings.file_formats` that can be read.
 
     Returns
     -------
@@ -72,13 +67,14 @@ def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     path = Path(path)
     with naming(path):
         suffix = path.suffix.lower()
-        if suffix not in SUFFIXES:
-            raise InputError("no mesh format that accelsurf reads", f"one of {', '.join(SUFFIXES)}")
+        readers = {form.suffix: form.read for form in MESH_FORMATS.values() if form.read is not None}
+        if suffix not in readers:
+            raise InputError("no mesh format that accelsurf reads", f"one of {', '.join(readers)}")
         if not path.is_file():
             raise InputError("there is no such file", "check the path")
         content = path.read_bytes()
         try:
-            points, triangles = vtp.read(content) if suffix == ".vtp" else _by_trimesh(content, suffix)
+            points, triangles = load(readers[suffix])(content)
         except MemoryError:
             raise
         except Exception as error:  # whatever a reader makes of a damaged file
@@ -86,33 +82,6 @@ def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             hint = error.hint if isinstance(error, InputError) else ""
             raise InputError(f"cannot be read as a mesh ({reason})", hint or "is the file complete?") from None
         return _closed(points, triangles)
-
-
-def _by_trimesh(content: bytes, suffix: str) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Points and triangles as the file has them; textures and materials, which are other files, are not looked for."""
-    import trimesh
-
-    with warnings.catch_warnings(), np.errstate(all="ignore"), _silent(trimesh.util.log):
-        warnings.simplefilter("ignore")
-        # numpy stops reading a line of numbers at the first that is none, and only warns.
-        warnings.filterwarnings("error", message="string or file could not be read to its end")
-        mesh = trimesh.load_mesh(
-            io.BytesIO(content), file_type=suffix[1:], process=False, validate=False, skip_materials=True
-        )
-    points, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"points of {points.shape[-1]} coordinates")
-    return points, triangles
-
-
-@contextmanager
-def _silent(logger: logging.Logger) -> Iterator[None]:
-    """Nothing logged for a moment: without a handler, Python prints warnings to the screen."""
-    before, logger.disabled = logger.disabled, True
-    try:
-        yield
-    finally:
-        logger.disabled = before
 
 
 def _closed(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 from accelsurf import io
 from accelsurf.errors import OutputError, UsageError
@@ -20,7 +20,14 @@ from accelsurf.io.headers import is_anatomical
 from accelsurf.report import object_files, preview, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.preview_content import PreviewContent
-from accelsurf.settings.fields import LabelFormat
+from accelsurf.settings.file_formats import (
+    DEFAULT_IMAGE_FORMAT,
+    IMAGE_FORMATS,
+    Shape,
+    automatic_mesh_formats,
+    image_format,
+    mesh_formats,
+)
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -29,8 +36,6 @@ if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.segmentation.result import Result
 
-CONTOUR_FORMATS = ("vtp", "csv")
-SURFACE_FORMATS = ("ply", "stl", "obj", "vtp")
 #: Kind of a file, its name, and what writes it.
 Writer = tuple[str, str, Callable[[Path], None]]
 
@@ -49,8 +54,8 @@ def label_format(config: RunConfig, source_suffix: str) -> str:
     >>> label_format(RunConfig(), ".tiff"), label_format(RunConfig(format="png"), ".nii")
     ('tif', 'png')
     """
-    follow = source_suffix.removeprefix(".").replace("tiff", "tif")
-    return config.format or (follow if follow in get_args(LabelFormat) else "nii.gz")
+    followed = image_format(source_suffix)
+    return config.format or (DEFAULT_IMAGE_FORMAT if followed is None else followed.name)
 
 
 def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
@@ -71,13 +76,13 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     """
     files = {"labels": f"seg.{labels}"}
     if is_2d is not True:
-        kinds = ["ply"] if config.mesh == "auto" else [kind for kind in config.mesh if kind in SURFACE_FORMATS]
-        files |= {f"surface-{kind}": f"surface.{kind}" for kind in kinds}
+        wanted = automatic_mesh_formats("surface") if config.mesh == "auto" else config.mesh
+        files |= {f"surface-{kind}": f"surface.{kind}" for kind in wanted if kind in mesh_formats("surface")}
     if is_2d is not False:
-        wanted = CONTOUR_FORMATS if config.mesh == "auto" else config.mesh
-        files |= {f"contour-{kind}": f"contour.{kind}" for kind in CONTOUR_FORMATS if kind in wanted}
+        wanted = automatic_mesh_formats("contour") if config.mesh == "auto" else config.mesh
+        files |= {f"contour-{kind}": f"contour.{kind}" for kind in mesh_formats("contour") if kind in wanted}
     if config.save_sdf:
-        files["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG holds no distances
+        files["sdf"] = f"sdf.{IMAGE_FORMATS[labels].distances or labels}"
     if config.objects is not None:
         files["objects"] = "objects.csv"
     return files | {"trace": "trace.csv", "preview": "preview.png"}
@@ -92,17 +97,18 @@ def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
         With those that can.
     """
     is_2d = geometry.slice_axis is not None
-    possible = CONTOUR_FORMATS if is_2d else SURFACE_FORMATS
+    shape: Shape = "contour" if is_2d else "surface"
+    possible = mesh_formats(shape)
     image = "an image of one slice, whose contours are written" if is_2d else "a volume, whose surface is written"
     for kind in () if config.mesh == "auto" else config.mesh:
         if kind not in possible:
             raise UsageError(
                 f"mesh: {kind} was given for {image}, expected {', '.join(possible)}",
-                f"--mesh auto is {'vtp,csv for one slice' if is_2d else 'ply for a volume'}",
+                f"--mesh auto is {','.join(automatic_mesh_formats(shape))} for {'one slice' if is_2d else 'a volume'}",
             )
-    if labels == "png" and geometry.shape[0] > 1:
+    if IMAGE_FORMATS[labels].one_slice and geometry.shape[0] > 1:
         raise UsageError(
-            f"format: png was given for {geometry.shape[0]} slices along z, expected one",
+            f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
             "use --format tif for a stack, or a volume format",
         )
 

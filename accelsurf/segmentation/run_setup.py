@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import Energy
-from accelsurf.energies.local_region import TENT
 from accelsurf.errors import UsageError
 from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.setup import SolverSetup
@@ -24,9 +23,10 @@ from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy
 from accelsurf.segmentation.solver_setup import half_width, is_maker, make_flow, own_energy, stop_rule
-from accelsurf.segmentation.term_makers import WINDOW_VOXELS
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
 #: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
@@ -59,7 +59,7 @@ def choose_levels(
     shape, spacing, wanted = geometry.shape, geometry.spacing, config.levels
     if wanted == "auto":
         terms = energy_expression.parse(config.energy)
-        if psi is None or not has_name or any(term.name == "geodesic" for term in terms):
+        if psi is None or not has_name or any(TERMS[term.name].keeps_fine_edges for term in terms):
             return pyramid.levels(shape, spacing, 1)
         grids = pyramid.levels(shape, spacing, min_voxels=pyramid.AUTO_MIN_VOXELS)
         return grids[: pyramid.count_resolved_levels(grids, psi)]
@@ -140,9 +140,7 @@ def energy_key(config: RunConfig) -> tuple[Any, ...]:
 
 
 def window_reach(settings: RunConfig, geometry: Geometry) -> float:
-    """How far, mm, windows of the energy reach beyond an object; they are cut by it half a width off, and reach as far
-    again.
-    """
-    usual = WINDOW_VOXELS * max(geometry.steps)
-    terms = [term for term in energy_expression.parse(settings.energy) if term.name == "local-region"]
-    return max((2.0 * TENT * float(term.settings.get("R", usual)) for term in terms), default=0.0)
+    """How far beyond an object the terms of the energy see the image, mm; 0 where none has a window."""
+    reaches = ((TERMS[term.name].reach, term.settings) for term in energy_expression.parse(settings.energy))
+    largest = max(geometry.steps)
+    return max((load(reach)(own, largest) for reach, own in reaches if reach is not None), default=0.0)

@@ -26,10 +26,12 @@ from accelsurf.energies import (
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
 from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
 from accelsurf.energies.likelihood import least_variance
+from accelsurf.energies.local_region import TENT
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.segmentation.image_context import TermInputs
+from accelsurf.settings.energy_terms import Values
 
 #: R of local-region unless given, voxels of the largest spacing.
 WINDOW_VOXELS = 8.0
@@ -52,6 +54,14 @@ def local_region(inputs: TermInputs) -> Made:
     radius = inputs.number("R", WINDOW_VOXELS * max(axis_steps(context.images[0].shape, context.spacing)))
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
     return LocalRegion(inputs.image, radius, inputs.alpha, epsilon), {"R": radius, "epsilon": epsilon}
+
+
+def local_region_reach(settings: Values, largest_spacing: float) -> float:
+    """How far beyond an object the windows of local-region reach, mm.
+
+    An object cuts windows whose middle is half a width away, and these reach half a width further.
+    """
+    return 2.0 * TENT * float(settings.get("R", WINDOW_VOXELS * largest_spacing))
 
 
 def likelihood(inputs: TermInputs) -> Made:

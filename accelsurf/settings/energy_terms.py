@@ -96,6 +96,11 @@ class TermSpec:
         Whether its weight may be negative.
     example : str or None
         How lists to choose an energy from offer it; None: they do not.
+    keeps_fine_edges : bool
+        Whether it needs edges that coarser grids do not show: ``levels = "auto"`` is then the image's own grid alone.
+    reach : str or callable, optional
+        Of the settings and the largest spacing, mm: how far beyond an object the term sees the image, mm; a
+        ``"module:function"`` or a function. None where it sees the narrow band and means over the whole image alone.
     check : callable
         Of the settings: what was expected where they do not go together, else nothing.
     learns : callable
@@ -112,6 +117,8 @@ class TermSpec:
     channels: Literal["first", "mean", "sum"] = "first"
     signed: bool = False
     example: str | None = None
+    keeps_fine_edges: bool = False
+    reach: str | Callable[[Values, float], float] | None = None
     check: Callable[[Values], str] = _no_complaint
     learns: Callable[[Values], bool] = _never
 
@@ -171,6 +178,7 @@ TERMS: Registry[TermSpec] = Registry(
         uses=("epsilon",),
         channels="mean",
         example="local-region",
+        reach=f"{_MAKERS}:local_region_reach",
     ),
     TermSpec(
         "likelihood",
@@ -214,6 +222,7 @@ TERMS: Registry[TermSpec] = Registry(
         },
         uses=("edge_scale", "edge_contrast", "balloon"),
         example="geodesic",
+        keeps_fine_edges=True,
     ),
     TermSpec(
         "balloon",

@@ -78,8 +78,8 @@ class SettingEntry:
         Whether the viewer shows it as a list to choose from.
     names : callable, optional
         Names that the value is made of, with the meaning of each; they are appended to the help.
-    closed : bool
-        Whether the value is one of the ``names``.
+    listed : callable, optional
+        What stands for ``{}`` in the help.
     """
 
     group: SettingGroup = SettingGroup.FLOW
@@ -91,20 +91,19 @@ class SettingEntry:
     slider: Slider | None = None
     choice: bool = False
     names: Callable[[], Mapping[str, str]] | None = None
-    closed: bool = False
+    listed: Callable[[], str] | None = None
 
     def __call__(self, schema: dict[str, Any]) -> None:
         """Complete the JSON schema of the field, in place."""
         schema["group"] = str(self.group)
         if self.unit:
             schema["unit"] = self.unit
-        if self.names is not None:
-            schema["description"] = self.completed(schema["description"])
-            if self.closed:
-                schema["enum"] = list(self.names())
+        schema["description"] = self.completed(schema["description"])
 
     def completed(self, help: str) -> str:
         """The help of the field with the names that there are now."""
+        if self.listed is not None:
+            help = help.replace("{}", self.listed())
         if self.names is None:
             return help
         return f"{help} " + "; ".join(f"{name}: {meaning}" for name, meaning in self.names().items()) + "."

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from accelsurf.settings import energy_expression
 from accelsurf.settings.edits import Edit, edits_of
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import SettingEntry, SettingGroup, Slider, setting
+from accelsurf.settings.file_formats import IMAGE_FORMATS, MESH_FORMATS, label_help, mesh_help
 from accelsurf.settings.flow_specs import FLOWS
-from accelsurf.settings.presets import PRESETS, PresetName
-
-MeshFormat = Literal["ply", "stl", "obj", "vtp", "csv"]
-LabelFormat = Literal["nii.gz", "nii", "nrrd", "mha", "mhd", "png", "tif"]
+from accelsurf.settings.known_names import OneOf
+from accelsurf.settings.presets import PRESETS
 
 #: A length in voxels, as it is written.
 VOXELS = r"^(\d+\.?\d*|\.\d+)vox$"
@@ -37,12 +36,6 @@ def _expression(value: Any) -> Any:
     if isinstance(value, str):
         value = " ".join(value.split())
         energy_expression.parse(value)
-    return value
-
-
-def _known_flow(value: str) -> str:
-    if value not in FLOWS:
-        raise ValueError("no such flow")
     return value
 
 
@@ -70,21 +63,21 @@ class SettingFields(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
-    preset: PresetName | None = setting(
+    preset: Annotated[str, OneOf(lambda: PRESETS)] | None = setting(
         None,
-        "Settings for a kind of scan: " + ", ".join(PRESETS) + ". Settings that are given beside it win. "
+        "Settings for a kind of scan: {}. Settings that are given beside it win. "
         "accelsurf info says what each sets, and why.",
-        entry=SettingEntry(RUN, metavar="NAME", fixed=True),
+        entry=SettingEntry(RUN, metavar="NAME", fixed=True, listed=lambda: ", ".join(PRESETS)),
     )
     energy: Annotated[str, BeforeValidator(_expression)] = setting(
         "chan-vese",
         "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'.",
         entry=SettingEntry(RUN, metavar="EXPRESSION", choice=True, names=_term_names),
     )
-    flow: Annotated[str, AfterValidator(_known_flow)] = setting(
+    flow: Annotated[str, OneOf(lambda: FLOWS)] = setting(
         "constant-density",
         "How the surface moves.",
-        entry=SettingEntry(RUN, metavar="NAME", choice=True, names=_flow_names, closed=True),
+        entry=SettingEntry(RUN, metavar="NAME", choice=True, names=_flow_names),
     )
     start: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
         ("center",),
@@ -306,12 +299,12 @@ class SettingFields(BaseModel):
         entry=SettingEntry(unit="voxels", metavar="N"),
     )
     mesh: Annotated[
-        Annotated[tuple[MeshFormat, ...], Field(min_length=1)] | Literal["auto"], BeforeValidator(_split_commas)
+        Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], Field(min_length=1)] | Literal["auto"],
+        BeforeValidator(_split_commas),
     ] = setting(
         "auto",
-        "Formats, separated by commas, of the surface: ply, stl, obj, vtp; of the contours of an image of "
-        "one slice: vtp, csv. auto is ply, or for one slice vtp,csv.",
-        entry=SettingEntry(FILES, metavar="NAMES", fixed=True),
+        "Formats, separated by commas, {}",
+        entry=SettingEntry(FILES, metavar="NAMES", fixed=True, listed=mesh_help),
     )
     mesh_space: Literal["lps", "ras"] = setting(
         "lps",
@@ -323,11 +316,10 @@ class SettingFields(BaseModel):
         "Also write the signed distance (mm, negative inside) as a volume.",
         entry=SettingEntry(FILES, fixed=True),
     )
-    format: LabelFormat | None = setting(
+    format: Annotated[str, OneOf(lambda: IMAGE_FORMATS)] | None = setting(
         None,
-        "Format of the label map: nii.gz, nii, nrrd, mha, mhd, tif, or for one slice png. "
-        "Follows the input unless given.",
-        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+        "Format of the label map: {}. Follows the input unless given.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True, listed=label_help),
     )
     seed: Annotated[int, Field(ge=0)] | None = setting(
         None,

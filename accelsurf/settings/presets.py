@@ -8,11 +8,9 @@ learned from the start.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
-PresetName = Literal[
-    "ct-bone", "ct-vessel", "ct-organ", "mr-brain", "mr-ventricle", "mr-cord", "fluorescence-nucleus"
-]
+from accelsurf.settings.registry import Registry
 
 
 class Preset(NamedTuple):
@@ -20,6 +18,8 @@ class Preset(NamedTuple):
 
     Attributes
     ----------
+    name : str
+        As it is given to ``--preset``.
     summary : str
         For what, and what start it wants.
     settings : mapping
@@ -30,6 +30,7 @@ class Preset(NamedTuple):
         The volumes that it was tried on, by public source, and how it did.
     """
 
+    name: str
     summary: str
     settings: Mapping[str, Any]
     reasons: Mapping[str, str]
@@ -46,8 +47,10 @@ _HEAD = "CT of a head phantom, oblique, 2.4 mm slices (niivue-images)"
 _BRAIN = "T1 brain at 1 mm, skull-stripped (niivue demo images; FreeSurfer)"
 _OBLIQUE = "T1 brain at 1 mm, oblique, skull-stripped (nii2meshCPP; FSL FAST)"
 
-PRESETS: dict[str, Preset] = {
-    "ct-bone": Preset(
+PRESETS: Registry[Preset] = Registry(
+    "preset",
+    Preset(
+        "ct-bone",
         "Bone in CT, calibrated in HU. Unless a start is given, it is all above 226 HU; --start largest:226, or "
         "ball:... for one bone.",
         {"start": ("threshold:226,",), "energy": "threshold:226,", "presmooth": 0.0, "smoothness": 0.2},
@@ -63,7 +66,8 @@ PRESETS: dict[str, Preset] = {
             _ABDOMEN: "Dice 0.49 against all bones: spongy bone is left out, the table and calcium are included",
         },
     ),
-    "ct-vessel": Preset(
+    Preset(
+        "ct-vessel",
         "Vessels with contrast agent in CT: balls well inside the lumen.",
         {"energy": "threshold:half:50,learned", "presmooth": 0.5, "smoothness": 0.5},
         {
@@ -77,7 +81,8 @@ PRESETS: dict[str, Preset] = {
             _ABDOMEN: "aorta Dice 0.83: the lumen; the reference has wall and plaque. Otherwise phantoms",
         },
     ),
-    "ct-organ": Preset(
+    Preset(
+        "ct-organ",
         "Uniform organs in CT (liver, spleen): balls of more than 5 mm well inside, in its bright and dim parts.",
         {"energy": "threshold:learned,learned", "presmooth": 2.0, "smoothness": 2.0},
         {
@@ -94,7 +99,8 @@ PRESETS: dict[str, Preset] = {
             "which is not uniform, fails (0.11). Otherwise phantoms",
         },
     ),
-    "mr-brain": Preset(
+    Preset(
+        "mr-brain",
         "Brain in T1 MR after skull stripping: a ball in it. Not for scans with skull.",
         {"energy": "chan-vese", "balance": 2.0, "epsilon": 0.0, "smoothness": 0.0},
         {
@@ -110,7 +116,8 @@ PRESETS: dict[str, Preset] = {
             _OBLIQUE: "Dice 0.972 from the middle (defaults 0.952; a threshold 0.986, as fluid is left out there)",
         },
     ),
-    "mr-ventricle": Preset(
+    Preset(
+        "mr-ventricle",
         "Ventricles in T1 MR: a small ball in each, well inside.",
         {"energy": "threshold:,auto", "presmooth": 0.0, "smoothness": 0.5},
         {
@@ -125,7 +132,8 @@ PRESETS: dict[str, Preset] = {
             "voxels are half tissue. Bounds learned from the start: 0.57. Otherwise a phantom",
         },
     ),
-    "mr-cord": Preset(
+    Preset(
+        "mr-cord",
         "Spinal cord in MR: small balls along it, about one every 10 mm, well inside.",
         {"energy": "likelihood:histogram,no", "presmooth": 0.0, "smoothness": 0.0, "levels": 1},
         {
@@ -137,7 +145,8 @@ PRESETS: dict[str, Preset] = {
         },
         {"T2 cervical cord at 1 mm (sct_testing_data; manual reference)": "Dice 0.955 from five balls"},
     ),
-    "fluorescence-nucleus": Preset(
+    Preset(
+        "fluorescence-nucleus",
         "Nuclei as bright blobs in fluorescence, all as one object; voxels, as units differ between files.",
         {"start": ("otsu",), "energy": "local-region", "presmooth": "1vox"},
         {
@@ -149,4 +158,4 @@ PRESETS: dict[str, Preset] = {
             "fluorescence, 100^3 (plant-seg tests)": "all nuclei as one object: Dice 0.71, and 7 large parts on necks",
         },
     ),
-}
+)

@@ -1,7 +1,7 @@
 """Write the reference pages from the registries of accelsurf: ``python -m docs.reference.generate``.
 
-Run it from the root of the repository after a setting, term, flow, trace column, preset or exit code has changed;
-``tests/settings/test_reference.py`` fails until then.
+Run it from the root of the repository after a setting, term, flow, file format, trace column, preset or exit code has
+changed; ``tests/settings/test_reference.py`` fails until then.
 """
 
 from __future__ import annotations
@@ -14,6 +14,14 @@ from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry
 from accelsurf.settings.energy_terms import TERMS, TermSpec
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.fields import SettingFields
+from accelsurf.settings.file_formats import (
+    DEFAULT_IMAGE_FORMAT,
+    IMAGE_FORMATS,
+    MESH_FORMATS,
+    ImageFormat,
+    MeshFormat,
+    Shape,
+)
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.messages import expected
 from accelsurf.settings.presets import PRESETS
@@ -31,6 +39,7 @@ def pages() -> dict[str, str]:
         "energy-terms.md": _terms(),
         "flows.md": _flows(),
         "presets.md": _presets(),
+        "file-formats.md": _file_formats(),
         "trace.md": _trace(),
         "report.md": _report(),
         "exit-codes.md": _exit_codes(),
@@ -133,6 +142,49 @@ def _presets() -> str:
         lines += [f"## {name}", "", preset.summary, "", *_table(("Setting", "Value", "Why"), rows), "Tried on:", ""]
         lines += [*(f"* {volume}: {outcome}" for volume, outcome in preset.tried.items()), ""]
     return "\n".join(lines)
+
+
+def _file_formats() -> str:
+    kept = {"all": "the whole grid", "spacing": "the spacing", "pixel": "the size of a pixel"}
+    images = [
+        (f"`{name}`", form.help, _code(form.suffixes), _values(form), kept[form.keeps], _channels(form))
+        for name, form in IMAGE_FORMATS.items()
+    ]
+    meshes = [(f"`{name}`", form.help, *_uses(form)) for name, form in MESH_FORMATS.items()]
+    lines = [
+        "# File formats",
+        "",
+        "## Images, label maps, distances",
+        "",
+        "All are read and written; the ending of a file's name says which it is. `--format NAME` is the format of the",
+        f"label map: unless given that of the input, or `{DEFAULT_IMAGE_FORMAT}`. What is not kept of the grid is the",
+        "world's origin, the world's axes and slices of 1 mm when the file is read.",
+        "",
+        *_table(("Format", "What it is", "Endings", "Values", "Keeps", "Channels"), images),
+        "## Surfaces and contours",
+        "",
+        "`--mesh NAMES` is the format of the surface in a volume, or of the contours in an image of one slice; a start",
+        "`mesh:FILE` is read from those that say so.",
+        "",
+        *_table(("Format", "What it is", "Surface", "Contours", "Start"), meshes),
+    ]
+    return "\n".join(lines)
+
+
+def _values(form: ImageFormat) -> str:
+    values = ", ".join(form.types) or "integers and floats"
+    values += "; one slice" if form.one_slice else ""
+    return values + (f"; signed distances go to `{form.distances}`" if form.distances else "")
+
+
+def _channels(form: ImageFormat) -> str:
+    return "one" if form.read_channels is None else "one or more"
+
+
+def _uses(form: MeshFormat) -> list[str]:
+    shapes: tuple[Shape, ...] = ("surface", "contour")
+    words = [("written by auto" if shape in form.auto else "yes") if form.writer(shape) else "no" for shape in shapes]
+    return [*words, "yes" if form.read else "no"]
 
 
 def _trace() -> str:

@@ -37,13 +37,13 @@ def test_the_plain_headers_of_these_tests_are_good(tmp_path, suffix):
     assert volume.geometry.spacing == (3, 2, 1)
 
 
-@pytest.mark.parametrize("suffix", io.SUFFIXES)
+@pytest.mark.parametrize("suffix", io.image_suffixes())
 def test_empty_file(tmp_path, suffix):
     (tmp_path / f"a{suffix}").write_bytes(b"")
     refuse(tmp_path / f"a{suffix}", "the file is empty")
 
 
-@pytest.mark.parametrize("suffix", io.SUFFIXES)
+@pytest.mark.parametrize("suffix", io.image_suffixes())
 @pytest.mark.parametrize(
     # Packed without the time: it would be in the test's name, another in each worker.
     "content", [b"hello world\n" * 100, bytes(1000), gzip.compress(b"hello" * 200, mtime=0), b"x"]

@@ -12,11 +12,12 @@ from accelsurf.errors import GeometryError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import images
-from accelsurf.io.formats import raster
+from accelsurf.io.formats import itk_volumes
 from accelsurf.io.formats.deflate import gzip_file
+from accelsurf.settings.file_formats import image_format
 
 #: Formats that keep the whole grid; tests/io/test_raster.py is about the others.
-VOLUMES = [suffix for suffix in io.SUFFIXES if suffix not in raster.SUFFIXES]
+VOLUMES = [suffix for suffix in io.image_suffixes() if image_format(suffix).keeps == "all"]
 DTYPES = ["uint8", "int16", "uint16", "int32", "float32", "float64"]
 
 
@@ -309,7 +310,7 @@ def test_memory_that_runs_out_all_the_same(tmp_path, monkeypatch):
     def fail(image):
         raise MemoryError
 
-    monkeypatch.setattr(images.sitk, "GetArrayFromImage", fail)
+    monkeypatch.setattr(itk_volumes.sitk, "GetArrayFromImage", fail)
     with pytest.raises(InputError, match="does not fit into memory"):
         io.read(tmp_path / "a.mha", memory_bytes=10**9)
 
@@ -356,8 +357,8 @@ def test_writing_into_a_locked_folder(tmp_path):
     ("where", "failure", "raised"),
     [
         ("os.replace", OSError(28, "No space left on device"), OutputError),
-        ("_save", RuntimeError("many lines\nITK ERROR: NiftiImageIO(0x5): disk full"), OutputError),
-        ("_save", KeyboardInterrupt(), KeyboardInterrupt),
+        ("load", RuntimeError("many lines\nITK ERROR: NiftiImageIO(0x5): disk full"), OutputError),
+        ("load", KeyboardInterrupt(), KeyboardInterrupt),
     ],
 )
 def test_nothing_half_written_stays(tmp_path, monkeypatch, suffix, where, failure, raised):

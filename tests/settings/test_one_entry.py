@@ -1,4 +1,5 @@
-"""One entry adds a term, a flow or a trace column: registered in this file, each is found wherever one can look.
+"""One entry adds a term, a flow, a trace column, a preset or a format of files: registered in this file, each is found
+wherever one can look.
 
 Run as a program this file is the command line of accelsurf with the entries: ``python test_one_entry.py segment ...``.
 """
@@ -7,6 +8,7 @@ import csv
 import io as streams
 import json
 import os
+import struct
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -16,14 +18,20 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.energies import ImageEnergy, sample_at_front
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.flows import Gradient
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.io import channels, headers, meshes
+from accelsurf.report import outputs
 from accelsurf.segmentation.api import segment
+from accelsurf.segmentation.run_setup import choose_levels, window_reach
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.energy_terms import TERMS, Number, TermSpec, examples
+from accelsurf.settings.file_formats import IMAGE_FORMATS, MESH_FORMATS, ImageFormat, MeshFormat
 from accelsurf.settings.flow_specs import FLOWS, FlowSpec
 from accelsurf.settings.messages import expected
+from accelsurf.settings.presets import PRESETS, Preset
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.trace_columns import TRACE_COLUMNS, TraceColumn, row_values
 from docs.reference.generate import pages
@@ -58,16 +66,59 @@ TERM = TermSpec(
     {"strength": Number(0.0, 9.0, low_too=False, help="how much it wants them")},
     uses=("balance",),
     example="toy:strength=2",
+    keeps_fine_edges=True,
+    reach=lambda settings, largest_spacing: settings.get("strength", 1.0) * largest_spacing,
 )
 FLOW = FlowSpec("toy-flow", "a toy that descends", lambda config: Gradient(config.blend), uses=("blend",))
 COLUMN = TraceColumn(
     "toy_cells", "cells", "a toy that counts the band", lambda surface, energy, flow: surface.size + 0.25
 )
+PRESET = Preset("toy-scan", "Scans of toys.", {"cfl": 0.4}, {"cfl": "toys are slow"}, {"a toy": "it did well"})
+
+
+def parse_toy(path):
+    mark, *numbers = struct.unpack("<3s3H3d", path.read_bytes()[:33])
+    if mark != b"TOY":
+        raise InputError("this is not a toy", "is it the right file?")
+    return numbers[:3], numbers[3:]
+
+
+def read_toy(path, header, available):
+    shape, spacing = header
+    voxels = np.frombuffer(path.read_bytes()[33:], np.uint8)
+    return Volume(voxels.reshape(shape), Geometry(tuple(shape), tuple(spacing)), {}, path)
+
+
+def write_toy(volume, path):
+    start = struct.pack("<3s3H3d", b"TOY", *volume.geometry.shape, *volume.geometry.spacing)
+    path.write_bytes(start + volume.array.tobytes())
+
+
+def toy_mesh(vertices, faces, space):
+    return struct.pack("<2I", len(vertices), len(faces)) + vertices.tobytes() + faces.tobytes()
+
+
+def read_toy_mesh(content):
+    points, triangles = struct.unpack("<2I", content[:8])
+    middle = 8 + 24 * points
+    vertices = np.frombuffer(content[8:middle]).reshape(-1, 3)
+    return vertices, np.frombuffer(content[middle:], np.int32).reshape(triangles, 3)
+
+
+IMAGE = ImageFormat(
+    "toy", "a toy that holds bytes", (".toy",), parse_toy, read_toy, write_toy, types=("uint8",), keeps="spacing",
+    distances="nrrd", is_anatomical=lambda metadata: metadata.get("toy") == "patient",
+)
+MESH = MeshFormat("toymesh", "a toy that holds triangles", surface=toy_mesh, read=read_toy_mesh)
+REGISTERED = (
+    (TERMS, TERM), (FLOWS, FLOW), (TRACE_COLUMNS, COLUMN), (PRESETS, PRESET),
+    (IMAGE_FORMATS, IMAGE), (MESH_FORMATS, MESH),
+)
 
 
 def registered():
     stack = ExitStack()
-    for registry, entry in ((TERMS, TERM), (FLOWS, FLOW), (TRACE_COLUMNS, COLUMN)):
+    for registry, entry in REGISTERED:
         stack.enter_context(registry.register(entry))
     return stack
 
@@ -76,7 +127,7 @@ def registered():
 def toys():
     with registered():
         yield
-    assert "toy" not in TERMS and "toy-flow" not in FLOWS and "toy_cells" not in TRACE_COLUMNS
+    assert not any(entry.name in registry for registry, entry in REGISTERED)
 
 
 def volume():
@@ -117,6 +168,12 @@ def test_what_it_does_not_take_is_refused_in_the_usual_words(toys):
         RunConfig(energy="area")
     with pytest.raises(UsageError, match="sobolev, momentum or toy-flow"):
         RunConfig(flow="toy-flo")
+    with pytest.raises(UsageError, match="png, tif or toy"):
+        RunConfig(format="toi")
+    with pytest.raises(UsageError, match="vtp, csv, toymesh"):
+        RunConfig(mesh="toimesh")
+    with pytest.raises(UsageError, match="fluorescence-nucleus or toy-scan"):
+        RunConfig(preset="toy-scam")
 
 
 def test_its_settings_of_the_run_mean_something_to_it(toys):
@@ -129,6 +186,69 @@ def test_help_schema_and_messages(toys):
     properties = RunConfig.json_schema()["properties"]
     assert properties["flow"]["enum"][-1] == "toy-flow" and "toy that wants" in properties["energy"]["description"]
     assert expected("flow").endswith("or toy-flow")
+    assert "mhd, tif, toy, or for one slice png" in help_of("format") and "obj, vtp, toymesh;" in help_of("mesh")
+    assert "fluorescence-nucleus, toy-scan." in properties["preset"]["description"]
+    assert properties["format"]["anyOf"][0]["enum"][-1] == "toy"
+
+
+def test_what_a_term_says_about_levels_and_its_reach(toys):
+    grid = Geometry((96, 96, 96), (1.0, 1.0, 2.0))
+    z, y, x = (grid.spacing[a] * (np.arange(96.0, dtype=np.float32) - 48) for a in range(3))
+    psi = np.sqrt(z[:, None, None] ** 2 + y[:, None] ** 2 + x**2) - 30
+    assert len(choose_levels(RunConfig(), grid, psi, True)) > 1
+    assert len(choose_levels(RunConfig(energy="chan-vese + toy"), grid, psi, True)) == 1
+    assert window_reach(RunConfig(), grid) == 0
+    assert window_reach(RunConfig(energy="chan-vese + toy:strength=3 + 2*toy"), grid) == 6
+
+
+def test_a_preset(toys):
+    assert RunConfig(preset="toy-scan").cfl == 0.4 and RunConfig(preset="toy-scan", cfl=0.3).cfl == 0.3
+
+
+# -------------------------------------------------------------------------------------------------- file formats
+
+
+def bytes_volume():
+    return Volume(volume().array.astype(np.uint8), Geometry(volume().array.shape, (1.0, 0.5, 0.5)))
+
+
+def test_an_image_is_read_and_written(toys, tmp_path):
+    io.write(bytes_volume(), tmp_path / "ball.toy")
+    back = io.read(tmp_path / "ball.toy")
+    np.testing.assert_array_equal(back.array, bytes_volume().array)
+    assert back.geometry.matches(bytes_volume().geometry)
+    assert io.split_name("a/ball.toy") == ("ball", ".toy") and io.image_suffixes()[-1] == ".toy"
+    (only,) = channels.read(tmp_path / "ball.toy")
+    np.testing.assert_array_equal(only.array, bytes_volume().array)
+    assert headers.is_anatomical({"toy": "patient"}) and not headers.is_anatomical(back.metadata)
+    with pytest.raises(UsageError, match=r"values of type float32 given, a \.toy holds uint8"):
+        io.write(volume(), tmp_path / "float.toy")
+    (tmp_path / "ball.toy").write_bytes(b"TIY" + bytes(99))
+    with pytest.raises(InputError, match=r"ball\.toy: this is not a toy"):
+        io.read(tmp_path / "ball.toy")
+
+
+@pytest.mark.parametrize("ending", ["toy", "nii.gz"])
+def test_a_run_with_its_files(toys, tmp_path, ending):
+    io.write(bytes_volume(), tmp_path / f"ball.{ending}")
+    words = ["segment", tmp_path / f"ball.{ending}", "-o", tmp_path, "--start", START, "--save-sdf"]
+    words += ["--max-steps", 30, "--mesh", "ply,toymesh", *(() if ending == "toy" else ("--format", "toy"))]
+    assert cli.run([str(word) for word in words]) == 0
+    labels = io.read_labels(tmp_path / "ball_seg.toy")
+    assert 300 < labels.array.sum() < 700 and labels.geometry.spacing == (1.0, 0.5, 0.5)
+    assert io.read(tmp_path / "ball_sdf.nrrd").array.dtype == np.float32
+    report = json.loads((tmp_path / "ball_report.json").read_text())
+    written = [(entry["kind"], entry["path"].rpartition(".")[2]) for entry in report["outputs"]]
+    assert written[:4] == [("labels", "toy"), ("surface", "ply"), ("surface", "toymesh"), ("sdf", "nrrd")]
+    ours, other = (meshes.inside(tmp_path / f"ball_surface.{kind}", labels.geometry) for kind in ("toymesh", "ply"))
+    np.testing.assert_array_equal(ours, other)
+    np.testing.assert_array_equal(ours, labels.array > 0)
+
+
+def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
+    grid = Geometry((1, 8, 9), (1.0, 1.0, 1.0))
+    with pytest.raises(UsageError, match="toymesh was given for an image of one slice.*expected vtp, csv"):
+        outputs.check(RunConfig(mesh="toymesh"), "toy", grid)
 
 
 # --------------------------------------------------------------------------------------------------- command line
@@ -137,6 +257,7 @@ def test_help_schema_and_messages(toys):
 def test_help_of_the_command():
     shown = program("segment", "--help")
     assert "toy: a toy that wants bright voxels" in shown and "toy-flow: a toy that descends" in shown
+    assert ".png, .tif or .toy" in shown and "toymesh" in shown and "toy-scan" in shown
 
 
 def test_info(toys, capsys):
@@ -147,7 +268,8 @@ def test_info(toys, capsys):
     assert cli.run(["info", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert "toy" in facts["energies"] and "toy" in facts["energy_terms"] and "toy-flow" in facts["flows"]
-    assert "toy_cells" in facts["trace_columns"]
+    assert "toy_cells" in facts["trace_columns"] and facts["presets"]["toy-scan"]["settings"] == {"cfl": 0.4}
+    assert facts["volume_formats"][-1] == ".toy" and facts["mesh_formats"][-1] == "toymesh"
 
 
 def test_a_run_its_report_trace_and_progress(toys, tmp_path, capsys):
@@ -196,6 +318,10 @@ def test_reference_pages(toys):
     assert "| `toy-flow` | a toy that descends | `blend` | 3 |" in made["flows.md"]
     assert "| `toy_cells` | cells | a toy that counts the band |" in made["trace.md"]
     assert "| Acts on | `chan-vese`, `toy` |" in made["settings.md"]
+    formats = made["file-formats.md"]
+    assert "| `toy` | a toy that holds bytes | `.toy` | uint8; signed distances go to `nrrd` | the spacing |" in formats
+    assert "| `toymesh` | a toy that holds triangles | yes | no | yes |" in formats
+    assert "## toy-scan\n" in made["presets.md"]
 
 
 # ----------------------------------------------------------------------------------------------------------- registry

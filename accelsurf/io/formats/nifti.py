@@ -12,6 +12,7 @@ import gzip
 import math
 import struct
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,10 @@ from numpy.typing import NDArray
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
-from accelsurf.io.formats.raw_header import RawHeader
+from accelsurf.io.formats.raw_header import Encoding, RawHeader
+
+ITK_NAME = "NiftiImageIO"
+"""The class of ITK that reads and writes the format."""
 
 HEADER_BYTES = {1: 348, 2: 540}
 """Length of the header by the version of the format; a file begins with it."""
@@ -124,7 +128,12 @@ def read_header(path: Path, compressed: bool) -> NiftiFile:
     header = parse(start)
     header.grid.check_forms()
     metadata = {METADATA_KEY: header.grid.fields}
-    return NiftiFile(path, 0, "deflate" if compressed else "raw", header.claimed_bytes, None, metadata, nifti=header)
+    encoding: Encoding = "deflate" if compressed else "raw"
+    return NiftiFile(path, 0, encoding, ITK_NAME, header.claimed_bytes, None, metadata, nifti=header)
+
+
+read_plain_header = partial(read_header, compressed=False)
+read_compressed_header = partial(read_header, compressed=True)
 
 
 def parse(raw: bytes) -> NiftiHeader:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -210,3 +210,9 @@ def _near(a: Geometry, b: Geometry) -> bool:
     # Half a voxel at the far corner: float32 quaternions near half a turn, and rounded pixdims, are that bad;
     # contradictions that matter are far larger.
     return a.matches(b, 0.5 * min(*a.spacing, *b.spacing))
+
+
+def is_anatomical(metadata: Mapping[str, str]) -> bool:
+    """Whether a transform code said that the world's axes are a patient's."""
+    # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
+    return any(bytes.fromhex(metadata.get(METADATA_KEY, ""))[17:21])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -19,6 +19,9 @@ from accelsurf.io.formats.raw_header import Encoding, RawHeader
 
 NRRD_KEY = "nrrd_space"
 """Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
+
+NRRD_ITK_NAME, METAIMAGE_ITK_NAME = "NrrdImageIO", "MetaImageIO"
+"""The classes of ITK that read and write these formats."""
 
 _MAX_HEADER_BYTES = 1 << 20
 
@@ -91,7 +94,7 @@ def parse_nrrd(path: Path) -> RawHeader:
     if len(sizes) == 3 and "space directions" in fields:
         keys = ("space", "space dimension", "space directions", "space origin")
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
-    return RawHeader(data, offset, "other" if skipped else coding, claimed, metadata=metadata)
+    return RawHeader(data, offset, "other" if skipped else coding, NRRD_ITK_NAME, claimed, metadata=metadata)
 
 
 def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
@@ -154,7 +157,7 @@ def parse_metaimage(path: Path) -> RawHeader:
                 hint="save the image again, e.g. uncompressed",
             )
     # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
-    return RawHeader(data, offset + max(skip, 0), encoding, math.prod(sizes) * item, stored)
+    return RawHeader(data, offset + max(skip, 0), encoding, METAIMAGE_ITK_NAME, math.prod(sizes) * item, stored)
 
 
 def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
@@ -237,3 +240,8 @@ def put_nrrd_space(path: Path, lines: str) -> None:
         elif key in wanted:
             written.append(f"{key}: {wanted[key]}")
     path.write_bytes("\n".join(written).encode() + gap + voxels)
+
+
+def is_anatomical(metadata: Mapping[str, str]) -> bool:
+    """Whether an NRRD named its space by a patient's axes."""
+    return "space: left-" in metadata.get(NRRD_KEY, "")

@@ -6,12 +6,13 @@ import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid.volume import Volume
 from accelsurf.io.formats.deflate import inflated_bytes
 from accelsurf.io.formats.raster import TRUNCATED_HINT, RasterHeader
 
@@ -31,6 +32,8 @@ class PngHeader(RasterHeader):
     unpacked_bytes : int
         Bytes of all rows when unpacked.
     """
+
+    itk_name: ClassVar[str] = "PNGImageIO"
 
     unpacked_bytes: int
 
@@ -101,6 +104,11 @@ def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
         if columns > 0 and rows > 0:
             total += rows * (1 + (columns * bits + 7) // 8)
     return total
+
+
+def write(volume: Volume, path: Path) -> None:
+    """Write a grey PNG; see `encode`."""
+    path.write_bytes(encode(volume.array, volume.geometry.spacing))
 
 
 def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:

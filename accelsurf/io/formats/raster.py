@@ -1,4 +1,4 @@
-"""What PNG and TIFF have in common: what a header claims, colour to grey, what these formats can hold.
+"""What PNG and TIFF have in common: what a header claims, reading, colour to grey.
 
 They keep the size of a pixel and no place in the world: an image starts at the world's origin, along its axes.
 """
@@ -8,16 +8,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
-
-SUFFIXES = (".png", ".tif", ".tiff")
-"""Endings of these formats."""
+from accelsurf.grid.volume import Volume
+from accelsurf.io import itk
+from accelsurf.io.memory import check_memory
+from accelsurf.io.metadata import WARNING_KEY
 
 STORED = {
     **{"uint8": (8, 1), "uint16": (16, 1), "uint32": (32, 1), "int8": (8, 2), "int16": (16, 2), "int32": (32, 2)},
@@ -46,6 +48,9 @@ class RasterHeader(ABC):
     pixel_bytes : int
         Bytes that a pixel takes in memory, with all its colours.
     """
+
+    itk_name: ClassVar[str]
+    """The format, as ITK names the class that reads it."""
 
     data: Path
     shape: tuple[int, int, int]
@@ -100,48 +105,35 @@ def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
     return grey, "; ".join(notes)
 
 
-def check_writable(array: NDArray[Any], suffix: str) -> None:
-    """Refuse what a format cannot hold.
+def read(path: Path, header: RasterHeader, available: int) -> Volume:
+    """Read a PNG or TIFF. ITK opens it last, because it prints messages about damaged files.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : RasterHeader
+        What its header claims.
+    available : int
+        Bytes of memory.
 
     Raises
     ------
-    UsageError
-        With what it does hold.
+    InputError
+        When the file is incomplete, larger than the memory, or not what its header claims.
     """
-    if suffix == ".png" and array.shape[0] > 1:
-        raise UsageError(
-            f"a volume of {array.shape[0]} slices given, a .png holds one", "write a .tif stack, or a volume format"
+    check_memory(header.shape[::-1], header.pixel_bytes, available)
+    header.check_complete()
+    image = itk.execute(itk.open_reader(path, header.itk_name))
+    array = sitk.GetArrayFromImage(image)
+    note = ""
+    if image.GetNumberOfComponentsPerPixel() > 1:
+        array, note = to_grey(array)
+    if array.size != np.prod(header.shape):
+        size = " x ".join(map(str, reversed(header.shape)))
+        raise InputError(
+            f"the header announces {size} pixels, ITK reads {image.GetSize()}", hint="save it as a plain TIFF or PNG"
         )
-    kinds = ("uint8", "uint16") if suffix == ".png" else tuple(STORED)
-    if array.dtype.name not in kinds:
-        raise UsageError(
-            f"values of type {array.dtype} given, a {suffix} holds {', '.join(kinds)}",
-            "convert them first, or write a volume format",
-        )
-
-
-def preserves(geometry: Geometry, suffix: str) -> bool:
-    """Whether a file gives the same grid back when it is read; all formats but PNG and TIFF do.
-
-    Parameters
-    ----------
-    geometry : Geometry
-        The grid to be written.
-    suffix : str
-        Of the file.
-    """
-    return suffix not in SUFFIXES or stored_grid(geometry, suffix).matches(geometry)
-
-
-def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
-    """The grid that is read back from a PNG or TIFF: its pixel size, and of a TIFF its slice distance.
-
-    Parameters
-    ----------
-    geometry : Geometry
-        The grid to be written.
-    suffix : str
-        One of `SUFFIXES`.
-    """
-    depth = 1.0 if suffix == ".png" else geometry.spacing[0]
-    return Geometry(geometry.shape, (depth, *geometry.spacing[1:]))
+    spacing = header.spacing or (1.0, *image.GetSpacing()[1::-1])
+    metadata = {WARNING_KEY: note} if note else {}
+    return Volume(array.reshape(header.shape), Geometry(header.shape, spacing), metadata, path)

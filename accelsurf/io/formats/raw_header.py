@@ -27,6 +27,8 @@ class RawHeader:
         Bytes in it before the (possibly compressed) voxels.
     encoding : str
         "raw", "deflate" (gzip or zlib) or "other" (text, bzip2: left to the reader to check).
+    itk_name : str
+        The format, as ITK names the class that reads it.
     claimed_bytes : int
         Bytes expected from there on, after decompression.
     stored_bytes : int or None
@@ -38,6 +40,7 @@ class RawHeader:
     data: Path
     offset: int
     encoding: Encoding
+    itk_name: str
     claimed_bytes: int
     stored_bytes: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)

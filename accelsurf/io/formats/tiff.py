@@ -13,12 +13,13 @@ import zlib
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.volume import Volume
 from accelsurf.io.formats.deflate import inflated_bytes
 from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, RasterHeader
 
@@ -56,6 +57,8 @@ class TiffHeader(RasterHeader):
     compression : int
         Compression, by its number.
     """
+
+    itk_name: ClassVar[str] = "TIFFImageIO"
 
     unpacked_bytes: int
     strips: tuple[tuple[int, int], ...]
@@ -259,13 +262,18 @@ def _refuse_channels(channels: int, times: int) -> None:
             raise InputError(f"a TIFF stack of {count} {name}s given, one expected", hint=f"extract one {name} first")
 
 
+def write(volume: Volume, path: Path) -> None:
+    """Write a grey TIFF; see `encode`."""
+    path.write_bytes(encode(volume.array, volume.geometry.spacing))
+
+
 def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
     """A TIFF with a page for each slice, deflated, its sizes per cm; ImageJ finds the distance of the slices as well.
 
     Parameters
     ----------
     array : ndarray, shape (nz, ny, nx)
-        Of a type that `check_writable` allows.
+        Of a type in `STORED`.
     spacing : tuple of float
         (hz, hy, hx) in mm.
 

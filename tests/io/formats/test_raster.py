@@ -14,8 +14,11 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.io import images
 from accelsurf.io.formats import raster, tiff
+from accelsurf.settings.file_formats import IMAGE_FORMATS
 
+SUFFIXES = (".png", ".tif", ".tiff")
 GREY = {"photometric": "minisblack"}
 RNG = np.random.default_rng(0)
 SMALL = RNG.integers(0, 200, (6, 7)).astype(np.uint8)
@@ -33,9 +36,13 @@ def refuse(path, words, **options):
 # ------------------------------------------------------------------------------------------------- round trip
 
 
+def test_the_entry_of_tiff_names_the_types_that_are_encoded():
+    assert IMAGE_FORMATS["tif"].types == tuple(raster.STORED)
+
+
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "int8", "int16", "uint32", "int32", "float32"])
 @pytest.mark.parametrize("slices", [1, 3])
-@pytest.mark.parametrize("suffix", raster.SUFFIXES)
+@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_round_trip(tmp_path, suffix, slices, dtype):
     grid = Geometry((slices, 6, 7), (2.4, 0.81, 1 / 3))
     volume = Volume(RNG.integers(0, 100, grid.shape).astype(dtype), grid)
@@ -49,7 +56,7 @@ def test_round_trip(tmp_path, suffix, slices, dtype):
     back = io.read(path)
     assert back.array.dtype == dtype and back.source == path and back.metadata == {}
     np.testing.assert_array_equal(back.array, volume.array)
-    assert back.geometry.matches(raster.stored_grid(grid, suffix), 1e-6)
+    assert back.geometry.matches(images.stored_grid(grid, suffix), 1e-6)
     io.write(back, tmp_path / f"b{suffix}")
     assert io.read(tmp_path / f"b{suffix}").geometry.spacing == back.geometry.spacing
 
@@ -106,7 +113,7 @@ def test_a_tiff_beyond_4_gib_is_refused(monkeypatch):
 # ----------------------------------------------------------------------------------------------------- labels
 
 
-@pytest.mark.parametrize("suffix", raster.SUFFIXES)
+@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_labels_of_one_object_are_black_and_white(tmp_path, suffix):
     io.write_labels(Volume.from_array(SMALL > 50), tmp_path / f"a{suffix}")
     labels = io.read_labels(tmp_path / f"a{suffix}").array

@@ -1,0 +1,117 @@
+"""Volumes whose voxels ITK reads and writes: all of NRRD and MetaImage, and the plain ones of NIfTI."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import SimpleITK as sitk
+
+from accelsurf.errors import InputError
+from accelsurf.grid.volume import Volume
+from accelsurf.io import itk
+from accelsurf.io.formats.nrrd_metaimage import METAIMAGE_ITK_NAME, NRRD_ITK_NAME, NRRD_KEY, put_nrrd_space
+from accelsurf.io.formats.raw_header import RawHeader
+from accelsurf.io.memory import check_memory
+
+#: More volumes along the fourth axis than this are a time series, not channels.
+MAX_CHANNELS = 16
+
+_HEADER_SAMPLE = 1 << 14  # bytes, more than any header written here has
+
+
+def read(path: Path, header: RawHeader, available: int) -> Volume:
+    """Read a volume.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : RawHeader
+        What its header claims.
+    available : int
+        Bytes of memory.
+
+    Raises
+    ------
+    InputError
+        When the file is no 3D image of real numbers, incomplete or larger than the memory; GeometryError when its
+        header does not describe a grid of perpendicular axes.
+    """
+    reader = itk.open_reader(path, header.itk_name)
+    itk.check_kind(reader)
+    check_memory(reader.GetSize(), itk.voxel_bytes(reader), available)
+    header.check_complete()
+    image = itk.execute(reader)
+    return Volume(sitk.GetArrayFromImage(image), itk.geometry_of(image), header.metadata, path)
+
+
+def read_channels(path: Path, header: RawHeader, available: int) -> list[Volume]:
+    """Read the components of an image of vectors; one volume of an ordinary image.
+
+    Raises
+    ------
+    InputError
+        As `read`, and for more than `MAX_CHANNELS` components.
+    """
+    reader = itk.open_reader(path, header.itk_name)
+    count = reader.GetNumberOfComponents()
+    if count < 2 or reader.GetDimension() != 3 or "complex" in sitk.GetPixelIDValueAsString(reader.GetPixelIDValue()):
+        return [read(path, header, available)]
+    check_channels(count)
+    check_memory(reader.GetSize(), 4 * count, available)
+    header.check_complete()
+    image = itk.execute(reader)
+    parts = (sitk.VectorIndexSelectionCast(image, i) for i in range(count))
+    return [Volume(sitk.GetArrayFromImage(part), itk.geometry_of(part), {}, path) for part in parts]
+
+
+def check_channels(count: int) -> None:
+    """Refuse an image of too many channels.
+
+    Raises
+    ------
+    InputError
+        For more than `MAX_CHANNELS`.
+    """
+    if count > MAX_CHANNELS:
+        raise InputError(
+            f"{count} channels or time points, expected at most {MAX_CHANNELS}", "extract one of them first"
+        )
+
+
+def write_nrrd(volume: Volume, path: Path) -> None:
+    """Write an NRRD, compressed, with the lines that placed the volume when it was read."""
+    itk.save(volume, path, NRRD_ITK_NAME, compress=True)
+    if (lines := volume.metadata.get(NRRD_KEY)) is not None:
+        restore_grid(path, volume, NRRD_ITK_NAME, lambda file: put_nrrd_space(file, lines))
+
+
+def write_metaimage(volume: Volume, path: Path) -> None:
+    """Write a MetaImage, compressed; for .mhd the voxels go to a .zraw file beside it."""
+    itk.save(volume, path, METAIMAGE_ITK_NAME, compress=True)
+
+
+def restore_grid(path: Path, volume: Volume, itk_name: str, put_grid: Callable[[Path], None]) -> None:
+    """Give a file the header fields that placed the volume when it was read, where they still place it there.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    volume : Volume
+        What it holds.
+    itk_name : str
+        The format, as ITK names the class that reads it.
+    put_grid : callable
+        Puts the fields into a file.
+    """
+    # The header alone is tried first: metadata may have come from another grid than the volume has now.
+    trial = path.with_name("trial" + path.name)
+    with path.open("rb") as file:
+        trial.write_bytes(file.read(_HEADER_SAMPLE))
+    put_grid(trial)
+    grid = itk.geometry_of(itk.open_reader(trial, itk_name))
+    trial.unlink()
+    if grid.matches(volume.geometry):
+        put_grid(path)

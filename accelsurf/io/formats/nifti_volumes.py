@@ -1,0 +1,85 @@
+"""NIfTI volumes: ITK reads those of version 1, nibabel those of version 2 and several in one file; ITK writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.io import itk
+from accelsurf.io.formats import itk_volumes, nifti, nifti_grid
+from accelsurf.io.formats.deflate import gzip_file
+from accelsurf.io.memory import check_memory
+from accelsurf.io.metadata import WARNING_KEY
+
+
+def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
+    """Read a file of one volume.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : NiftiFile
+        What its header claims.
+    available : int
+        Bytes of memory.
+
+    Raises
+    ------
+    InputError
+        When the file holds several volumes, is incomplete or larger than the memory; GeometryError when its header
+        contradicts itself.
+    """
+    nifti.check_single(header.nifti)
+    if header.nifti.version == 2:
+        return _read_all(path, header, available)[0]
+    volume = itk_volumes.read(path, header, available)
+    return Volume(volume.array, volume.geometry, _metadata(header, volume.geometry), path)
+
+
+def read_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
+    """Read the volumes of a file, which follow one another in it.
+
+    Raises
+    ------
+    InputError
+        As `read`, and for more than `accelsurf.io.formats.itk_volumes.MAX_CHANNELS` of them.
+    """
+    if header.nifti.channels == 1 or len(header.nifti.size) > 5:
+        return [read(path, header, available)]
+    itk_volumes.check_channels(header.nifti.channels)
+    return _read_all(path, header, available)
+
+
+def write(volume: Volume, path: Path) -> None:
+    """Write NIfTI-1, with the numbers and codes that placed the volume when it was read."""
+    itk.save(volume, path, nifti.ITK_NAME, compress=False)
+    if (fields := volume.metadata.get(nifti_grid.METADATA_KEY)) is not None:
+        itk_volumes.restore_grid(path, volume, nifti.ITK_NAME, lambda file: nifti_grid.put_grid(file, fields))
+
+
+def write_compressed(volume: Volume, path: Path) -> None:
+    """Write NIfTI-1, compressed, the same bytes for the same volume."""
+    plain = path.with_suffix("")  # ends in .nii
+    write(volume, plain)
+    gzip_file(plain, path)
+    plain.unlink()
+
+
+def _read_all(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
+    """Read the volumes of a file that ITK does not read: one of version 2, or several one after the other."""
+    fields = header.nifti
+    # The voxels as they are stored and as they are given are in memory at the same time.
+    voxel_bytes = fields.voxel_type.itemsize + fields.value_type.itemsize
+    check_memory(fields.size[:3], fields.channels * voxel_bytes, available)
+    header.check_complete()
+    geometry = fields.grid.geometry()
+    metadata = _metadata(header, geometry)
+    return [Volume(array, geometry, dict(metadata), path) for array in nifti.read_channels(header)]
+
+
+def _metadata(header: nifti.NiftiFile, geometry: Geometry) -> dict[str, str]:
+    """The metadata of a volume: fields of its header, and a warning when qform and sform disagree."""
+    warning = header.nifti.grid.check_agreement(geometry)
+    return header.metadata | ({WARNING_KEY: warning} if warning else {})

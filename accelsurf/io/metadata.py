@@ -1,0 +1,4 @@
+"""Keys of `Volume.metadata` that do not belong to one format."""
+
+WARNING_KEY = "warning"
+"""A warning about the file that was read; absent when there is none."""

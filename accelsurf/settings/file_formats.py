@@ -1,0 +1,284 @@
+"""The formats of images, meshes and contours: one entry each, with what it can hold and what reads and writes it.
+
+From an entry follow what `accelsurf.io` reads and writes, the values and the help of ``--format`` and ``--mesh``, the
+help of the commands, ``accelsurf info`` and the reference page. Functions are named as ``"module:function"`` and
+imported when a file is read or written, so this module stays light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from accelsurf.settings.registry import Registry
+
+Function = str | Callable[..., Any]
+#: What of the grid a file keeps: all of it, the spacing, or the size of a pixel.
+KeptGrid = Literal["all", "spacing", "pixel"]
+#: What a mesh file describes: the surface in a volume, or the contours in an image of one slice.
+Shape = Literal["surface", "contour"]
+#: Types of values that a TIFF can hold here.
+_TIFF_TYPES = ("uint8", "uint16", "uint32", "int8", "int16", "int32", "float32")
+
+
+@dataclass(frozen=True)
+class ImageFormat:
+    """All that is said about a format of images.
+
+    Attributes
+    ----------
+    name : str
+        As it is given to ``--format``; also the ending of label maps that are written.
+    help : str
+        What it is, in a few words.
+    suffixes : tuple of str
+        Endings of its files, in lower case, with the dot. No ending of one format ends with that of another.
+    parse : str or callable
+        Of a Path, returns what the header claims, of any type; raises InputError or GeometryError.
+    read : str or callable
+        Of a Path, that header and the memory in bytes, returns a Volume; raises as `accelsurf.io.read` does.
+    write : str or callable
+        Of a Volume, whose values have one of the ``types``, and a Path, which it makes. Further files may lie beside
+        it; all are in a folder of their own until they are complete.
+    read_channels : str or callable, optional
+        As ``read``, returns a list of a Volume for each channel; None: the format has one channel.
+    is_anatomical : str or callable, optional
+        Of the metadata of a Volume that was read, whether its header said that the world's axes are a patient's; also
+        asked of volumes that were read from other formats. None: it never does.
+    types : tuple of str
+        The numpy types of values that it holds; empty: all of integers and floats of 4 and 8 bytes.
+    one_slice : bool
+        Whether it holds one slice only.
+    keeps : {"all", "spacing", "pixel"}
+        What of the grid is read back: all of it, the spacing, or the size of a pixel; the rest is the world's origin,
+        the world's axes, and slices of 1 mm.
+    white_labels : bool
+        Whether a label map of 0 and 1 is written as 0 and 255, which is black and white in every viewer.
+    distances : str or None
+        The format that signed distances are written in beside label maps in this one; None: the same.
+    """
+
+    name: str
+    help: str
+    suffixes: tuple[str, ...]
+    parse: Function
+    read: Function
+    write: Function
+    read_channels: Function | None = None
+    is_anatomical: Function | None = None
+    types: tuple[str, ...] = ()
+    one_slice: bool = False
+    keeps: KeptGrid = "all"
+    white_labels: bool = False
+    distances: str | None = None
+
+
+_FORMATS = "accelsurf.io.formats"
+
+IMAGE_FORMATS: Registry[ImageFormat] = Registry(
+    "image format",
+    ImageFormat(
+        "nii.gz",
+        "NIfTI-1 or NIfTI-2, compressed; written as NIfTI-1",
+        (".nii.gz",),
+        f"{_FORMATS}.nifti:read_compressed_header",
+        f"{_FORMATS}.nifti_volumes:read",
+        f"{_FORMATS}.nifti_volumes:write_compressed",
+        f"{_FORMATS}.nifti_volumes:read_channels",
+        f"{_FORMATS}.nifti_grid:is_anatomical",
+    ),
+    ImageFormat(
+        "nii",
+        "NIfTI-1 or NIfTI-2; written as NIfTI-1",
+        (".nii",),
+        f"{_FORMATS}.nifti:read_plain_header",
+        f"{_FORMATS}.nifti_volumes:read",
+        f"{_FORMATS}.nifti_volumes:write",
+        f"{_FORMATS}.nifti_volumes:read_channels",
+        f"{_FORMATS}.nifti_grid:is_anatomical",
+    ),
+    ImageFormat(
+        "nrrd",
+        "NRRD; written compressed",
+        (".nrrd",),
+        f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
+        f"{_FORMATS}.itk_volumes:read",
+        f"{_FORMATS}.itk_volumes:write_nrrd",
+        f"{_FORMATS}.itk_volumes:read_channels",
+        f"{_FORMATS}.nrrd_metaimage:is_anatomical",
+    ),
+    *(
+        ImageFormat(
+            name,
+            help,
+            (f".{name}",),
+            f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
+            f"{_FORMATS}.itk_volumes:read",
+            f"{_FORMATS}.itk_volumes:write_metaimage",
+            f"{_FORMATS}.itk_volumes:read_channels",
+        )
+        for name, help in (
+            ("mha", "MetaImage in one file; written compressed"),
+            ("mhd", "MetaImage, a header and a data file; written compressed"),
+        )
+    ),
+    ImageFormat(
+        "png",
+        "PNG, grey or colour; written grey",
+        (".png",),
+        f"{_FORMATS}.png:parse",
+        f"{_FORMATS}.raster:read",
+        f"{_FORMATS}.png:write",
+        types=("uint8", "uint16"),
+        one_slice=True,
+        keeps="pixel",
+        white_labels=True,
+        distances="tif",
+    ),
+    ImageFormat(
+        "tif",
+        "TIFF, grey or colour, a page for each slice; written grey and compressed",
+        (".tif", ".tiff"),
+        f"{_FORMATS}.tiff:parse",
+        f"{_FORMATS}.raster:read",
+        f"{_FORMATS}.tiff:write",
+        types=_TIFF_TYPES,
+        keeps="spacing",
+        white_labels=True,
+    ),
+)
+#: The format of a label map where neither the settings nor the input give one.
+DEFAULT_IMAGE_FORMAT = "nii.gz"
+
+
+@dataclass(frozen=True)
+class MeshFormat:
+    """All that is said about a format of surfaces and contours.
+
+    Attributes
+    ----------
+    name : str
+        As it is given to ``--mesh``; also the ending of its files.
+    help : str
+        What it is, in a few words.
+    surface : str or callable, optional
+        Of the vertices (n, 3) in mm, the triangles (m, 3) and "LPS" or "RAS", returns the bytes of a file; None: the
+        format holds no surfaces.
+    contour : str or callable, optional
+        The same of a tuple of loops (n, 3) in mm and "LPS" or "RAS".
+    auto : tuple of str
+        Of which of the two ``--mesh auto`` writes it.
+    read : str or callable, optional
+        Of the bytes of a file, returns points (n, 3) and triangles (m, 3); anything that it raises is reported as a
+        damaged file. None: starts cannot be read from it.
+    """
+
+    name: str
+    help: str
+    surface: Function | None = None
+    contour: Function | None = None
+    auto: tuple[Shape, ...] = ()
+    read: Function | None = None
+
+    @property
+    def suffix(self) -> str:
+        """The ending of its files."""
+        return f".{self.name}"
+
+    def writer(self, shape: Shape) -> Function | None:
+        """What makes a file of a surface or of contours; None where the format does not hold them."""
+        return self.surface if shape == "surface" else self.contour
+
+
+_SURFACE, _CONTOUR = "accelsurf.analysis.surface_mesh", "accelsurf.analysis.contours"
+_TRIMESH = f"{_FORMATS}.trimesh_files"
+
+MESH_FORMATS: Registry[MeshFormat] = Registry(
+    "mesh format",
+    MeshFormat("ply", "PLY, binary", f"{_SURFACE}:ply_bytes", auto=("surface",), read=f"{_TRIMESH}:read_ply"),
+    MeshFormat("stl", "STL, binary", f"{_SURFACE}:stl_bytes", read=f"{_TRIMESH}:read_stl"),
+    MeshFormat("obj", "Wavefront OBJ", f"{_SURFACE}:obj_bytes", read=f"{_TRIMESH}:read_obj"),
+    MeshFormat(
+        "vtp",
+        "VTK PolyData, triangles or lines",
+        f"{_SURFACE}:vtp_bytes",
+        f"{_CONTOUR}:vtp_bytes",
+        auto=("contour",),
+        read=f"{_FORMATS}.vtp:read",
+    ),
+    MeshFormat("csv", "a table of points", contour=f"{_CONTOUR}:csv_bytes", auto=("contour",)),
+)
+
+
+def image_suffixes() -> tuple[str, ...]:
+    """Endings of the images that can be read and written.
+
+    Examples
+    --------
+    >>> image_suffixes()[:3]
+    ('.nii.gz', '.nii', '.nrrd')
+    """
+    return tuple(suffix for form in IMAGE_FORMATS.values() for suffix in form.suffixes)
+
+
+def image_format(suffix: str) -> ImageFormat | None:
+    """The format whose files have an ending; None where there is none.
+
+    Examples
+    --------
+    >>> image_format(".tiff").name
+    'tif'
+    """
+    return next((form for form in IMAGE_FORMATS.values() if suffix in form.suffixes), None)
+
+
+def mesh_formats(shape: Shape) -> tuple[str, ...]:
+    """Names of the formats that hold surfaces, or contours.
+
+    Examples
+    --------
+    >>> mesh_formats("surface"), mesh_formats("contour")
+    (('ply', 'stl', 'obj', 'vtp'), ('vtp', 'csv'))
+    """
+    return tuple(name for name, form in MESH_FORMATS.items() if form.writer(shape) is not None)
+
+
+def automatic_mesh_formats(shape: Shape) -> tuple[str, ...]:
+    """Names of the formats that ``--mesh auto`` writes."""
+    return tuple(name for name, form in MESH_FORMATS.items() if shape in form.auto)
+
+
+def input_help() -> str:
+    """The endings of images, as the help of a command says them.
+
+    Examples
+    --------
+    >>> input_help()
+    '.nii.gz, .nii, .nrrd, .mha, .mhd, .png or .tif'
+    """
+    *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values())  # .tiff is known where .tif is
+    return f"{', '.join(others)} or {last}"
+
+
+def label_help() -> str:
+    """The formats of label maps, as the help of ``--format`` says them.
+
+    Examples
+    --------
+    >>> label_help()
+    'nii.gz, nii, nrrd, mha, mhd, tif, or for one slice png'
+    """
+    volumes = [name for name, form in IMAGE_FORMATS.items() if not form.one_slice]
+    slices = [name for name, form in IMAGE_FORMATS.items() if form.one_slice]
+    return f"{', '.join(volumes)}, or for one slice {', '.join(slices)}"
+
+
+def mesh_help() -> str:
+    """The formats of surfaces and contours, as the help of ``--mesh`` says them."""
+    surface, contour = mesh_formats("surface"), mesh_formats("contour")
+    of_volume, of_slice = automatic_mesh_formats("surface"), automatic_mesh_formats("contour")
+    return (
+        f"of the surface: {', '.join(surface)}; of the contours of an image of one slice: {', '.join(contour)}. "
+        f"auto is {','.join(of_volume)}, or for one slice {','.join(of_slice)}."
+    )
