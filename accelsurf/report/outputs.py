@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 CONTOUR_FORMATS = ("vtp", "csv")
 SURFACE_FORMATS = ("ply", "stl", "obj", "vtp")
-#: Kind of a file, its name, and what writes it.
+#: Kind of a file, its name, and the function that writes it.
 Writer = tuple[str, str, Callable[[Path], None]]
 
 
@@ -77,7 +77,7 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
         wanted = CONTOUR_FORMATS if config.mesh == "auto" else config.mesh
         files |= {f"contour-{kind}": f"contour.{kind}" for kind in CONTOUR_FORMATS if kind in wanted}
     if config.save_sdf:
-        files["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG holds no distances
+        files["sdf"] = f"sdf.{'tif' if labels == 'png' else labels}"  # a PNG cannot store distances
     if config.objects is not None:
         files["objects"] = "objects.csv"
     return files | {"trace": "trace.csv", "preview": "preview.png"}
@@ -138,7 +138,7 @@ def is_failure_report(path: Path) -> bool:
 
 
 def make_writable(folder: Path) -> None:
-    """Make a folder, and see that a file can be written there.
+    """Make a folder, and check that a file can be written there.
 
     Raises
     ------
@@ -203,19 +203,19 @@ def _has_surface(result: Result) -> bool:
 
 
 def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """What writes the label map."""
+    """The writer of the label map."""
     if "labels" in names and _has_surface(result):
         yield "labels", names["labels"], lambda path: io.write_labels(result.labels_volume(), path)
 
 
 def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """What writes the signed distance."""
+    """The writer of the signed distance."""
     if "sdf" in names and _has_surface(result):
         yield "sdf", names["sdf"], lambda path: io.write(result.labels_volume().with_array(result.psi), path)
 
 
 def _mesh_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """What writes surfaces or contours, which are extracted here; of several objects those with a voxel."""
+    """The writers of surfaces or contours, which are extracted here; of several objects those with a voxel."""
     kinds = [kind for kind in names if kind.startswith(object_files.EACH)]
     if not kinds or not _has_surface(result):
         return
@@ -234,7 +234,7 @@ def _write_mesh(mesh: Surface | Contours, space: Literal["lps", "ras"], path: Pa
 
 
 def _table_writers(result: Result, names: Mapping[str, str], content: PreviewContent) -> Iterator[Writer]:
-    """What writes the tables and the picture."""
+    """The writers of the tables and of the picture."""
     if "objects" in names and result.has_ids:
         rows = describe_objects(result)
         yield "objects", names["objects"], lambda path: write_bytes(path, tables.objects_csv(rows).encode())
