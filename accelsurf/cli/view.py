@@ -54,7 +54,7 @@ def view(
     mouse.
 
     The window needs a screen and more packages: pip install "accelsurf[viewer]". Runs on one level unless --levels
-    is given.
+    asks for more.
 
     Parameters
     ----------

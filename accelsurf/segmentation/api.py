@@ -140,17 +140,13 @@ def segment_objects(
         The image; never modified.
     objects : str, Volume or ndarray, optional
         Their first voxels: a label map, or a file as for ``--objects``. By default that of ``config``.
-    spacing, channels : optional
-        As for `accelsurf.segment`.
-    config : RunConfig, optional
-        Settings, with ``max_steps`` and ``max_volume`` for each object; the defaults otherwise.
     energy : str or callable, optional
         A name, over that of ``config``; or a class or function that makes an energy of ``(image, spacing)`` for each
         object's part of the image: see `accelsurf.segment`.
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the run.
-    **options
-        Settings by name, over those of ``config``.
+    spacing, channels, config, **options
+        As for `segment`; ``max_steps`` and ``max_volume`` count for each object.
 
     Returns
     -------

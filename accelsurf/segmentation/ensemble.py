@@ -65,7 +65,7 @@ class Ensemble:
     def step(self, wake: bool = True) -> tuple[Step, ...]:
         """One step of each object that moves; none when all have ended on their level.
 
-        Objects that have converged move again when others move into them, unless ``wake`` is false.
+        Objects that have converged move again when others run into them, unless ``wake`` is false.
         """
         if not self._meets:
             steps = [one.step() for one in self._objects]
