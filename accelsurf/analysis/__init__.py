@@ -1,1 +1,1 @@
-"""What a surface is: its mesh, contours, measures, agreement with a reference, and whether to trust it."""
+"""Mesh, contours and measures of a surface, its agreement with a reference, and its quality without one."""

@@ -27,7 +27,7 @@ MAX_UNLIKE = 0.1
 #: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
 INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
 #: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
-#: parts are looked at.
+#: parts are examined.
 LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
 #: Gradients inside the object are sampled at about so many voxels.
 GRADIENT_SAMPLES = 1 << 18
@@ -36,15 +36,15 @@ MIN_SLAB_HALOS = 4
 
 
 class Quality(NamedTuple):
-    """How a result looks without a reference.
+    """Measures of a result that need no reference.
 
     Attributes
     ----------
     border_fraction : float
         Share of the object's surface that lies on the volume's border.
     contrast : float
-        Mean difference of the image across the surface, inside less outside, a voxel off it to either side; in parts
-        of the image's range.
+        Mean difference of the image across the surface, inside less outside, one voxel from it on either side; as a
+        fraction of the image's range.
     no_edge_fraction : float
         Share of the surface where the image has no edge: a gradient within the lower three quarters of those inside the
         object.
@@ -55,8 +55,8 @@ class Quality(NamedTuple):
     late_growth : float
         Relative change of the volume over the last 20 steps.
     unlike_learned : float or None
-        Share of the object, a voxel off its surface, whose values lie further than 2.5 standard deviations from the
-        mean of those that it was learned from; None where no model was learned once.
+        Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
+        deviations from the mean of those that it was learned from; None where no model was learned once.
     leaked : bool
         Whether it grew beyond ``max_volume``.
     warnings : tuple of str
@@ -230,7 +230,7 @@ def _gradients(
 
 
 def _parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
-    """Large parts of the largest component that are left of it without its necks."""
+    """Large parts that remain of the largest component without its necks."""
     box = _around(inside, 1)
     parts, count = ndimage.label(inside[box])
     if count == 0:
@@ -252,7 +252,7 @@ def _parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
     name[order] = np.arange(1, len(order) + 1)
     reach = name[cores]
     del cores
-    # Grow the cores back to the parts that they are left of.
+    # Grow the cores back to the parts that they belong to.
     for _ in range(NECK + 1):
         grown = ndimage.maximum_filter(reach, 3)
         np.copyto(reach, grown, where=(reach == 0) & padded)

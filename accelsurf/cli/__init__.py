@@ -20,13 +20,13 @@ INTERRUPTED = 130
 EXIT_CODES = {
     0: "ok",
     1: "internal error, or the run diverged",
-    2: "usage: an option or a setting makes no sense",
+    2: "usage: an option or a setting is not valid",
     3: "input unreadable, unsuitable, or of invalid geometry",
     4: "not converged (only with --strict)",
     5: "the surface vanished or filled the volume; with --strict also a doubtful result",
     7: "an output exists already, or cannot be written",
     8: "nothing can be drawn: no screen or driver, or a package of the viewer is missing",
-    INTERRUPTED: "interrupted (Ctrl-C); what was reached is written",
+    INTERRUPTED: "interrupted (Ctrl-C); the present state is written",
 }
 
 app = App(
@@ -75,7 +75,7 @@ def run(argv: Sequence[str]) -> int:
         return int(code or 0)
     except CycloptsError as error:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
-        return _say(2, str(error), f"{command} --help lists what is possible")
+        return _say(2, str(error), f"{command} --help lists the options")
     except AccelsurfError as error:
         if debug:
             raise
@@ -83,7 +83,7 @@ def run(argv: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return _say(INTERRUPTED, "interrupted", "")
     except BrokenPipeError:
-        # The reader of stdout went away (as in `accelsurf info | head`): not our error, but stdout cannot be used.
+        # The reader of stdout closed it (as in `accelsurf info | head`): not our error, but stdout cannot be used.
         sys.stdout = None
         return 0
     except MemoryError as error:
@@ -93,7 +93,7 @@ def run(argv: Sequence[str]) -> int:
     except Exception as error:
         if debug:
             raise
-        hint = "this is a bug in accelsurf; run again with --debug and report what it shows"
+        hint = "this is a bug in accelsurf; run again with --debug and report the traceback"
         return _say(1, f"{type(error).__name__}: {error}", hint)
 
 

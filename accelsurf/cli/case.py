@@ -1,7 +1,7 @@
 """One segmentation from file to files: what `segment` does once and `demo` for each flow.
 
-The order keeps promises: existing outputs are refused before anything is computed; each file appears whole or not at
-all; and whatever happens after that, a report says how it ended.
+Existing outputs are refused before anything is computed. Each file is written completely or not at all. From then on a
+report says how the case ended, also when it failed.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ class Place:
         return outputs.label_format(config, split_name(self.source)[1])
 
     def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
-        """Name of every output by its kind; before the image is read (``is_2d`` is None), of all that there may be."""
+        """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
         names = outputs.names(config, self.label_format(config), is_2d)
         return {kind: f"{self.name}_{name}" for kind, name in names.items()}
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
-        """Every output that there may be, by kind, the report last; of several objects those that exist already."""
+        """Every possible output by kind, the report last; of several objects those that exist already."""
         names = self.names(config)
         if config.objects is None:
             paths = {kind: self.folder / name for kind, name in names.items()}
@@ -87,7 +87,7 @@ class Place:
 
 @dataclass
 class Log:
-    """What is known of a case so far, for its report: it grows while the case goes on.
+    """Data for the report of a case, collected while it runs.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Finished:
     result : Result
     log : Log
     code : int
-        0 when there is a result, or the exit code that tells why it is not what was wanted.
+        0 for a good result, or the exit code of what is wrong with it.
     """
 
     place: Place
@@ -149,14 +149,14 @@ def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = F
     place : Place
     config : RunConfig
     watcher : Watcher
-        Shows progress, and passes Ctrl-C on.
+        Shows progress, and ends the run at Ctrl-C.
     strict : bool
         Whether a run that did not converge, or whose result is doubtful, counts as failed.
 
     Raises
     ------
     AccelsurfError
-        When there is no result; the report of it is written already.
+        When there is no result; the report has been written then.
     """
     log = Log()
     outputs.refuse_existing(place.paths(config), place.overwrite)
@@ -204,7 +204,7 @@ def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Res
 
 
 def evolve(name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher) -> Result:
-    """Run one or several objects, watched, without writing anything."""
+    """Run one or several objects with progress, without writing anything."""
     from accelsurf.segmentation.api import segment, segment_objects
 
     with watcher.watch(name, config.max_steps):
@@ -214,9 +214,9 @@ def evolve(name: str, volume: Volume, channels: list[Volume], config: RunConfig,
 
 
 def report_failure(place: Place, config: RunConfig | None, error: BaseException, log: Log | None = None) -> None:
-    """Write the report of a run that left no result; say so on stderr when even that fails.
+    """Write the report of a run without a result; print a warning when that fails too.
 
-    A report that stands for a result is not replaced, unless outputs may be.
+    The report of an earlier result is replaced only where outputs may be.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def report_failure(place: Place, config: RunConfig | None, error: BaseException,
         None when the settings were not valid.
     error : BaseException
     log : Log, optional
-        What was known by then.
+        The data until then.
     """
     log = log or Log()
     if os.path.lexists(place.report_path) and not (place.overwrite or outputs.is_failure_report(place.report_path)):

@@ -58,7 +58,7 @@ def compare(
     reference
         Label map of the true object, on the same grid: adds Dice and surface distances.
     config
-        TOML file with settings; options given here beat it.
+        TOML file with settings; options given here override it.
     overwrite
         Replace outputs that exist.
     """
@@ -168,7 +168,7 @@ def conclude(
 
 
 def _heading(code: int, config: RunConfig) -> dict[str, Any]:
-    """What the comparison begins with."""
+    """The first keys of the comparison."""
     from accelsurf.report import document
     from accelsurf.report.environment import versions
 
@@ -183,7 +183,7 @@ def _heading(code: int, config: RunConfig) -> dict[str, Any]:
 
 
 def _describe_run(name: str, result: Result, truth: Volume | None) -> dict[str, Any]:
-    """What the comparison tells of a run; seconds of the run alone: files and pictures say nothing about a flow."""
+    """The entry of a run; its seconds are without those of files and pictures, which do not depend on the flow."""
     from accelsurf.report import document
 
     measures = _agreement(result, truth) if truth is not None else None
@@ -220,7 +220,7 @@ def _agreement_of_runs(results: Mapping[str, Result]) -> dict[str, float]:
 
 
 def _names(flows: str) -> list[str]:
-    """Return the flows asked for, each once.
+    """Return the flows that were named, each once.
 
     Raises
     ------
@@ -229,7 +229,7 @@ def _names(flows: str) -> list[str]:
     """
     names = list(dict.fromkeys(name.strip() for name in flows.split(",") if name.strip()))
     if not names:
-        raise UsageError("--flows names no flow", f"there are {', '.join(FLOWS)}")
+        raise UsageError("--flows names no flow", f"valid are {', '.join(FLOWS)}")
     for name in names:
         RunConfig(flow=name)
     return names

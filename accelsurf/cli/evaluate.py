@@ -16,8 +16,8 @@ def evaluate(
 ) -> int:
     """Measure how well two label maps agree: overlap, volume, and surface distances in mm.
 
-    Every label above 0 is the object. Both maps must lie on the same grid. A number that has no meaning, as the
-    distance to an empty map, is shown as - (null in JSON).
+    Every label above 0 is the object. Both maps must lie on the same grid. A number that is not defined, such
+    as the distance to an empty map, is shown as - (null in JSON).
 
     Parameters
     ----------

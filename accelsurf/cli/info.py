@@ -1,4 +1,4 @@
-"""``accelsurf info``: what this installation is and knows."""
+"""``accelsurf info``: versions, names and settings of this installation."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
 
 
 def _known() -> dict[str, Any]:
-    """Names by kind: lists of them, or dicts with what each means."""
+    """Names by kind: lists of them, or dictionaries with the meaning of each."""
     from accelsurf.cli import EXIT_CODES
     from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts

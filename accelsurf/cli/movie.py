@@ -27,7 +27,7 @@ MOVIE = Group("Movie", sort_key=0)
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Look:
-    """What the pictures show, and how many there are."""
+    """Content and number of the pictures."""
 
     color: Annotated[Literal["plain", "speed", "force", "density"], Parameter(group=MOVIE)] = "plain"
     """Colour the surfaces: plain, or by outward speed, force or density."""
@@ -47,13 +47,13 @@ class Look:
     view: Annotated[
         Literal["corner", "front", "back", "left", "right", "top", "bottom"], Parameter(group=MOVIE)
     ] = "corner"
-    """Where the camera looks from at first."""
+    """Direction of the camera at the beginning."""
 
     orbit: Annotated[float, Parameter(group=MOVIE)] = 12.0
-    """Degrees that the camera turns per second of movie; 0 does not turn it."""
+    """Rotation of the camera, degrees per second of movie; 0 for none."""
 
     hold: Annotated[float, Parameter(group=MOVIE)] = 2.0
-    """Seconds for which the last frame is shown longer."""
+    """Seconds for which the last frame stays."""
 
     volume: Annotated[bool, Parameter(negative=(), show_default=False, group=MOVIE)] = False
     """Show the image in 3D, translucent."""

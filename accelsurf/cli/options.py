@@ -31,8 +31,8 @@ Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_defa
 def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = True) -> type:
     """Return a dataclass with an option for each field of RunConfig; ``None`` where the option was not given.
 
-    The values stay text as typed. RunConfig checks them, so that a bad one is refused in the same words wherever it
-    comes from.
+    The values stay text as typed. RunConfig checks them, so that an invalid one has the same message in a file, on the
+    command line and in Python.
     """
     members: list[tuple[str, Any, Any]] = []
     for key in RunConfig.model_fields:
@@ -62,10 +62,10 @@ SharedSettings = _settings("SharedSettings", leave_out=("flow",), with_files=Fal
 
 
 def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunConfig:
-    """Return the configuration of a run: options given beat the file, which beats the defaults.
+    """Return the configuration of a run: options override the file, which overrides the defaults.
 
-    A preset given as an option stands for options: it beats the file too, but none of the options beside it. One that
-    the file names is beaten by what the file says besides.
+    A preset given as an option overrides the file, but not the other options. A preset named in the file is overridden
+    by the other settings of the file.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunCon
     Raises
     ------
     UsageError
-        When the file or a value is no good.
+        When the file or a value is not valid.
     """
     given = {f.name: getattr(settings, f.name) for f in fields(settings)} if settings is not None else {}
     typed = {key: value for key, value in given.items() if value is not None}
@@ -91,7 +91,7 @@ def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunCon
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Display:
-    """What a command shows while it runs."""
+    """Progress and messages of a command."""
 
     quiet: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False
     """Print nothing but warnings and errors."""
@@ -101,12 +101,12 @@ class Display:
 
 
 def required(value: Path | None, name: str) -> Path:
-    """Return an argument that may only be left out in special cases.
+    """Return an argument that only special cases may omit.
 
     Raises
     ------
     UsageError
-        When it was left out.
+        When it is missing.
     """
     if value is None:
         raise UsageError(f"{name} is missing", "accelsurf COMMAND --help lists what a command needs")

@@ -1,4 +1,4 @@
-"""What is wrong with a run that did end, and what a person is told of it."""
+"""What is wrong with a finished run, and the lines printed about it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _REPORT = "use a smaller --cfl; and please report this image and its settings"
 
 
 def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError | None, list[str]]:
-    """Say what is wrong with a result: an error or None, and warnings.
+    """Return what is wrong with a result: an error or None, and warnings.
 
-    An object of several that vanished is a warning; it is an error when none is left.
+    Of several objects, one that vanished is a warning; it is an error when none remains.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def _and_more(texts: Sequence[str]) -> str:
 def summary_lines(
     name: str, result: Result, outputs: Sequence[dict[str, str]], report: Path, seconds: float
 ) -> list[str]:
-    """Return the lines that a person sees at the end: how the run ended, the measures, the files.
+    """Return the lines printed at the end: how the run ended, the measures, the files.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where the seconds of a run went, stage by stage: what ``accelsurf segment --profile`` prints."""
+"""Seconds of a run by stage, as ``accelsurf segment --profile`` prints them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ def seconds_by_stage(seconds: Mapping[str, float], kernels: Mapping[str, float])
     seconds : mapping of str to float
         Of the whole run, as in the report: load, start, evolve, mesh, write, total.
     kernels : mapping of str to float
-        Seconds in each kernel while it evolved. Each kernel says its stage, see `kernels.stages`.
+        Seconds in each kernel while it evolved. Each kernel names its stage, see `kernels.stages`.
 
     Returns
     -------
     list of (str, float)
-        Stages in the order of a run. ``other kernels`` have no stage; ``evolve: other`` is what is done between the
-        kernels; ``other`` the rest of the whole. They add up to the total.
+        Stages in the order of a run. ``other kernels`` have no stage; ``evolve: other`` is the time between kernels;
+        ``other`` is the rest. They add up to the total.
 
     Examples
     --------

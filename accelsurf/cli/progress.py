@@ -23,12 +23,12 @@ PREPARING = "preparing (the first run on a machine compiles for about half a min
 
 
 class Watcher:
-    """Shows each step, and asks the run to stop once Ctrl-C was pressed.
+    """Shows each step, and stops the run after Ctrl-C.
 
     Parameters
     ----------
     display : Display
-        What the user asked to see.
+        The kind of progress to show.
     """
 
     def __init__(self, display: Display) -> None:

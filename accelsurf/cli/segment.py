@@ -26,8 +26,8 @@ def segment(
     """Segment one object in a volume, or with --objects several.
 
     Writes NAME_seg (label map on the input's grid), NAME_surface (mesh in mm; for an image of one slice NAME_contour),
-    NAME_report.json, NAME_trace.csv and NAME_preview.png; with --objects a mesh
-    NAME_surface_ID of each and a table of them, NAME_objects.csv.
+    NAME_report.json, NAME_trace.csv and NAME_preview.png; with --objects a mesh NAME_surface_ID of each and a table of
+    them, NAME_objects.csv.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def segment(
     output
         Folder for the outputs; made when missing.
     config
-        TOML file with settings; options given here beat it.
+        TOML file with settings; options given here override it.
     dump_config
         Print the settings as TOML and do nothing else.
     overwrite

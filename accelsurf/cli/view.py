@@ -66,13 +66,13 @@ def view(
     config
         TOML file with settings, such as run.toml of an earlier session; options given here override it.
     reference
-        Label map of the true object, on the same grid: drawn too, with the Dice coefficient.
+        Label map of the true object, on the same grid: also drawn, with the Dice coefficient.
     overwrite
         Replace files in the folder that this session has not written.
     theme
         Colours of the window or page: dark or light.
     keep
-        Memory for the steps that can be gone back to, MB.
+        Memory for stored steps to which you can return, MB.
     """
     source, page = required(input, "INPUT"), page or PageOptions()
     made = run_config(settings, config)
@@ -97,14 +97,14 @@ def view(
 def _front_end(page: PageOptions) -> PageOptions:
     """Check that the window, or else the page, can be shown here, before the image is read.
 
-    Where the packages of the window are missing, but not those of the page, the page is taken.
+    Where the packages of the window are missing, but not those of the page, the page opens.
 
     Raises
     ------
     UsageError
         When options of the page are given for a window.
     GraphicsError
-        When this machine lacks something.
+        When a screen, driver or package is missing.
     """
     from accelsurf.viewer.frontends import display
     from accelsurf.viewer.scene.headless import require_graphics
@@ -112,7 +112,7 @@ def _front_end(page: PageOptions) -> PageOptions:
     if not page.browser:
         for name, given in {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}.items():
             if given is not None:
-                raise UsageError(f"{name} was given for a window", "it has a meaning with --browser only")
+                raise UsageError(f"{name} was given for a window", "it has an effect with --browser only")
         lack = display.lacks_window_packages()
         if not lack or not display.has_page_packages():
             display.require_display()
@@ -152,7 +152,7 @@ def _serve(
 
     if page.host not in (None, LOCAL, "localhost"):
         print(
-            f"warning: --host {page.host}: whoever reaches this machine and has the address can change the run "
+            f"warning: --host {page.host}: everyone with access to this machine and the address can change the run "
             "and download files; nothing is encrypted",
             file=sys.stderr,
         )

@@ -1,8 +1,8 @@
-"""What acts on the surface: each energy gives its value U and its force f = -dU along the inward normal per area.
+"""Energies: each gives its value U and its force f = -dU along the inward normal per area.
 
 The loop calls, in this order: `start` once with the first surface; at each step `value` and `force`; after each motion
 `project`, and after redistancing `follow` with what changed. See `Energy` for the protocol; `ImageEnergy`
-and the ``..._at_front`` functions are there for energies of your own.
+and the ``..._at_front`` functions are for energies of your own.
 """
 
 from accelsurf.energies.area import AreaTerm

@@ -1,6 +1,6 @@
-"""What an energy reads at the surface: an image, its slope, normals, places.
+"""Samples at the surface for energies: an image, its slope, normals, positions.
 
-The surface is known by the closest point of each front cell. Everything here has a row
+The surface is represented by the closest point of each front cell. Every array here has a row
 per band cell, zero where ``front`` is False, in the order of `LevelSet.band`; lengths are mm, axes (z, y, x).
 """
 

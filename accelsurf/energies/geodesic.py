@@ -22,18 +22,17 @@ STRONG_PERCENTILE, STRONG_SHARE, ABOVE_NOISE = 99.9, 0.25, 2.0
 class Geodesic(ImageEnergy):
     """U = int phi dA + c int_in phi dx + alpha A, f = phi H + grad phi . n + c phi + alpha H (n outward).
 
-    The exact first variation: phi H pulls as the area does, grad phi . n towards lower phi on either side of an edge.
+    The exact first variation: phi H acts as the area does, grad phi . n towards lower phi on either side of an edge.
 
     Parameters
     ----------
     phi : ndarray (nz, ny, nx)
-        Price of area at a place, above 0; `edge_indicator` makes it from an image. No unit, so U is in mm2.
+        Weight of area at a voxel, above 0; `edge_indicator` makes it from an image. No unit, so U is in mm2.
     alpha : float
-        Price of area that edges do not lower: the surface cannot follow an edge that bends more sharply than they
-        outweigh. No unit.
+        Weight of area that edges do not lower: it limits the curvature of edges that the surface can follow. No unit.
     balloon : float
-        c, per mm: above 0 the surface shrinks where there is no edge, below 0 it grows. It wins over the area's own
-        pull on a ball of radius r mm when c < -2/r.
+        c, per mm: above 0 the surface shrinks where there is no edge, below 0 it grows. It exceeds the area's own
+        force on a ball of radius r mm when c < -2/r.
 
     Attributes
     ----------
@@ -125,8 +124,8 @@ def edge_contrast(gradient: np.ndarray) -> float:
     """Gradient K that counts as half an edge, from all gradients of an image.
 
     The larger of a quarter of the strongest edges (99.9th percentile) and twice the median. Most voxels are not on an
-    edge, so the median is what noise and texture have: there phi stays at 0.8, and edges stand out of it as far as
-    they can. In a clean image the median is 0, and a quarter of the strongest edge makes phi 1/17 on it.
+    edge, so the median is that of noise and texture: there phi stays at 0.8, and edges differ from it as much as
+    possible. In a clean image the median is 0, and a quarter of the strongest edge makes phi 1/17 on it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Base of the energies that see an image."""
+"""Base of the energies of an image."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from accelsurf.levelset import BandChange, LevelSet
 class ImageEnergy(Energy):
     """Base of energies of an image: has its sums over the inside, follows the band, has an area weight.
 
-    A subclass gives `value` and `force`, as `Energy` says them.
+    A subclass gives `value` and `force`, see `Energy`.
 
     Parameters
     ----------
@@ -49,5 +49,5 @@ class ImageEnergy(Energy):
         return self.sums.state()
 
     def restore(self, surface: LevelSet, state: Any) -> None:
-        """Go on, on this surface, from what `state` returned on it."""
+        """Set the state that `state` returned on this surface."""
         self.sums.restore(state)

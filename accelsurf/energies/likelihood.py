@@ -1,4 +1,4 @@
-"""Region competition: inside and outside each have a distribution of brightness, and places go to the likelier one."""
+"""Region competition: inside and outside each have a distribution of brightness; a voxel goes to the likelier one."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
 from accelsurf.levelset import BandChange, LevelSet, dot
 
-#: Smallest standard deviation of a Gaussian, as part of the image's range: a region of one value has none of its own.
+#: Smallest standard deviation of a Gaussian, as fraction of the image's range: for regions of a single value.
 MIN_DEVIATION = 0.01
 #: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side.
 BINS, END_PERCENTILES, MARGIN = 64, (0.5, 99.5), 0.05
-#: Width (sigma) of Parzen's window, bins; and the part of every value that any region may have: no value decides alone.
+#: Width (sigma) of Parzen's window, bins; and the probability that every value has at least in each region, so that no
+#: value decides alone.
 PARZEN_SIGMA, UNIFORM_SHARE = 2.0, 0.01
 
 
@@ -116,7 +117,7 @@ def _gaussian(sums: RegionMoments, min_variance: float) -> Gaussian:
 
 
 class Parzen:
-    """Densities of brightness on bins: a histogram smoothed by Parzen's window, and a little of every value.
+    """Densities of brightness on bins: a histogram smoothed by Parzen's window, plus a small uniform density.
 
     Parameters
     ----------
@@ -133,7 +134,7 @@ class Parzen:
         self.scale = (low - margin, (BINS - 1) / (high - low + 2.0 * margin))
         away = np.arange(BINS)[:, None] - np.arange(BINS)[None, :]
         window = np.exp(-0.5 * (away / PARZEN_SIGMA) ** 2)
-        # What the window would put beyond the ends stays in the end bins' neighbourhood.
+        # Columns sum to 1: the part of a window beyond the ends goes to the bins near them.
         self._window = window / window.sum(axis=0)
 
     def histogram(self, values: np.ndarray) -> np.ndarray:
@@ -236,7 +237,7 @@ class HistogramLikelihood(Energy):
         return self._beyond_band
 
     def restore(self, surface: LevelSet, state: np.ndarray) -> None:
-        """Go on, on this surface, from what `state` returned on it."""
+        """Set the state that `state` returned on this surface."""
         self._beyond_band = state
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
@@ -250,7 +251,7 @@ class HistogramLikelihood(Energy):
             self.sums.image,
             self._parzen.scale,
         )
-        # What is left of a bin after its voxels have gone is rounding.
+        # A bin without voxels has a rounding error instead of 0.
         inside = np.clip(self._beyond_band + band, 0.0, self._all)
         outside = self._all - inside
         if self._fixed is not None:

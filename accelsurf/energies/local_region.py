@@ -1,4 +1,4 @@
-"""Localised Chan-Vese: the image has one mean inside and one outside, each within a window around the place."""
+"""Localised Chan-Vese: the image has one mean inside and one outside, each within a window around each voxel."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class LocalRegion(Energy):
     """U = int dx int K(x - y) (I(y) - f(x))^2 dy + alpha A, f the mean f1 or f2 of its window and side at x.
 
     f = int K(x - y) [(I(y) - f1(x))^2 - (I(y) - f2(x))^2] dx + alpha H at a point y of the surface: the exact first
-    variation. After Lankton and Tannenbaum (2008), in the form of Li and others (2008), whose windows stand on all
-    places near the surface instead of on the surface only: theirs has no energy that falls.
+    variation. After Lankton and Tannenbaum (2008), in the form of Li and others (2008), whose windows are centred on
+    all voxels near the surface instead of on the surface only: the former has no energy that decreases.
 
     The window K is a product of tents, (1 - |d|/b) along each axis, b = 1.095 R: two moving sums, with the variance of
-    the ball of radius R. Its sums live on nodes b/4 apart (or two voxels, if that is more), see `kernels.windows`: the
-    cost of a step is that of the band and of a small lattice, whatever R is. The nodes lie alike on both sides of the
+    the ball of radius R. Its sums are on nodes b/4 apart (or two voxels, if that is more), see `kernels.windows`: the
+    cost of a step is that of the band and of a small lattice, whatever R is. The nodes are symmetric about the
     volume's middle, so that a scan stored with its axes flipped has the same windows.
 
     Parameters
@@ -72,7 +72,7 @@ class LocalRegion(Energy):
         return self._inside.copy()
 
     def restore(self, surface: LevelSet, state: np.ndarray) -> None:
-        """Go on, on this surface, from what `state` returned on it."""
+        """Set the state that `state` returned on this surface."""
         self._place_nodes(surface)
         self._inside = state.copy()
 
@@ -171,7 +171,7 @@ def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
 
     Returns (number, distance in voxels, how many before voxel 0, half width of the tent in nodes).
 
-    They lie alike on both sides of the axis' middle, and beyond both ends, so that the windows on every voxel add up
+    They are symmetric about the axis' middle and extend beyond both ends, so that the windows on every voxel add up
     to 1. ``before`` has a part of a distance for the voxels between voxel 0 and the node before it.
 
     Examples

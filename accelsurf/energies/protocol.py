@@ -11,11 +11,11 @@ from accelsurf.levelset import BandChange, LevelSet
 
 
 class Energy(ABC):
-    """What the loop asks of an energy. A subclass gives `value` and `force`; all else has a default.
+    """The protocol of energies. A subclass gives `value` and `force`; all other methods have a default.
 
     The loop calls `start` once; then, in each step, `value` and `force`, `project` after the surface has moved, and
-    `follow` after it was redistanced. What `value` found out about the surface may be kept for the `force` that comes
-    after it. An energy that carries something from step to step returns it from `state` and takes it back in `restore`.
+    `follow` after it was redistanced. What `value` computes for the surface may be stored for the `force`
+    that follows. An energy with a state that goes from step to step returns it from `state` and sets it in `restore`.
 
     Attributes
     ----------
@@ -36,11 +36,11 @@ class Energy(ABC):
         """Bring psi back to where the energy is finite; called before redistancing. By default psi stays."""
 
     def state(self) -> Any:
-        """Return what is carried from step to step, never to be changed later. By default None: there is nothing."""
+        """Return the state that goes from step to step; it must not be changed later. By default None: no state."""
         return None
 
     def restore(self, surface: LevelSet, state: Any) -> None:
-        """Go on, on this surface, from what `state` returned on it. By default the energy starts on it again."""
+        """Set the state that `state` returned on this surface. By default the energy starts on it again."""
         self.start(surface)
 
     @abstractmethod

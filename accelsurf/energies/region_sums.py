@@ -14,7 +14,7 @@ from accelsurf.levelset import BandChange, LevelSet, dot
 
 
 class RegionMoments(NamedTuple):
-    """Sums over voxels, each by the share of it that counts: of 1, of the image, of its square."""
+    """Sums over voxels, weighted by their volume fraction: of 1, of the image, of its square."""
 
     voxels: float
     total: float
@@ -25,7 +25,7 @@ class MomentTracker:
     """Sums of an image over the inside of the surface, kept up to date in O(band).
 
     The inside voxels that are not in the band are summed once; after that only cells that enter or leave
-    the band change that part. The band itself is summed afresh, each voxel by its share inside.
+    the band change that part. The band itself is summed in each step, each voxel by its fraction inside.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class MomentTracker:
         )
 
     def state(self) -> np.ndarray:
-        """The sums beyond the band, which depend on the way here in their last digits."""
+        """The sums beyond the band, whose last digits depend on the steps before."""
         return self._beyond_band
 
     def restore(self, state: np.ndarray) -> None:
@@ -71,7 +71,7 @@ class MomentTracker:
         self._beyond_band = state
 
     def inside(self, surface: LevelSet, fraction: np.ndarray) -> RegionMoments:
-        """Sums over the inside of the surface, voxels cut by it counted in part."""
+        """Sums over the inside of the surface, with the volume fraction of voxels that it cuts."""
         band = surface.workers.block_sums(
             region.weighted_sums, surface.size, 3, surface.band.cells, fraction, self.image
         )

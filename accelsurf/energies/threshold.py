@@ -11,7 +11,7 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.slabs import runs
 
 #: Width of the soft edge unless given: this part of the image's range, but at most this part of the window, so that
-#: its middle is sure.
+#: g = -1 in its middle.
 SOFT_RANGE, SOFT_WINDOW = 0.1, 0.25
 
 

@@ -1,4 +1,4 @@
-"""An energy that somebody else wrote, checked: its mistakes are reported in one line, before a kernel fails."""
+"""An energy of the user's own with checks: mistakes are reported in one line, before a kernel fails."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ METHODS = ("start", "follow", "value", "force")
 
 
 class CheckedEnergy(Energy):
-    """An energy that behaves as the one given, but whose value and force are checked before they are used.
+    """Wraps an energy and checks its value and force before they are used.
 
     Parameters
     ----------
     energy : object
         With ``alpha`` and the methods `METHODS` of `Energy`; it need not derive from it. ``project``, ``state`` and
-        ``restore`` are called where it has them. This class is the only one that looks whether a method exists.
+        ``restore`` are called where it has them. Only this class tests whether a method exists.
 
     Attributes
     ----------

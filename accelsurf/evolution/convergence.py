@@ -1,4 +1,4 @@
-"""When a run ends by itself: converged, stalled, or with no surface left; and when momentum is set to zero."""
+"""When a run has converged, stalled, or has no surface left; and when momentum is set to zero."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from accelsurf.evolution.state import LoopState
 from accelsurf.flows import Flow
 from accelsurf.levelset import LevelSet
 
-#: Mean motion in a step, voxels, of a surface that stands still: details finer than the grid move it back and forth.
+#: Mean motion in a step, voxels, below which a surface does not move: details finer than the grid let it oscillate.
 STILL = 0.05
 #: A run has stalled when the last `STALL_STEPS` steps are all shorter than the share `STALLED` of the CFL step, or than
 #: the share `COLLAPSED` of the longest step; steps down to the share `SHORT` are long enough to judge by.
@@ -22,12 +22,12 @@ Reason = tuple[StopReason, str]
 class StopRule(NamedTuple):
     """When a run has converged, in physical terms.
 
-    Looked at every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a
-    window before (what it moved there and back does not count), and no more than the share ``far`` of it further than
-    `levelset.FAR`: a small part may still be moving where all else stands still. The kinetic energy is below
-    ``kinetic`` of w times the potential won so far, or the last step moved the surface by less than `STILL` voxels: a
-    start that is the end wins nothing. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`, the
-    window is so many times longer.
+    Checked every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a window
+    before (oscillation within the window does not count), and no more than the share ``far`` of it lies further away
+    than `levelset.FAR`: a small part may still move while the rest does not. The kinetic energy is below ``kinetic``
+    of w times the decrease of the potential so far, or the last step moved the surface by less than `STILL` voxels: a
+    start at the minimum decreases nothing. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`, the
+    window is longer in proportion.
     """
 
     window: int = 20
@@ -36,7 +36,7 @@ class StopRule(NamedTuple):
     far: float = 0.01
 
     def judge(self, surface: LevelSet, flow: Flow, state: LoopState) -> Reason | None:
-        """Whether the surface has converged; what was seen is noted in ``state``."""
+        """Whether the surface has converged; ``state`` records the check."""
         if (len(state.history) - state.first) % self.window:
             return None
         records = state.history[state.seen :]
@@ -76,10 +76,10 @@ class Restart(NamedTuple):
 
 
 def surface_is_gone(surface: LevelSet, potential: float) -> Reason | None:
-    """Why there is no surface that could move; None where there is one."""
+    """Why no surface is left that could move; None if one is."""
     if surface.size == 0:
         if surface.is_filled:
-            return "filled", "the surface took in the whole volume"
+            return "filled", "the surface filled the whole volume"
         return "vanished", "the surface shrank to nothing"
     if not math.isfinite(potential):
         return "diverged", f"the potential became {potential}"
@@ -96,7 +96,7 @@ def stalled(records: list[StepRecord]) -> Reason | None:
         return None
     if last.dt < STALLED * last.cfl_dt:
         return "stalled", (
-            f"the steps are {last.cfl_dt / last.dt:.0e} times shorter than the forces ask for: diffusion, "
-            "noise, smoothness or gravity bind them; less of it, or --diffusion free"
+            f"the steps are {last.cfl_dt / last.dt:.0e} times shorter than the forces allow: diffusion, "
+            "noise, smoothness or gravity limit them; use less of it, or --diffusion free"
         )
     return "stalled", "the time step has collapsed: the surface can no longer move"

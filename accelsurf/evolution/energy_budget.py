@@ -1,4 +1,4 @@
-"""What has become of the energy: lost to friction, smoothing and restarts, put in by noise."""
+"""The energy budget: what friction, smoothing and restarts took, and what noise added."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class EnergyBudget:
     Attributes
     ----------
     friction, smoothing, noise : float
-        Work so far: taken by friction; taken by diffusion, limiter, restarts and changes; put in by noise.
+        Work so far: taken by friction; taken by diffusion, limiter, restarts and changes; added by noise.
     last : EnergyRates
         Of the last step.
     last_dt : float

@@ -39,10 +39,10 @@ class Evolution:
     rule : StopRule or None
         None runs to ``max_steps``.
     level : int
-        The grid's level, for the history. A level above 0 leaves no last record without a step: the surface goes on to
+        The grid's level, for the history. A level above 0 has no last record without motion: the surface continues on
         the next level, whose first record has its state.
     state : LoopState, optional
-        State to go on from, of an evolution on another grid or under other settings (`LoopState.on_next_grid`).
+        State to continue from, of an evolution on another grid or under other settings (`LoopState.on_next_grid`).
     fields : list of ndarray (n,), optional
         The fields of ``flow`` on this band; without them the flow starts with zero momentum.
 
@@ -92,11 +92,11 @@ class Evolution:
         self._stop_requested = True
 
     def measure(self) -> None:
-        """Take the potential of the surface as it is, so that an evolution on another grid can go on from here."""
+        """Evaluate the potential of the present surface, so that an evolution on another grid can continue from it."""
         self.state.potential = self.energy.value(self.surface, *self.surface.fraction_and_area())
 
     def zero_momentum(self) -> None:
-        """Take the momentum from the surface, as a restart does; the energy budget records the loss."""
+        """Set the momentum to zero, as a restart does; the energy budget records the loss."""
         self.state.budget.record_loss(self.flow.zero_momentum(self.surface.fraction_and_area()[1]))
 
     def __iter__(self) -> Iterator[Step]:
@@ -132,7 +132,7 @@ class Evolution:
         return Step(record, self.surface, self.state.fields)
 
     def _leaves_level(self) -> bool:
-        """Whether this coarse level has ended: the next one begins where it did, with the record of that state."""
+        """Whether this coarse level has ended: the next one begins with the record of its final state."""
         return self.stop is not None and self.level > 0
 
     def current(self) -> Step:
@@ -144,7 +144,7 @@ class Evolution:
         record = self._final_record(columns, began)._replace(edits=self.state.edits)
         return Step(record, self.surface, self.state.fields)
 
-    # -- changed by hand -----------------------------------------------------------------------------------
+    # -- edits ---------------------------------------------------------------------------------------------
 
     def edited(
         self,
@@ -156,16 +156,16 @@ class Evolution:
         half_width: float,
         change_psi: Callable[[LevelSet], None] | None = None,
     ) -> Evolution:
-        """Return the evolution that goes on from here under other settings, or from a changed surface.
+        """Return the evolution that continues from here under other settings, or from a changed surface.
 
-        History, time and the energy budget are continued: what E loses or gains here counts as smoothing.
-        Momentum stays with a flow of the same class; one of another class begins without. The rules of stop and
-        restart begin anew, as they would at the start.
+        History, time and the energy budget are continued: the change of E here counts as smoothing work. A flow of
+        the same class keeps the momentum; one of another class begins with zero momentum. The rules of stop and
+        restart begin anew, as at the start.
 
         Parameters
         ----------
         energy : Energy or None
-            None keeps the one there is.
+            None for no change.
         flow : Flow
             Not started yet.
         limits, restart, rule
@@ -173,7 +173,7 @@ class Evolution:
         half_width : float
             Of the band, voxels.
         change_psi : callable, optional
-            Changes the dense psi of the surface, which is then made a distance again.
+            Changes the dense psi of the surface, which is then made a signed distance again.
         """
         self.initialize()
         surface, old = self.surface, self.flow
@@ -283,13 +283,13 @@ class Evolution:
         }
 
     def _advance(self, plan: StepPlan) -> int:
-        """Move the surface, and everything that lives on it; returns how many components were removed."""
+        """Move the surface and the fields on it; returns how many components were removed."""
         surface = self.surface
         if plan.velocity is None:
             surface.advance(plan.speed, plan.dt)
         else:
             surface.advect(plan.velocity, plan.dt)
-        # An energy may be infinite in places.
+        # An energy may be infinite for some surfaces, such as those beyond a mask.
         self.energy.project(surface)
         removed = surface.remove_small()
         motion = None if plan.velocity is None else (plan.velocity, plan.dt)

@@ -1,4 +1,4 @@
-"""From coarse grids to the image's own: when a coarse level is left, and a surface taken to the next finer one."""
+"""From coarse grids to the image's own: when a coarse level ends, and how a surface is prolonged to the next."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import transfer_fields
 
-#: A coarse level only has to come near, the next one goes on anyway: its window, its motion as a multiple of the
-#: finest level's, its kinetic energy, and the share of it that may be further off.
+#: Stop rule of a coarse level, looser because the next level continues from it: window, motion as a multiple of the
+#: finest level's, kinetic energy, and share of the surface that may still move further.
 COARSE_WINDOW, COARSE_MOTION, COARSE_KINETIC, COARSE_FAR = 10, 2.0, 0.05, 0.01
-#: How a coarse level ends without a surface that the next one could go on from.
+#: Reasons to stop that leave no surface for the next level.
 FAILED = ("vanished", "filled", "diverged")
 
 

@@ -1,4 +1,4 @@
-"""What the loop yields and writes down: the record of a step, why a run stopped, what acted on the surface."""
+"""What the loop yields: the record of a step, why a run stopped, the forces and speeds that acted."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ class StepRecord(NamedTuple):
     level : int
         Grid that the step was made on: 0 is the image's own, 1 the next coarser one; see `accelsurf.grid.pyramid`.
     t, dt, cfl_dt : float
-        Flow time, the step's length, and the length that the surface's way alone would allow: where dt is less, waves,
-        diffusion, noise or density bound it. Both are 0 in the last row, which only records the final state.
+        Flow time, the step's length, and the length that the CFL condition alone would allow: where dt is less, waves,
+        diffusion, noise or density limit it. Both are 0 in the last record, which has the final state.
     potential, kinetic, mass_potential, weight : float
         U, the paper's T, U_mass, and the factor w of the potentials, at time t: E = U + U_mass + T/w never rises.
     friction_work, smoothing_work, noise_work : float
-        What friction has taken from E so far; what diffusion, the limiter, restarts, changes of level and edits have;
-        what noise has put in: E + friction_work + smoothing_work - noise_work stays what it was.
+        Taken from E so far by friction; by diffusion, the limiter, restarts, changes of level and edits; added to E by
+        noise: E + friction_work + smoothing_work - noise_work is constant.
     mass, mass_correction : float
-        Mass of the surface, and the part that the flow has had to add so far to conserve it (relative).
+        Mass of the surface, and the fraction of it that the flow has added so far to conserve it.
     clamped_fraction : float
         Share of the surface where a negative tension of the mass potential was clamped.
     volume_mm3, area_mm2 : float
     speed : float
-        The limiter's percentile of the speed (sign dropped) on the front, mm per unit time.
+        The limiter's percentile of the absolute speed on the front, mm per unit time.
     motion_voxels : float
         Mean motion of the surface in the step, voxels along the normal.
     limited_fraction : float
-        Share of front cells held to the CFL limit.
+        Share of front cells whose speed was clipped to the CFL limit.
     diffusion : float
         Velocity diffusion used, mm2 per unit time.
     band_cells, cells_visited : int
-        Size of the band, and the cells that the step's passes over it visited in all: its cost, on any machine.
+        Size of the band, and the number of cells that all passes of the step visited: its cost on any machine.
     restarted : bool
         True when momentum was set to zero before this step.
     removed_components : int
@@ -49,7 +49,7 @@ class StepRecord(NamedTuple):
     seconds : float
         Wall time of the step.
     edits : int
-        Changes made by hand right before this step; see `accelsurf.settings.edits`.
+        Edits applied right before this step; see `accelsurf.settings.edits`.
     extra : tuple of (str, float)
         Name and value of the columns that were added to `accelsurf.settings.trace_columns.TRACE_COLUMNS`.
     """
@@ -94,8 +94,8 @@ class Stop(NamedTuple):
 
 
 class StepFields(NamedTuple):
-    """What acted in a step, per cell of the band that it began on: raveled ``cells`` (n,) in raster order, ``force``
-    (n,), which counts at the front, and ``speed`` (n,), mm per unit time; along N, so that above 0 shrinks.
+    """What acted in a step, per cell of the band at its beginning: raveled ``cells`` (n,) in raster order; ``force``
+    (n,), valid at the front; ``speed`` (n,), mm per unit time. Both are along N: above 0 shrinks.
     """
 
     cells: np.ndarray
@@ -104,8 +104,8 @@ class StepFields(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What the loop yields: the ``record`` of the step, the ``surface`` as it is now, and the ``fields`` that moved it
-    last on this grid (not to be changed; None where no step was made on the grid yet); ``object_id`` says whose it is.
+    """What the loop yields: the ``record`` of the step, the present ``surface``, the ``fields`` that moved it last on
+    this grid (read only; None before the first step on the grid), and the ``object_id``.
     """
 
     record: StepRecord

@@ -16,7 +16,7 @@ import numpy as np
 
 from accelsurf.errors import InputError
 
-#: Raised when the way in which states are written changes.
+#: Version of the format; raised when it changes.
 FORMAT = 1
 _TREE = "tree"
 
@@ -35,7 +35,7 @@ def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
     Raises
     ------
     TypeError
-        When something else is in it.
+        When the state contains anything else.
     """
     arrays: dict[str, np.ndarray] = {}
     names = {kind: name for name, kind in types.items()}
@@ -71,7 +71,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], names: Mapping[type, str]
     if isinstance(value, (np.ndarray, np.generic)):
         array = np.asarray(value)
         if array.dtype.hasobject:
-            raise TypeError(f"a state holds an array of {array.dtype}, which cannot be saved")
+            raise TypeError(f"a state has an array of {array.dtype}, which cannot be saved")
         name = f"a{len(arrays)}"
         arrays[name] = array
         return {"array" if isinstance(value, np.ndarray) else "number": name}
@@ -83,7 +83,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], names: Mapping[type, str]
     if type(value) in (tuple, list):
         kind = "tuple" if isinstance(value, tuple) else "list"
         return {kind: [_encode(item, arrays, names) for item in value]}
-    raise TypeError(f"a state holds a {type(value).__name__}, which cannot be saved")
+    raise TypeError(f"a state has a {type(value).__name__}, which cannot be saved")
 
 
 def _values(record: Any) -> list[Any]:

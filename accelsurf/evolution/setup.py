@@ -1,4 +1,4 @@
-"""How a surface is moved under given settings."""
+"""Solver settings of a surface."""
 
 from __future__ import annotations
 

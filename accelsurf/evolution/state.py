@@ -1,4 +1,4 @@
-"""What the loop needs of the past, as a value: copied for a checkpoint, passed on to the next grid."""
+"""The state of the loop as a value: copied for a checkpoint, passed on to the next grid."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class LoopState:
     time : float
         Flow time.
     potential : float
-        U at the last look.
+        U when it was last evaluated.
     gained_before : float
-        Potential won on earlier grids and before edits.
+        Decrease of the potential on earlier grids and before edits.
     potential_before : float
-        E as it was on the grid before, to be compared with the first value here; NaN when there is nothing to compare.
+        E on the grid before, to be compared with the first value here; NaN when there is nothing to compare.
     first, seen : int
-        Number of the first step on this grid, and of the one at which convergence was last looked at.
+        Number of the first step on this grid, and of the one at which convergence was last checked.
     snapshot : Snapshot or None
         The surface then.
     fields : StepFields or None
@@ -61,17 +61,17 @@ class LoopState:
 
     @property
     def gained(self) -> float:
-        """Potential won so far, over all grids."""
+        """Decrease of the potential so far, over all grids."""
         here = self.history[self.first :]
         return self.gained_before + (max(here[0].potential - self.potential, 0.0) if here else 0.0)
 
     def on_next_grid(self, with_fields: bool) -> LoopState:
-        """The state with which an evolution goes on elsewhere: on another grid, or under other settings.
+        """The state to continue from on another grid or under other settings.
 
         Parameters
         ----------
         with_fields : bool
-            Whether momentum goes on too; then the energy budget does.
+            Whether momentum is transferred; then the energy budget is continued too.
         """
         count = len(self.history)
         following = LoopState(self.history, self.time, gained_before=self.gained, edits=self.edits)
@@ -84,7 +84,7 @@ class LoopState:
 class Checkpoint(NamedTuple):
     """An evolution between two steps: the states of its four owners; see `Evolution.checkpoint`.
 
-    ``stop`` is why it has ended; beside others that go on, an object may have.
+    ``stop`` is why it has ended: an object may have, while others go on.
     """
 
     level: int
@@ -96,7 +96,7 @@ class Checkpoint(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes at most; records are not counted, and what checkpoints may share is."""
+        """Upper bound of its memory, bytes: without records, with arrays that checkpoints may share."""
         fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
         before, acting = self.loop.snapshot, self.loop.fields
         shared = (12 * before.psi.size if before else 0) + (16 * acting.speed.size if acting else 0)

@@ -1,4 +1,4 @@
-"""What the paper's accelerated systems share: clock, noise, energies, and the stiffness that bounds the step."""
+"""Base of the paper's accelerated systems: clock, noise, energies, and the stiffness that bounds the step."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from accelsurf.flows.noise import Noise
 from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits
 from accelsurf.levelset import LevelSet
 
-#: Where the speeds reverse in two steps running, the force stiffness is taken to be larger by the first factor, at most
-#: so many times larger than the peak force says: the step becomes shorter by the square root.
+#: Where the speeds reverse in two steps in a row, the estimate of the force stiffness grows by the first factor, up to
+#: so many times the estimate by the peak force: the step becomes shorter by the square root.
 STIFFNESS_GROWTH, MAX_STIFFNESS_FACTOR = 1.5, 16.0
 
 
 class Accelerated(Flow):
-    """What the two mass models share. See `Clock` for k, lambda_, friction and t0.
+    """Base of the two mass models. See `Clock` for k, lambda_, friction and t0.
 
     Parameters
     ----------
     rho : float
         Mass per area at the start.
     diffusion : float, optional
-        D of the velocity along the surface, mm2 per unit time; the step is as short as it needs. None is the
+        D of the velocity along the surface, mm2 per unit time; it may shorten the step. None is the
         free gain of each step (`diffusion.free_diffusion`).
     noise : Noise, optional
         Random acceleration.
@@ -61,12 +61,12 @@ class Accelerated(Flow):
             self.noise.start()
 
     def state(self) -> dict[str, Any]:
-        """Copy all that the flow carries from step to step, but not its settings."""
+        """Copy the state that goes from step to step, without the settings."""
         noise = None if self.noise is None else self.noise.state()
         return {**super().state(), "clock": self.clock.state(), "noise": noise}
 
     def restore(self, surface: LevelSet, state: dict[str, Any]) -> None:
-        """Go on, on this surface, as a flow of the same settings whose `state` it was."""
+        """Set the state that a flow of the same settings returned on this surface."""
         super().restore(surface, state)
         self._workers = surface.workers
         self.clock.restore(state["clock"])
@@ -74,7 +74,7 @@ class Accelerated(Flow):
             self.noise.restore(state["noise"])
 
     def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
-        """Go on with other settings: speeds and time on the clock stay; noise that was not there begins."""
+        """Continue with other settings: speeds and time on the clock stay; noise begins if there was none."""
         assert isinstance(before, Accelerated)
         Flow.restore(self, surface, before.state())
         self._workers = surface.workers
@@ -84,8 +84,8 @@ class Accelerated(Flow):
         if forces_changed:
             self._forget_forces()
 
-    #: Also how many times larger than the peak force says the stiffness has turned out to be, and whether the speeds
-    #: reversed in the last step.
+    #: Also the factor by which oscillations have raised the stiffness estimate, and whether the speeds reversed in the
+    #: last step.
     state_names = (*Flow.state_names, "_stiffness_factor", "_reversed")
 
     def _forget_forces(self) -> None:
@@ -105,7 +105,7 @@ class Accelerated(Flow):
         """Energies from the velocities before, after diffusion, kick, noise and clipping."""
         before, smoothed, kicked, noisy, after = stages
         w = self.clock.weight()
-        # Where nothing happened two stages are one array.
+        # Where a stage changed nothing, it is the same array as the one before.
         energies = {id(stage): self._kinetic(area, stage, stage) / w for stage in stages}
 
         def energy(velocity: np.ndarray) -> float:
@@ -122,14 +122,14 @@ class Accelerated(Flow):
         )
 
     def _force_stiffness(self, peak: float, surface: LevelSet) -> float:
-        """Estimate of the force stiffness: the peak force so far (voxels), times what oscillations have shown."""
+        """Estimate of the force stiffness: the peak force so far (voxels), times the factor raised by oscillations."""
         return self._peak_force_so_far(peak, surface) * self._stiffness_factor
 
     def _detect_oscillation(self, kinetic: float) -> None:
-        """Raise the stiffness when the speeds before and after a kick are opposed on the whole in two steps running.
+        """Raise the stiffness when the speeds before and after a kick are opposed on average in two steps in a row.
 
         Leap-frog is stable up to omega dt = 2. An oscillation of more than four steps reverses the speeds in one of
-        them at most; in two running, something oscillates with omega dt > pi/2, and soon grows.
+        them at most; two in a row mean an oscillation with omega dt > pi/2, which soon grows.
         """
         reverses = kinetic < 0.0
         if reverses and self._reversed:

@@ -37,7 +37,7 @@ class Clock:
         return self.last_dt == 0.0
 
     def start(self) -> None:
-        """Start another run."""
+        """Start from rest for a new run."""
         self.t0 = self._given
         self.zero_momentum()
 
@@ -46,7 +46,7 @@ class Clock:
         self.time, self.last_dt = self.t0 or 0.0, 0.0
 
     def state(self) -> tuple[float | None, float, float]:
-        """Return t0 as it was found, the time and the last step."""
+        """Return t0, the time and the last step."""
         return self.t0, self.time, self.last_dt
 
     def restore(self, state: tuple[float | None, float, float]) -> None:
@@ -54,7 +54,7 @@ class Clock:
         self.t0, self.time, self.last_dt = state
 
     def continue_from(self, before: Clock) -> None:
-        """Go on from a clock with other settings: its time, unless it is at rest, where each has its own."""
+        """Continue from a clock with other settings: take its time, unless it is at rest; then keep the own t0."""
         same = (self.k, self.lambda_, self.friction, self._given) == (
             before.k, before.lambda_, before.friction, before._given
         )
@@ -64,7 +64,7 @@ class Clock:
             self.time, self.last_dt = before.time, before.last_dt
 
     def tick(self, dt: float) -> None:
-        """Go on by ``dt``."""
+        """Advance by ``dt``."""
         self.time += dt
         self.last_dt = dt
 
@@ -104,7 +104,7 @@ class Clock:
         if peak <= 0:
             return math.inf
         if self.t0 is None:
-            # The step that a weight of that very time allows: lambda k^2 t^(k-2) f/rho t^2/2 = cfl.
+            # The step t that the constant weight w(t) allows: lambda k^2 t^(k-2) f/rho t^2/2 = cfl.
             self.t0 = self.time = (2.0 * cfl / (self.lambda_ * self.k**2 * peak)) ** (1.0 / self.k)
         if self.friction is None and self.time == 0.0:
             k = self.k

@@ -1,4 +1,4 @@
-"""Flows without inertia: what they share, and plain L2 gradient descent, the baseline."""
+"""Flows without inertia: their base, and plain L2 gradient descent, the baseline."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from accelsurf.levelset import LevelSet
 
 
 class Descent(Flow):
-    """What flows without inertia share: a step that follows the peak speed so far."""
+    """Base of flows without inertia: a step that follows the peak speed so far."""
 
     def cfl_dt(self, rates: np.ndarray, surface: LevelSet, limits: StepLimits) -> float:
         """Step in which the percentile of the speeds ``rates`` (voxels per unit time) moves the surface by cfl."""
@@ -72,7 +72,7 @@ class Gradient(Descent):
         self.diffusion = diffusion
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        """Step with beta = f, dt <= cfl/|f|, dt <= h^2/(4 alpha), and D dt within what diffusion can make in a step."""
+        """Step with beta = f, dt <= cfl/|f|, dt <= h^2/(4 alpha), and D dt within the stability bound of a step."""
         surface, front = now.surface, now.front
         speed = np.array(now.force, np.float32)
         dt = cfl_dt = self.cfl_dt(voxel_rates(surface, front, speed)[front], surface, limits)

@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.kernels import motion
 from accelsurf.levelset import LevelSet
 
-#: Largest number of stages of a diffusion step. The free bound is what these make explicitly: (s^2 + s)/2 times one.
+#: Largest number of stages s of a diffusion step. The free bound is that of s explicit stages: (s^2 + s)/2 times one.
 MAX_STAGES = 8
 #: Free diffusion is a mixing length: D = at most MIXING x h x front speed. The surface then averages its speed over
 #: the same patch for each voxel travelled, whatever the step: a step cut short by another bound is not overdamped.
@@ -20,14 +20,14 @@ def one_stage_diffusion(surface: LevelSet) -> float:
 
 
 def largest_diffusion(surface: LevelSet) -> float:
-    """The largest amount D dt (mm2) that `diffuse` can make in one step."""
+    """The largest amount D dt (mm2) for which one step of `diffuse` is stable."""
     return 0.5 * MAX_STAGES * (MAX_STAGES + 1) * one_stage_diffusion(surface)
 
 
 def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
     """The paper's free gain: the largest D (mm2 per unit time) that does not shorten the step, within a mixing length.
 
-    The first bound is what `diffuse` can make in ``dt``; the second, MIXING x h x ``speed``, avoids that a step
+    The first bound is that of `diffuse` in ``dt``; the second, MIXING x h x ``speed``, avoids that a step
     which another bound has made short is overdamped.
     """
     return min(largest_diffusion(surface) / dt, MIXING * surface.smallest_spacing * speed)

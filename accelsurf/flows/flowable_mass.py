@@ -37,10 +37,10 @@ class FlowableMass(Accelerated):
     """V_t + (V . grad) V = (w/rho) f N - gamma V + ..., rho_t + V . grad rho + rho div_S V = 0, psi_t = -V . grad psi.
 
     The paper's system for surfaces in extended fields, psi with the corrected sign. Kick by the leap-frog (each
-    piece of surface feels only its own forces: no curvature term); then psi, V and rho are advected semi-Lagrangian,
+    surface element is accelerated by its own force: no curvature term); then psi, V, rho are advected semi-Lagrangian,
     rho divided by the exact stretch of the area, and rho is rescaled to the mass of the start. What is rescaled is
     reported (`mass_correction`): the error of the transport, and the mass of surface that vanished where fronts met
-    or a component was removed, which is so distributed over the rest.
+    or a component was removed, which is distributed over the rest.
 
     With ``gravity`` g the mass potential U_mass = g A int 1/2 rho^2 dA acts as well,
     V_t -= w g [A grad_S rho + (1/2 A rho - P/rho) H N]. Its tension g (P - 1/2 A rho^2) is negative where
@@ -69,7 +69,7 @@ class FlowableMass(Accelerated):
         self._correction = 1.0
 
     def stencil_width(self, surface: LevelSet) -> float:
-        """All but the outermost cells: advected fields are interpolated from cells further off than the front."""
+        """All but the outermost cells: advected fields are interpolated from cells further away than the front."""
         return surface.half_width - 1.0
 
     @property
@@ -91,7 +91,7 @@ class FlowableMass(Accelerated):
         self._initialize(surface)
 
     def zero_momentum(self, area: np.ndarray) -> float:
-        """Set the velocity to zero; the mass stays where it has flowed to."""
+        """Set the velocity to zero; the density stays."""
         lost = self._kinetic(area, self.velocity, self.velocity) / self.weight
         self.velocity[:] = 0.0
         self._reset_clock()
@@ -109,7 +109,7 @@ class FlowableMass(Accelerated):
         return [0.0, 0.0, 0.0, self.rho]
 
     def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
-        """Go on with other settings; the mass is that of the surface now, also where some was added or taken."""
+        """Continue with other settings; the mass is that of the present surface, after parts were added or removed."""
         super().continue_from(surface, before, forces_changed)
         assert isinstance(before, FlowableMass)
         self.density *= np.float32(self.rho / before.rho)
@@ -175,7 +175,7 @@ class FlowableMass(Accelerated):
         self._correction *= factor
 
     def _stretch(self, now: StepInput, normal: np.ndarray, dt: float) -> None:
-        """Divide the density by the stretch of the area that the coming motion makes."""
+        """Divide the density by the stretch of the area in the coming motion."""
         surface, front = now.surface, now.front
         stretch = np.empty(surface.size, np.float32)
         surface.workers.parallel(
@@ -242,7 +242,7 @@ class FlowableMass(Accelerated):
         tangential -= (tangential * normal).sum(axis=1)[:, None] * normal
         return along[:, None] * normal + tangential, diffusion
 
-    # -- step and account ----------------------------------------------------------------------------------
+    # -- step and energy budget ----------------------------------------------------------------------------
 
     def stable_dt(
         self, now: StepInput, acceleration: np.ndarray, gravity: Gravity | None, limits: StepLimits

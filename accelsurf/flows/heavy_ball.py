@@ -21,7 +21,7 @@ class HeavyBall(DescentWithMemory):
     Parameters
     ----------
     blend : float
-        omega, the part of the last step that is repeated: 0 (plain descent) up to, not including, 1.
+        omega, the fraction of the last step that is added again: 0 (plain descent) up to, not including, 1.
     """
 
     name = "momentum"

@@ -22,7 +22,7 @@ class Noise:
 
     xi is a stationary random field of unit variance with correlation exp(-|x|^2/(2 length^2)), a sum of `WAVES` plane
     waves with normally distributed wave vectors, drawn anew at each step and independently for each component. It
-    lives in mm, so it depends neither on the grid nor on the band; sqrt(dt) makes the variance of the velocity
+    is defined in mm, so it depends neither on the grid nor on the band; sqrt(dt) makes the variance of the velocity
     tau^2 t whatever the steps. There is none along an axis with one slice.
 
     Parameters
@@ -47,15 +47,15 @@ class Noise:
         self._momentum_was_reset = False
 
     def state(self) -> tuple[dict[str, Any], float, bool]:
-        """Where the sequence is."""
+        """Position in the sequence."""
         return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._momentum_was_reset
 
     def restore(self, state: tuple[dict[str, Any], float, bool]) -> None:
-        """Go on from there."""
+        """Set the position in the sequence."""
         self._random.bit_generator.state, self._elapsed, self._momentum_was_reset = copy.deepcopy(state)
 
     def zero_momentum(self) -> None:
-        """Momentum was set to zero."""
+        """Note that the momentum was set to zero, which may end the noise."""
         self._momentum_was_reset = True
 
     @property

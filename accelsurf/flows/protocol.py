@@ -1,4 +1,4 @@
-"""The protocol of the flows: what a step is given, what it returns, and the base class."""
+"""The protocol of the flows: input and output of a step, and the base class."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class StepLimits(NamedTuple):
 
 
 class StepInput(NamedTuple):
-    """The surface at the beginning of a step, and what acts on it; arrays are per band cell.
+    """The surface at the beginning of a step, and its force; arrays are per band cell.
 
     ``front`` (n,) mask of the cells that count; ``force`` f (n,), ``curvature`` H (n,), 1/mm, at the front;
     ``area`` (n,) mm2 of surface in each voxel; ``alpha`` weight of the area in the energy.
@@ -44,8 +44,8 @@ class EnergyRates(NamedTuple):
     """Energy and mass at the beginning of a step, and what the step takes; see `evolution.StepRecord`.
 
     ``kinetic`` is the paper's T, ``weight`` the factor w of the potential in T + w U; the others are in the units
-    of U: ``friction`` is lost per unit of flow time, ``smoothing`` (diffusion, limiter) taken and ``noise`` put in
-    by this step.
+    of U: ``friction`` is lost per unit of flow time; this step takes ``smoothing`` (diffusion, limiter) and adds
+    ``noise``.
     """
 
     kinetic: float = 0.0
@@ -60,7 +60,7 @@ class EnergyRates(NamedTuple):
 
 
 class StepPlan(NamedTuple):
-    """One step as the flow wants it.
+    """One step as the flow plans it.
 
     ``dt``; ``speed`` (n,) beta on the whole band, mm per unit time; ``velocity`` (n, 3) V, where the surface is
     advected by it; ``front_speed``, the percentile of the front's speeds, mm per unit time; ``clipped``, the share of
@@ -84,7 +84,7 @@ class StepPlan(NamedTuple):
 
 
 class Flow(ABC):
-    """What the loop asks of a flow. A subclass gives `name` and `move`; all else has a default.
+    """The protocol of flows. A subclass gives `name` and `move`; all other methods have a default.
 
     The defaults are those of a flow without momentum: no fields on the surface, no kinetic energy, and nothing to do
     when momentum is set to zero. All flows know the peak force of the run so far, by which they choose their steps.
@@ -92,9 +92,9 @@ class Flow(ABC):
     Attributes
     ----------
     name : str
-        As settings and reports have it.
+        Its name in settings and reports.
     state_names : tuple of str
-        Attributes that carry something from step to step, settings excluded: `state` copies them, `restore` sets them.
+        Attributes of the state that goes from step to step, without settings: `state` copies, `restore` sets them.
         A subclass adds its own.
     """
 
@@ -139,7 +139,7 @@ class Flow(ABC):
         return [0.0 for _ in self.fields]
 
     def normal_velocity(self, surface: LevelSet) -> np.ndarray:
-        """Speed (n,) along the inward normal that the surface would have without forces, mm per unit time."""
+        """Speed (n,) along the inward normal that the momentum alone gives the surface, mm per unit time."""
         return np.zeros(surface.size, np.float32)
 
     def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:  # noqa: B027
@@ -150,27 +150,27 @@ class Flow(ABC):
         return 0.0
 
     def state(self) -> dict[str, Any]:
-        """Copy all that the flow carries from step to step, but not its settings."""
+        """Copy the state that goes from step to step, without the settings."""
         return {name: copy.copy(getattr(self, name)) for name in self.state_names}
 
     def restore(self, surface: LevelSet, state: dict[str, Any]) -> None:
-        """Go on, on this surface, as a flow of the same settings whose `state` it was."""
+        """Set the state that a flow of the same settings returned on this surface."""
         for name in self.state_names:
             setattr(self, name, copy.copy(state[name]))
 
     def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
-        """Go on from a flow of the same class with other settings; ``forces_changed``: under another energy."""
+        """Continue from a flow of the same class with other settings; ``forces_changed``: under another energy."""
         self.restore(surface, before.state())
         if forces_changed:
             self._forget_forces()
 
     def _forget_forces(self) -> None:
-        """Begin anew to look for the peak force."""
+        """Reset the peak force."""
         self._peak_force = 0.0
 
     def _peak_force_so_far(self, peak: float, surface: LevelSet) -> float:
         """Largest ``peak`` (voxels) so far: near the minimum forces fade, but the stiffness there stays."""
-        # On another level voxels are others.
+        # On another level the voxels have another size.
         voxel = surface.smallest_spacing
         self._peak_force, self._voxel = max(self._peak_force * self._voxel / voxel, peak), voxel
         return self._peak_force

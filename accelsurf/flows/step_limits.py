@@ -1,4 +1,4 @@
-"""Bounds on the time step, and the speeds that they are found from."""
+"""Bounds on the time step, and the speeds that they depend on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The grid as the kernels see it, and the band that lives on it."""
+"""The grid and the band as arrays for kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The surface on the grid: a narrow band of signed distance around the zero level of psi. Knows no image."""
+"""The surface on the grid: a narrow band of signed distance around the zero level of psi, without images."""
 
 from accelsurf.levelset.checkpoint import SurfaceState, checkpoint_surface, restore_surface
 from accelsurf.levelset.displacement import FAR, Snapshot

@@ -11,7 +11,7 @@ from accelsurf.levelset.level_set import LevelSet
 
 
 class SurfaceState(NamedTuple):
-    """What `restore_surface` needs.
+    """State of a surface for `restore_surface`.
 
     ``cells`` (n,) of the band, uint32 where that is enough; ``psi`` (n,) mm; ``closest_points`` (n, 3), the vectors to
     them, mm; ``inside`` bits, whether each stretch of a row beyond the band is inside; ``inside_beyond`` number of such
@@ -27,7 +27,7 @@ class SurfaceState(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes."""
+        """Its memory, bytes."""
         return int(self.cells.nbytes + self.psi.nbytes + self.closest_points.nbytes + self.inside.nbytes)
 
 
@@ -45,11 +45,11 @@ def checkpoint_surface(surface: LevelSet) -> SurfaceState:
 
 
 def restore_surface(surface: LevelSet, state: SurfaceState) -> None:
-    """Make ``surface``, on the same grid, what it was at `checkpoint_surface`."""
+    """Restore ``surface``, on the same grid, to the state from `checkpoint_surface`."""
     cells = state.cells.astype(np.int64)
     first = _stretches(cells, surface)
     signs = np.unpackbits(state.inside, count=first.size).astype(np.bool_)
-    # Band cells do not matter here: a stretch that they end may run on over them.
+    # Band cells are overwritten later, so a stretch may continue over them.
     leading = int(first[0]) if first.size else surface.dense.psi.size
     lengths = np.concatenate([[leading], np.diff(first, append=surface.dense.psi.size)])
     inside = np.repeat(np.concatenate([[False], signs]), lengths)

@@ -56,7 +56,7 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
         was_open = state[on] == march.OPEN
         parallel(march.propagate_feet, on.size, dense, grid, (cells, to_closest, state), on, (nearer, changed))
         parallel(march.update_feet, on.size, on, nearer, changed, to_closest, state)
-        # A cell's first foot is refined at once: what it passes on is then better. The others at the end.
+        # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
         first = on[changed & was_open]
         parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest)
         improved.append(on[changed & ~was_open])

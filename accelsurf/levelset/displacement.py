@@ -11,7 +11,7 @@ from accelsurf.levelset.threads import dot
 if TYPE_CHECKING:
     from accelsurf.levelset.level_set import LevelSet
 
-#: A part of the surface that is further than so many voxels from an earlier one is still moving.
+#: A part of the surface that is further than so many voxels from an earlier surface is still moving.
 FAR = 2.0
 
 

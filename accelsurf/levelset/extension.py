@@ -1,4 +1,4 @@
-"""Fields on the band: extended along normals, and brought to a new band."""
+"""Fields on the band: extended along normals, and transferred to a new band."""
 
 from __future__ import annotations
 

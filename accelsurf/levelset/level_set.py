@@ -1,4 +1,4 @@
-"""LevelSet: psi near its zero level, with the closest point of every cell, made a distance again as it moves."""
+"""LevelSet: psi near its zero level, with the closest point of every cell, redistanced as it moves."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class LevelSet:
         self.redistance()
         self.workers.parallel(band_kernels.flatten_beyond, voxels, self.dense, self.gamma)
 
-    # -- what it is ----------------------------------------------------------------------------------------
+    # -- properties ----------------------------------------------------------------------------------------
 
     @property
     def size(self) -> int:
@@ -191,7 +191,7 @@ class LevelSet:
         return measures.fraction, measures.area
 
     def _measures(self) -> Measures:
-        """Return the measures of the band as it is: made once, cached until psi changes."""
+        """Return the measures of the present band: computed once, cached until psi changes."""
         if self._measured is None:
             fraction, area, curvature = np.empty(self.size), np.empty(self.size), np.empty(self.size, np.float32)
             # A stencil needs psi sqrt(2) voxels further off, and beyond the band psi is no distance.
@@ -212,14 +212,14 @@ class LevelSet:
         return self.size == 0 and bool(self.dense.psi[0] < 0)
 
     def snapshot(self) -> Snapshot:
-        """The band as it is now, for `distance_from`."""
+        """The present band, for `distance_from`."""
         return Snapshot(self.band.cells, self.band.psi)
 
     def distance_from(self, before: Snapshot) -> Displacement:
         """Distance of the surface from an earlier one, see `displacement`."""
         return displacement(self, before)
 
-    # -- how it moves --------------------------------------------------------------------------------------
+    # -- motion --------------------------------------------------------------------------------------------
 
     def advance(self, speed: np.ndarray, dt: float) -> None:
         """psi_t = beta |grad psi| for one step with the speeds ``speed`` (n,), beta > 0 shrinking.
@@ -316,7 +316,7 @@ class LevelSet:
         return change
 
     def _replace_band(self, band: Band) -> None:
-        """Replace the band by one that the dense arrays have already; nothing cached on the last one is valid."""
+        """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""
         self.band, self._extension, self._measured, self._fronts = band, None, None, {}
 
     def restore(self, band: Band, inside: np.ndarray, inside_beyond_band: int, half_width: float) -> None:
@@ -341,7 +341,7 @@ class LevelSet:
         self._replace_band(band)
 
     def reinitialize(self, half_width: float) -> None:
-        """Make the dense psi, changed from outside, a distance again: any function will do, as in the constructor."""
+        """Redistance the dense psi after a change from outside: any function is valid, as in the constructor."""
         self.dense.slot[self.band.cells] = -1
         self._set_half_width(half_width)
         self._build_band()

@@ -73,7 +73,7 @@ class Workers:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
     def _share_out(self, kernel: Callable[..., Any], size: int, block: int, args: tuple[Any, ...]) -> None:
-        """Share ``0 .. size`` out in ranges of whole blocks to the threads, this one among them."""
+        """Distribute ``0 .. size`` in ranges of whole blocks over the threads, including this one."""
         blocks = -(-size // block)
         if self._pool is None or blocks < 2 * MIN_BLOCKS:
             kernel(0, size, *args)
@@ -90,14 +90,14 @@ class Workers:
         try:
             drain()
         finally:
-            # One that has not begun has nothing left to do.
+            # One that has not begun finds no ranges left.
             for other in others:
                 if not other.cancel():
                     other.result()
 
     @contextmanager
     def borrowing_threads(self, others: Workers) -> Iterator[None]:
-        """Use the threads of ``others`` for a while, with counts of one's own."""
+        """Use the threads of ``others`` for a while, with separate counts."""
         before = self._pool, self.threads
         self._pool, self.threads = others._pool, others.threads
         try:

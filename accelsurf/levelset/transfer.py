@@ -1,4 +1,4 @@
-"""Fields of a band on the band of the same surface on another grid."""
+"""Transfer of fields from a band to that of the same surface on another grid."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def shift_fields(
 ) -> list[NDArray[np.float32]]:
     """Fields (n,) of a band on the band of the same surface on another grid, whose first voxels are ``at``, ``corner``.
 
-    What is new there gets the value of the front along the normal.
+    New cells get the value of the front along the normal.
     """
     index = np.unravel_index(new.band.cells, new.shape)
     place = np.stack([i + (c - a) for i, a, c in zip(index, at, corner, strict=True)])

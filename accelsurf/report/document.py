@@ -55,7 +55,7 @@ def build(
         Settings of the run; None when they were not valid.
     source, error : mapping, optional
         The input, from `file_entries.describe_input`; what went wrong, from `describe_error`.
-    result : Result or ObjectsResult, optional
+    result : Result, optional
         None when the run failed before there was one.
     seconds : mapping of str to float, optional
         Durations by part of the run, as in `TIMED`; the result's are used for parts not named here.
@@ -115,9 +115,9 @@ def describe_config(
 def describe_result(result: Result | None) -> dict[str, Any]:
     """Return the part of the report that comes from the evolution: stop, levels, energy and measures of the surface.
 
-    ``resolved_settings`` has what the run took for settings that image and grid decide: ``presmooth_mm``; ``scale``,
+    ``resolved_settings`` has the values used for settings that depend on image and grid: ``presmooth_mm``; ``scale``,
     the values of each channel that became 0 and 1; ``step_voxels`` and ``limiter_percentile``; ``diffusion``, a rate or
-    free; ``stop``: still within so many voxels over so many steps; ``half_width_voxels`` of the band; ``levels``.
+    free; ``stop``: motion of less than so many voxels in so many steps; ``half_width_voxels`` of the band; ``levels``.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         keys = ("stop", "resolved_settings", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2")
         return dict.fromkeys((*keys, "enclosed_mm2", "length_mm", "components", "touches_border", "quality", "objects"))
     last = result.history[-1] if result.history else None
-    # Coarse levels have another image, with less noise in it: only on one level are energies comparable.
+    # Coarse levels have another image, with less noise: energies are comparable on one level only.
     first = next((row for row in result.history if row.level == 0), None)
     return {
         "stop": {
@@ -167,7 +167,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
 
 
 def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
-    """Return the part of the report about the trust in an object; None for several, which have it each."""
+    """Return the part of the report about the quality of an object; None for several, which have their own."""
     return None if quality is None else {**quality._asdict(), "warnings": list(quality.warnings)}
 
 
@@ -266,7 +266,7 @@ def to_json(report: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Replace numpy scalars, tuples and non-finite numbers by what JSON knows."""
+    """Replace numpy scalars, tuples and non-finite numbers by JSON values."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""What a run ran on: the versions of the packages at work, and the memory that the process took."""
+"""The environment of a run: versions of the packages, and the memory of the process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PACKAGES = ("accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK",
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions that a result can depend on: Python, the platform and the packages at work.
+    """Return the versions that a result can depend on: Python, the platform and the packages.
 
     Examples
     --------
@@ -32,7 +32,7 @@ def versions() -> dict[str, str | None]:
 
 
 def peak_rss_mb() -> float | None:
-    """Return the most memory this process has had so far, in MB (10^6 bytes); None where the system does not say."""
+    """Return the peak memory of this process so far, in MB (10^6 bytes); None where the system does not report it."""
     try:
         import resource
     except ImportError:  # Windows

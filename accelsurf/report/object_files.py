@@ -1,4 +1,4 @@
-"""The files of each of several objects: surfaces or contours that carry its id in their names."""
+"""The files of each of several objects: surfaces or contours with its id in their names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from accelsurf.errors import OutputError
 
-#: Kinds of outputs that there is one of for each object.
+#: Kinds of outputs of which each object has its own.
 EACH = ("surface", "contour")
 
 
@@ -25,7 +25,7 @@ def name_of(name: str, own: int) -> str:
 
 
 def existing(folder: Path, names: Mapping[str, str]) -> list[Path]:
-    """Return the files there are that are named as the surface or contour of an object, whatever its id.
+    """Return the files in a folder that are named as the surface or contour of an object, of any id.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def existing(folder: Path, names: Mapping[str, str]) -> list[Path]:
 
 
 def remove_old(folder: Path, names: Mapping[str, str], written: Collection[Path]) -> None:
-    """Remove files of objects that this run does not have: with the new label map they would be taken for its own.
+    """Remove files of objects that this run does not have, as they do not belong to the new label map.
 
     Raises
     ------

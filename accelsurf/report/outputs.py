@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.segmentation.result import Result
 
-#: Kind of a file, its name, and what writes it.
+#: Kind of a file, its name, and the function that writes it.
 Writer = tuple[str, str, Callable[[Path], None]]
 
 
@@ -144,7 +144,7 @@ def is_failure_report(path: Path) -> bool:
 
 
 def make_writable(folder: Path) -> None:
-    """Make a folder, and see that a file can be written there.
+    """Make a folder, and check that a file can be written there.
 
     Raises
     ------
@@ -209,19 +209,19 @@ def _has_surface(result: Result) -> bool:
 
 
 def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """What writes the label map."""
+    """The writer of the label map."""
     if "labels" in names and _has_surface(result):
         yield "labels", names["labels"], lambda path: io.write_labels(result.labels_volume(), path)
 
 
 def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """What writes the signed distance."""
+    """The writer of the signed distance."""
     if "sdf" in names and _has_surface(result):
         yield "sdf", names["sdf"], lambda path: io.write(result.labels_volume().with_array(result.psi), path)
 
 
 def _mesh_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """What writes surfaces or contours, which are extracted here; of several objects those with a voxel."""
+    """The writers of surfaces or contours, which are extracted here; of several objects those with a voxel."""
     kinds = [kind for kind in names if kind.startswith(object_files.EACH)]
     if not kinds or not _has_surface(result):
         return
@@ -240,7 +240,7 @@ def _write_mesh(mesh: Surface | Contours, space: Literal["lps", "ras"], path: Pa
 
 
 def _table_writers(result: Result, names: Mapping[str, str], content: PreviewContent) -> Iterator[Writer]:
-    """What writes the tables and the picture."""
+    """The writers of the tables and of the picture."""
     if "objects" in names and result.has_ids:
         rows = describe_objects(result)
         yield "objects", names["objects"], lambda path: write_bytes(path, tables.objects_csv(rows).encode())

@@ -64,7 +64,7 @@ def segment(
     Raises
     ------
     UsageError
-        When an option is unknown or out of bounds, a start cannot be parsed, or an energy lacks something.
+        When an option is unknown or out of bounds, a start cannot be parsed, or an energy is incomplete.
     InputError
         When the image has NaN or infinite voxels or is constant, the start is outside, empty or full, or an energy of
         your own returns something else than numbers of the right shape.
@@ -101,10 +101,10 @@ def evolve(
     Yields
     ------
     Step
-        ``step.record`` is the record of the step, a line of the trace; ``step.object_id`` says whose it is;
-        ``step.surface`` the surface now (``.psi``, ``.labels``): copy what is
-        to be kept, the next step moves it. While ``step.record.level`` is above 0 it lies on a coarser grid than the
-        image; with ``levels=1`` it never does.
+        ``step.record`` is the record of the step, a line of the trace; ``step.object_id`` is the object's id;
+        ``step.surface`` is the present surface (``.psi``, ``.labels``): copy what you need, the next step moves it.
+        While ``step.record.level`` is above 0 it lies on a coarser grid than the image; with ``levels=1`` it never
+        does.
 
     Examples
     --------
@@ -156,9 +156,9 @@ def segment_objects(
     Raises
     ------
     UsageError
-        When no objects are given, an option is unknown, or an energy lacks something.
+        When no objects are given, an option is unknown, or an energy is incomplete.
     InputError
-        As `accelsurf.segment`, and when a start is empty or inside of others.
+        As `accelsurf.segment`, and when a start is empty or lies inside others.
 
     Examples
     --------
@@ -196,7 +196,7 @@ def _run_of(
     options: dict[str, Any],
     objects: ObjectsLike | None = None,
 ) -> Run:
-    """The run that a caller asks for."""
+    """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
     first = as_volume(volume, spacing)
     others = [as_channel(one, first) for one in channels]
     texts, given = split_given(options)
@@ -222,16 +222,16 @@ def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
 def with_options(
     config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any]
 ) -> tuple[RunConfig, EnergyLike | None]:
-    """The configuration, and the energy if it is not one with a name."""
+    """The configuration, and the energy if it is not given by name."""
     if isinstance(energy, str):
         options, energy = {**options, "energy": energy}, None
     return (config or RunConfig()).replace(**options) if options else config or RunConfig(), energy
 
 
 def result_of(run: Run) -> Result:
-    """Return what a run left, or has reached between two steps: then with the reason ``interrupted``.
+    """Return the result of a run; between two steps the present state, with the reason ``interrupted``.
 
-    Histories are copies; ``psi`` of an object that is alone may be a view of its surface, which goes on with the run.
+    Histories are copies; ``psi`` of a single object may be a view of its surface, which the next step changes.
     """
     config, missed = run.config, run.config.edit[run.edits_done :]
     image = run.prepared.picture()
@@ -254,7 +254,7 @@ def result_of(run: Run) -> Result:
         edits_done=run.edits_done,
         warnings=run.level_warnings
         + [
-            f"{key} was given, but means nothing to flow {config.flow} with energy {run.energy_name}"
+            f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
             for key in config.unused()
         ]
         + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
@@ -262,14 +262,14 @@ def result_of(run: Run) -> Result:
 
 
 def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
-    """History and reason to stop of each object; of one that goes on, its state now."""
+    """History and reason to stop of each object; the present state of one that has not stopped."""
     out = []
     for one, step in zip(run.objects, run.current(), strict=True):
         history, stop = list(one.evolution.history), one.stop
         if stop is None:
             record = step.record
             history.append(record)
-            stop = Stop("interrupted", record.step, record.t, f"looked at after {record.step} steps")
+            stop = Stop("interrupted", record.step, record.t, f"not ended after {record.step} steps")
         out.append((history, stop))
     return out
 
@@ -292,7 +292,7 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
         at = [c + s.start for c, s in zip(corner, run.prepared.box, strict=True)]
         low = [max(c - AROUND, 0) for c in at]
         high = [min(c + n + AROUND, m) for c, n, m in zip(at, psi.shape, geometry.shape, strict=True)]
-        # What the region of interest cuts ends half a voxel beyond it.
+        # An object that the region of interest cuts ends half a voxel beyond it.
         before = [(c - a, b - c - n) for a, b, c, n in zip(low, high, at, psi.shape, strict=True)]
         around = np.abs(np.pad(psi, before, mode="edge"))
         around[tuple(slice(k, k + n) for (k, _), n in zip(before, psi.shape, strict=True))] = psi
@@ -308,7 +308,7 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
 
 
 def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
-    """Return what a run on so many levels took for settings that image and grid decide."""
+    """Return the values that a run on so many levels used for settings that depend on image and grid."""
     config, prepared = run.config, run.prepared
     diffusion = config.diffusion
     if diffusion == "auto":

@@ -34,7 +34,7 @@ class Ball(NamedTuple):
 
 
 def apply_balls(psi: NDArray[np.float32], balls: Sequence[Ball], grid: Level, corner: Corner, gamma: float) -> None:
-    """Unite an object with balls, or take them away from it: psi near them, in place.
+    """Add balls to an object or remove them from it: changes psi near them, in place.
 
     Parameters
     ----------

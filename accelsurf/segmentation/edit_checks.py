@@ -1,4 +1,4 @@
-"""Whether a run can do what an edit asks for, and which balls an object gets of it."""
+"""Whether a run can apply an edit, and which of its balls concern an object."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from accelsurf.settings.run_config import RunConfig
 
 
 def check(edit: Edit, config: RunConfig, prepared: PreprocessedInput, ids: Sequence[int], energy: Any) -> None:
-    """Refuse what a run cannot do: a ball outside the grid, an energy or a setting that it has nothing for.
+    """Refuse an edit that a run cannot apply: a ball outside the grid, an unknown object, a setting without effect.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def check(edit: Edit, config: RunConfig, prepared: PreprocessedInput, ids: Seque
     Raises
     ------
     UsageError
-        When the edit makes no sense here.
+        When the edit is not valid for this run.
     InputError
         When a ball lies outside the volume.
     """
@@ -60,7 +60,7 @@ def check(edit: Edit, config: RunConfig, prepared: PreprocessedInput, ids: Seque
 
 
 def _check_object(edit: Edit, ids: Sequence[int], where: str) -> None:
-    """Whether the object that an edit names is there, and named where there are several."""
+    """Refuse an object that does not exist, and a ball without an object where there are several."""
     if edit.object is not None and edit.object not in (ids or (1,)):
         known = ", ".join(str(one) for one in ids[:8]) + (", ..." if len(ids) > 8 else "")
         raise UsageError(f"{where}: object {edit.object} was given, expected one of {known or '1'}", "as in object=3")
@@ -76,7 +76,7 @@ def balls_of(edit: Edit, geometry: Geometry) -> tuple[Ball, ...]:
 
 
 def balls_for(own: int, edit: Edit, balls: Sequence[Ball]) -> tuple[Ball, ...]:
-    """What the balls of an edit are for the object ``own`` of several: what one gains is taken from the others."""
+    """The balls of an edit for object ``own`` of several: what one object gains is taken from the others."""
     if edit.object is None or edit.object == own:
         return tuple(balls)
     return tuple(ball._replace(kind="remove") for ball in balls if ball.kind == "add")

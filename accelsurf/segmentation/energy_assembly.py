@@ -1,4 +1,4 @@
-"""The energy that an expression means, of an image: terms made, weighted and added."""
+"""The energy of an expression on an image: its terms, their weights, their sum."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from accelsurf.settings.run_config import RunConfig
 
 
 class ResolvedEnergy(NamedTuple):
-    """An energy, and what was resolved for it.
+    """An energy with its resolved settings.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class ResolvedEnergy(NamedTuple):
 def make_energy(
     config: RunConfig, image: Image, spacing: Spacing, context: ImageContext | None = None
 ) -> ResolvedEnergy:
-    """The energy that a configuration asks for, of an image on a grid of ``spacing`` (hz, hy, hx) mm.
+    """The energy of a configuration, of an image on a grid of ``spacing`` (hz, hy, hx) mm.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def make_energy(
     Raises
     ------
     UsageError
-        When a term asks for a channel that there is not, or for something to learn from that it would not use.
+        When a term names a channel that does not exist, or training voxels are given that it would not use.
     """
     context = context or ImageContext([image], [Scale()], spacing)
     terms = energy_expression.parse(config.energy)
     channels = [image, *context.others]
-    # One term of weight 1 on one channel carries the area itself.
+    # One term of weight 1 on one channel includes the area itself.
     alone = len(terms) == 1 and terms[0].weight == 1.0 and len(_channels_seen(terms[0], channels)) == 1
     made: list[tuple[float, Energy]] = []
     resolved = []

@@ -1,7 +1,8 @@
 """Objects that move beside each other and never overlap.
 
 They are moved in rounds, one step each. Those that are near each other take turns, in the order of their ids, and
-see each other as they are; the others move at the same time in threads. So the result does not depend on their number.
+each uses the present surfaces of the others; the rest moves at the same time in threads. So the result does not depend
+on the number of threads.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from accelsurf.levelset import Workers
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 
-#: Voxels by which a band may grow in a round, and stencils reach.
+#: Voxels by which a band may grow in a round, and by which stencils extend.
 REACH = 3
-#: A neighbour that is this deep inside, voxels of the smallest spacing, wakes an object that had converged.
+#: A converged object moves again when a neighbour is this deep inside it, in voxels of the smallest spacing.
 PUSHED = 0.5
-#: Reasons that are told of the whole run if they are any object's, the worst first.
+#: Reasons that hold for the whole run if they hold for any object, the worst first.
 WORST: tuple[StopReason, ...] = ("interrupted", "diverged", "leaked", "stalled", "max-steps", "filled")
 T = TypeVar("T")
 
@@ -45,7 +46,7 @@ class Ensemble:
     steps : sequence of float
         Spacings of the axes that count, mm.
     meet : bool
-        Whether they see each other; False for one that is alone.
+        Whether they can touch; False for a single object.
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class Ensemble:
         return tuple(step for step in steps if step is not None)
 
     def _each(self, work: Callable[[EvolvingObject], T], batch: list[EvolvingObject]) -> list[T]:
-        """Do something with objects that do not see each other; one alone gets all threads."""
+        """Call ``work`` for objects that are not neighbours; a single one gets all threads."""
         if self._pool is None or len(batch) > 1:
             return list(map(work, batch) if self._pool is None else self._pool.map(work, batch))
         with ExitStack() as stack:
@@ -96,7 +97,7 @@ class Ensemble:
             return [work(one) for one in batch]
 
     def _meet(self) -> list[list[int]]:
-        """Tell each object its neighbours; those of each by their places."""
+        """Set the neighbours of each object; return their positions in the list of objects."""
         bands = [one.extent() for one in self._objects]
         low, high = np.array([band[0] for band in bands]), np.array([band[1] for band in bands])
         there = np.array([one.surface.size > 0 for one in self._objects])
@@ -108,7 +109,7 @@ class Ensemble:
         return meets
 
     def _batches(self, meets: list[list[int]]) -> list[list[EvolvingObject]]:
-        """Objects that move, shared out so that none in a batch sees another there; lower ids come first."""
+        """The moving objects in batches without neighbours among them; lower ids come first."""
         batch: dict[int, int] = {}
         for i, one in enumerate(self._objects):
             if one.moves:
@@ -120,7 +121,7 @@ class Ensemble:
         return out
 
     def _wake(self, meets: list[list[int]]) -> None:
-        """Wake what has converged and was run into."""
+        """Continue converged objects that a neighbour has moved into."""
         deepest = PUSHED * self._smallest
         for i, one in enumerate(self._objects):
             stop = one.evolution.stop
@@ -188,7 +189,7 @@ def within(one: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
 
 
 def overall_stop(stops: Sequence[Stop]) -> Stop:
-    """How several ended: ``converged`` if all that are left did, ``vanished`` if none is left, else the worst."""
+    """Why several ended: ``converged`` if all that remain did, ``vanished`` if none remains, else the worst."""
     counts: Counter[StopReason] = Counter(stop.reason for stop in stops)
     worst = next((reason for reason in WORST if counts[reason]), None)
     left: StopReason = "converged" if counts["converged"] else "vanished"

@@ -1,4 +1,4 @@
-"""One object of a run: its surface on its own box of the present level's grid, what pulls it and how it moves."""
+"""One object of a run: its surface on a box of the present level's grid, its energy and its flow."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
 from accelsurf.segmentation.start_pyramid import ObjectStart, StartPyramid, finer_box, to_finest
 
-#: Voxels around an object's band at least, and as part of its extent; nearer than this the grid is made larger.
+#: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the
+#: box is made larger when the band comes within `GUARD` voxels of its edge.
 ROOM, ROOM_PART, GUARD = 10, 0.5, 3
 
 
@@ -36,11 +37,11 @@ class EvolvingObject:
     Parameters
     ----------
     start : ObjectStart
-        Alone: on the whole grid.
+        On the whole grid for a single object.
     inputs : LevelInputs
         Images and mask by level.
     context : ImageContext
-        What its energy is told of the image.
+        Data of the image that its energy needs.
     setup : SolverSetup
     make_energy : callable
         Makes a `MadeEnergy` of (image, spacing, context).
@@ -48,9 +49,10 @@ class EvolvingObject:
     max_steps : int
         Of all levels together.
     max_volume : float or None
-        Leak guard, mm3.
+        Volume, mm3, above which the object counts as leaked; None for no limit.
     among_others : bool
-        Whether it lives on a box of its own, which grows with it, beside others that it must not overlap.
+        Whether there are other objects, which it must not overlap. It then lives on a box of the grid that grows
+        with it.
     """
 
     def __init__(
@@ -85,7 +87,7 @@ class EvolvingObject:
 
     @property
     def flow(self) -> Flow:
-        """How it moves."""
+        """The flow that moves it."""
         return self.evolution.flow
 
     @property
@@ -110,25 +112,25 @@ class EvolvingObject:
         if stop is None or self.level > 0:
             return None
         if self.leaked and stop.reason == "interrupted":
-            message = f"the object grew beyond {self.max_volume:g} mm3, the largest volume it may have"
+            message = f"the object grew beyond {self.max_volume:g} mm3, its largest allowed volume"
             return stop._replace(reason="leaked", message=message)
         return stop
 
     @property
     def contact(self) -> NonOverlap:
-        """Its energy among others."""
+        """Its energy with contact; only an object among others has one."""
         energy = self.evolution.energy
         if not isinstance(energy, NonOverlap):
-            raise TypeError("an object that is alone has no contact")
+            raise TypeError("a single object has no contact")
         return energy
 
     @property
     def as_neighbour(self) -> Neighbour:
-        """What others see of it."""
+        """What its neighbours need to know of it."""
         return Neighbour(self.surface, self.corner, self.contact, self.flow)
 
     def extent(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First voxel of the band and the one after its last, in the level's grid; of no band an empty box."""
+        """First voxel of the band and the one after its last, on the level's grid; an empty box without a band."""
         if self.surface.size == 0:
             return np.array(self.corner), np.array(self.corner)
         index = np.unravel_index(self.surface.band.cells, self.surface.shape)
@@ -160,7 +162,7 @@ class EvolvingObject:
         self._lay_out(self._boxed(low, high), psi, corner, None, state)
 
     def next_level(self) -> None:
-        """Go on on the next finer level, from where this one ended, or from the start if that failed."""
+        """Continue on the next finer level, from the surface here, or from the start if this level failed."""
         before, coarse = self.evolution, self.grid
         if before.stop is None:
             raise ValueError(f"object {self.id} has not ended on level {self.level}")
@@ -175,7 +177,7 @@ class EvolvingObject:
         self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
 
     def failed_on_level(self) -> Stop | None:
-        """How the level ended without a surface to go on from; None if there is one."""
+        """Why the level left no surface to continue from; None if it left one."""
         stop = self.evolution.stop
         return stop if stop is not None and stop.reason in FAILED else None
 
@@ -186,7 +188,7 @@ class EvolvingObject:
     # -- on a grid -----------------------------------------------------------------------------------------
 
     def set_min_room(self, reach: float) -> None:
-        """Have so much room, mm, around the object, for its energy to see what it would see on the whole grid."""
+        """Set the margin, mm, around the object, so that its energy has the same data as on the whole grid."""
         z, y, x = (max(ROOM, math.ceil(reach / h) + GUARD) for h in self.grid.spacing)
         self._min_room = (z, y, x)
 
@@ -199,9 +201,9 @@ class EvolvingObject:
     def _lay_out(
         self, box: Box, known: NDArray[np.float32], at: Corner, before: Evolution | None, state: LoopState | None
     ) -> None:
-        """Put the surface, known from voxel ``at`` on, on a box of the grid, and go on there from ``before``."""
+        """Transfer the surface, known from voxel ``at`` on, to a box of the grid, and continue ``before`` there."""
         self.corner = corner_of(box)
-        # Beyond what is known all is outside.
+        # Beyond the known values everything is outside.
         psi = np.full(tuple(s.stop - s.start for s in box), np.abs(known[np.isfinite(known)]).max(), np.float32)
         mine, theirs = shared(self.corner, psi.shape, at, known.shape)
         psi[mine] = np.minimum(known[theirs], psi[mine])
@@ -221,7 +223,7 @@ class EvolvingObject:
         fields: list[NDArray[np.float32]] | None = None,
         energy: Energy | None = None,
     ) -> None:
-        """Begin an evolution on a surface, with an energy for its grid unless there is one."""
+        """Begin an evolution on a surface, with a new energy for its grid unless one is given."""
         setup = self._setup
         self.evolution = Evolution(
             surface,
@@ -236,7 +238,7 @@ class EvolvingObject:
             fields,
         )
         if self._among_others:
-            # Others see it before its first step.
+            # Neighbours need its speed and band before its first step.
             self.evolution.initialize()
         if self._stop_requested:
             self.evolution.request_stop()
@@ -264,7 +266,7 @@ class EvolvingObject:
         if self._among_others:
             self.contact.react_to_contact(self.surface, self.flow)
             if self.evolution.stop is not None and self.surface.size:
-                # Neighbours would follow what is left of its speed, into a surface that stands still.
+                # Neighbours follow the speed of an object: one that has stopped must have none.
                 self.evolution.zero_momentum()
         if step is None:
             return None
@@ -275,7 +277,7 @@ class EvolvingObject:
         return step._replace(object_id=self.id)
 
     def grow_grid(self, low: NDArray[np.int64] | None = None, high: NDArray[np.int64] | None = None) -> None:
-        """Go over to a larger grid when the band, or what lies between two voxels, comes near the edge of this one."""
+        """Change to a larger box when the band, or the part from ``low`` to ``high``, comes near its edge."""
         if low is None or high is None:
             low, high = self.extent()
         corner, shape = np.array(self.corner), np.array(self.surface.shape)
@@ -288,18 +290,18 @@ class EvolvingObject:
             self._lay_out(box, before.surface.psi, at, before, before.state.on_next_grid(with_fields=True))
 
     def wake(self) -> None:
-        """Move again after it had converged: a neighbour ran into it."""
+        """Continue after convergence, because a neighbour moved into the object."""
         before = self.evolution
         if self.level == 0:
-            # The record of the final state: it was not.
+            # The record of the final state: it is not final any more.
             before.history.pop()
         state = before.state.on_next_grid(with_fields=True)
         self._evolve(before.surface, state, before.flow.fields, before.energy)
 
-    # -- changed by hand -----------------------------------------------------------------------------------
+    # -- edits ---------------------------------------------------------------------------------------------
 
     def set_max_steps(self, max_steps: int) -> None:
-        """Have another limit of the steps of all levels together."""
+        """Set the limit of the steps of all levels together."""
         self._max_steps = self.evolution.max_steps = max_steps
 
     def edit(
@@ -309,16 +311,16 @@ class EvolvingObject:
         new_energy: bool,
         balls: tuple[Ball, ...],
     ) -> None:
-        """Go on with another set-up, and from a surface changed by balls.
+        """Continue with other settings, and with balls added to the object or removed from it.
 
         Parameters
         ----------
         setup : SolverSetup
-            The coming levels have it too.
+            Of this level and the following ones.
         make_energy : callable
-            Of the coming levels.
+            Of the following levels, and of this one if the energy changes.
         new_energy : bool
-            Whether the energy is another one from here on.
+            Whether the energy changes.
         balls : tuple of Ball
         """
         if self._among_others:
@@ -340,7 +342,7 @@ class EvolvingObject:
         )
 
     def _make_room(self, ball: Ball) -> None:
-        """Have a grid that holds a ball too."""
+        """Make the box large enough for a ball."""
         low, high = ball.extent(self.grid)
         own_low, own_high = self.extent()
         if self.surface.size:
@@ -348,7 +350,7 @@ class EvolvingObject:
         self.grow_grid(low, high)
 
     def _change_psi(self, surface: LevelSet, balls: tuple[Ball, ...]) -> None:
-        """Unite the object with balls, or take them away from it, within the mask."""
+        """Add balls to the object or remove them from it, within the mask."""
         psi = surface.dense.psi.reshape(surface.shape)
         apply_balls(psi, balls, self.grid, self.corner, float(surface.gamma))
         distance = self._inputs.mask_distance(self.level, box_at(self.corner, self.surface.shape))
@@ -368,7 +370,7 @@ class EvolvingObject:
         make_energy: EnergyMaker,
         new_energy: bool,
     ) -> None:
-        """Go back to a state of this level, with the set-up that was in force then."""
+        """Go back to a state of this level, with the settings that were in force then."""
         self._setup, self._make_energy = setup, make_energy
         self.leaked, self._stop_requested = checkpoint.leaked, False
         now = self.evolution
@@ -384,7 +386,7 @@ class EvolvingObject:
         now.restore(checkpoint.evolution)
 
     def release_to(self, level: int) -> None:
-        """Be on a finer level without having run there, for a state of that level to be restored."""
+        """Change to a finer level without running there, so that a state of that level can be restored."""
         while self.level > level:
             self.skip_level()
         self._begin_from_start(None)

@@ -22,7 +22,7 @@ def flowable_mass(config: RunConfig) -> Flow:
 
 
 def gradient(config: RunConfig) -> Flow:
-    """Descent. With diffusion ``auto`` it has none: it is the plain baseline."""
+    """Descent. With diffusion ``auto`` it has no diffusion: it is the plain baseline."""
     return Gradient(0.0 if config.diffusion == "auto" else _number(config.diffusion))
 
 

@@ -1,4 +1,4 @@
-"""Arrays, volumes, meshes and lists of balls that are given in place of texts: for starts, masks, references."""
+"""Arrays, volumes, meshes and lists of balls in place of texts: as starts, masks, foreground, background."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io import meshes
 
-#: Settings that may be given as arrays and the like.
+#: Settings that may be given as arrays, volumes, meshes or lists of balls.
 GIVEN = ("start", "mask", "foreground", "background")
 EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, or a list of (x, y, z, r) in mm"
 
 
 def split_given(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Part options into those that `RunConfig` takes, and those given as arrays, volumes, meshes or balls."""
+    """Separate the options of `RunConfig` from those given as arrays, volumes, meshes or balls."""
     given = {key: value for key, value in options.items() if key in GIVEN and not _is_text(value)}
     return {key: value for key, value in options.items() if key not in given}, given
 
@@ -32,7 +32,7 @@ def _is_text(value: Any) -> bool:
 
 
 def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
-    """Psi (nz, ny, nx), mm, negative inside, of what was given.
+    """Psi (nz, ny, nx), mm, negative inside, of the value of a setting.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
     Raises
     ------
     UsageError
-        When it is nothing of that.
+        When the value is none of these.
     InputError
         When nothing of the grid is inside; GeometryError when a mask lies on another grid.
     """

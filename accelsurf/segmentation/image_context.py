@@ -30,7 +30,7 @@ Found = TypeVar("Found")
 
 
 class Scale(NamedTuple):
-    """How a channel came to its values: (I - ``low``)/``width``, I being the file's."""
+    """Scale of a channel: its values are (I - ``low``)/``width``, I being the file's."""
 
     low: float = 0.0
     width: float = 1.0
@@ -48,7 +48,7 @@ class TrainingVoxels(NamedTuple):
     foreground : ndarray (nz, ny, nx) of bool
         Voxels of all objects.
     background : ndarray (nz, ny, nx) of bool or None
-        Voxels of none; None: all that are foreground of no object.
+        Voxels of no object; None for all voxels that are not foreground.
     """
 
     box: Box
@@ -84,7 +84,7 @@ class ImageContext:
 
     Notes
     -----
-    What is found of whole channels, and what is learned, is found once and kept.
+    Quantities of whole channels and learned values are computed once and stored.
     """
 
     def __init__(
@@ -111,10 +111,9 @@ class ImageContext:
         self._found: dict[tuple[Any, ...], Any] = {}
 
     def of_object(self, corner: tuple[int, int, int], start: Mask) -> ImageContext:
-        """The context of one of several objects, which ``start``, from voxel ``corner`` on, has inside.
+        """The context of one of several objects; ``start`` is its mask, from voxel ``corner`` on.
 
-        Where the start is what models learn from, the object learns from its own. What is found of whole images stays
-        common.
+        Where models learn from the start, each object learns from its own. Quantities of whole images are shared.
         """
         part = copy.copy(self)
         if self._is_start and self._training is not None:
@@ -128,14 +127,14 @@ class ImageContext:
         return part
 
     def once(self, make: Callable[..., Found], channel: int, *args: Any) -> Found:
-        """``make(image, *args)`` of a whole channel, found once: many objects ask for it."""
+        """``make(image, *args)`` of a whole channel, computed once for all objects."""
         key = (make, channel, args)
         if key not in self._found:
             self._found[key] = make(self.images[channel], *args)
         return cast("Found", self._found[key])
 
     def samples(self, channel: int) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Values of a channel inside and outside, where likelihood is to learn."""
+        """Values of a channel inside and outside, from which likelihood learns."""
         if channel not in self._learned:
             training = self._trained_on(
                 "likelihood with update=no was given nothing to learn from", "give --foreground, or use update=yes"
@@ -154,7 +153,7 @@ class ImageContext:
     def learned(self, channel: int) -> tuple[float, float]:
         """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""
         training = self._trained_on("a learned bound was given nothing to learn from", "give --foreground")
-        # Before presmoothing: what is left of noise after it says how wide the object's values are, not its edges'.
+        # Before presmoothing: after it the range of values would be narrower than the object's edges.
         values = self._raw(channel, training.box, training.inside)
         mean, variance = gaussian_of(values, self.once(least_variance, channel))
         width = LEARNED_DEVIATIONS * variance**0.5
@@ -181,7 +180,7 @@ class ImageContext:
 
 @dataclass(frozen=True)
 class TermInputs:
-    """What a term of an energy is made of; see `accelsurf.settings.energy_terms.TermSpec`.
+    """The input of a maker of a term; see `accelsurf.settings.energy_terms.TermSpec`.
 
     Attributes
     ----------
@@ -197,7 +196,7 @@ class TermInputs:
     channel : int
         Number of the channel, the first is 0.
     alpha : float
-        Weight of the surface's area that the energy carries itself.
+        Weight of the surface's area that the energy includes itself.
     """
 
     settings: Values

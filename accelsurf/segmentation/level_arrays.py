@@ -32,7 +32,7 @@ class LevelArrays:
         return np.ascontiguousarray(self._arrays[level][box])
 
     def release_coarser(self, level: int) -> None:
-        """Let go of the levels that are coarser than this one."""
+        """Release the arrays of coarser levels."""
         del self._arrays[level + 1 :]
 
 
@@ -65,6 +65,6 @@ class LevelInputs:
         return None if self._mask_distance is None else self._mask_distance.on(level, box)
 
     def release_coarser(self, level: int) -> None:
-        """Let go of what is coarser than a level."""
+        """Release the arrays of levels coarser than ``level``."""
         for one in (*self._images, *([self._mask_distance] if self._mask_distance is not None else [])):
             one.release_coarser(level)

@@ -36,5 +36,5 @@ class ObjectCheckpoint(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes at most."""
+        """Upper bound of its memory, bytes."""
         return self.evolution.nbytes

@@ -1,4 +1,4 @@
-"""Preprocessing: from the files' volumes to what a run begins with, in pure stages that return frozen records."""
+"""Preprocessing: from volumes as read to the input of a run, in pure stages that return frozen records."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TRAINING = ("foreground", "background")
 
 @dataclass(frozen=True, eq=False)
 class PreprocessedInput:
-    """What every surface of a run sees, on the grid of the region of interest.
+    """Image and mask of a run, the same for all objects, on the grid of the region of interest.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class PreprocessedInput:
     images : tuple of ndarray (nz, ny, nx), float32
         The channels there as energies see them: smoothed, 0 and 1 at their percentiles.
     context : ImageContext
-        What energies are told of the image besides.
+        Further data of the image for energies.
     mask_distance : ndarray (nz, ny, nx), float32, or None
         Signed distance of the mask, mm, negative within; None without a mask.
     presmooth : float
@@ -119,7 +119,7 @@ def preprocess(
     -------
     prepared : PreprocessedInput
     psi : ndarray (nz, ny, nx), float32
-        The first surface on the grid of the region of interest; the caller's, to be used up.
+        The first surface on the grid of the region of interest; the caller may overwrite it.
 
     Raises
     ------
@@ -136,22 +136,20 @@ def preprocess(
     foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
     distance = _mask_distance(config, given, whole, box)
     psi = _start_within(_crop(start, box), distance, config)
-    # What lies around a region of interest is shown at the end.
-    around = smoothed if config.roi is not None else None
+    around = smoothed if config.roi is not None else None  # the result shows it
     values = _crop(smoothed, box) if config.roi is None else smoothed[box].copy()
     del smoothed, start
     images, scales = _scaled_channels(values, volumes, presmooth, box)
     del values
     terms = energy_expression.parse(config.energy)
     learns = any(energy_expression.learns(term) for term in terms)
-    # Fixed models learn from the start where nothing else is given.
-    from_start = foreground is None and learns
+    from_start = foreground is None and learns  # fixed models learn from the start where nothing else is given
     learned_from = psi < 0 if from_start else None if foreground is None else _crop(foreground, box)
     context = ImageContext(
         images, scales, geometry.spacing, learned_from, None if background is None else _crop(background, box), None,
         _raw_values(volumes, box, scales), is_start=from_start,
     )
-    # What is given with --foreground is learned from by likelihood unless it updates, and then it is refused.
+    # Likelihood learns from --foreground once; with update=yes it refuses it.
     learns = learns or any(term.name == "likelihood" for term in terms)
     shown = psi.copy() if whole.slice_axis is not None else None
     prepared = PreprocessedInput(
@@ -163,7 +161,7 @@ def preprocess(
 def _scaled_channels(
     values: NDArray[np.float32], volumes: Sequence[Volume], presmooth: float, box: Box
 ) -> tuple[list[NDArray[np.float32]], list[Scale]]:
-    """The channels on the region, 0 and 1 at their percentiles; ``values`` are the first one's, smoothed, used up."""
+    """The channels on the region, 0 and 1 at their percentiles; overwrites ``values``, the first one, smoothed."""
     scales = [scale_of(values)]
     images = [apply(values, scales[0])]
     for one in volumes[1:]:
@@ -192,7 +190,7 @@ def check_channels(volumes: Sequence[Volume]) -> None:
 
 
 def _raw_values(volumes: Sequence[Volume], box: Box, scales: Sequence[Scale]) -> Any:
-    """What gives the values of a channel before smoothing, on the scale that energies see, where a mask is set."""
+    """A function for the values of a channel before smoothing, on the energies' scale, in the voxels of a mask."""
     files = list(volumes)
 
     def raw(channel: int, part: Box, mask: Mask) -> NDArray[Any]:
@@ -206,7 +204,7 @@ def _raw_values(volumes: Sequence[Volume], box: Box, scales: Sequence[Scale]) ->
 def _start_within(
     psi: NDArray[np.float32], distance: NDArray[np.float32] | None, config: RunConfig
 ) -> NDArray[np.float32]:
-    """The start within region and mask, which must leave something of it."""
+    """The start within region and mask, of which a part must remain."""
     where, what = "the region of interest", config.objects or " + ".join(config.start)
     if distance is not None:
         psi = np.maximum(psi, distance)
@@ -215,7 +213,7 @@ def _start_within(
     if not inside.any():
         raise InputError(f"start {what}: nothing of it lies in {where}", "start within it")
     if inside.all():
-        raise InputError(f"start {what}: it takes in all of {where}", "leave some background outside")
+        raise InputError(f"start {what}: it covers all of {where}", "leave some background outside")
     return np.ascontiguousarray(psi)
 
 
@@ -309,7 +307,7 @@ def scale_of(image: NDArray[np.float32]) -> Scale:
 
 
 def apply(image: NDArray[np.float32], scale: Scale) -> NDArray[np.float32]:
-    """Put the image on a scale; in place: on a large image each volume counts."""
+    """Put the image on a scale, in place to save memory."""
     image -= np.float32(scale.low)
     image *= np.float32(1.0 / scale.width)
     return image

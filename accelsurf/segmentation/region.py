@@ -42,7 +42,7 @@ def region_of_interest(text: str | None, geometry: Geometry) -> Box:
         high = min(int(np.floor(index[:, axis].max() + 1e-6)), n - 1)
         if high - low + 1 < min(n, 2):
             raise InputError(
-                f"roi: {text} was given, which holds fewer than two of the image's voxels along {'zyx'[axis]}",
+                f"roi: {text} was given, which contains fewer than two of the image's voxels along {'zyx'[axis]}",
                 "accelsurf reads world mm (LPS); the suffix vox takes voxel indices",
             )
         slices.append(slice(low, high + 1))

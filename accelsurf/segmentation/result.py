@@ -35,14 +35,14 @@ LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_frac
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SegmentedObject:
-    """One object of a result, on its own part of the image's grid: all of it for an object that is alone.
+    """One object of a result, on its part of the image's grid: the whole grid for a single object.
 
     Attributes
     ----------
     id : int
         Its value in the label map.
     box : tuple of slice
-        Which part of the image's grid that is.
+        That part of the image's grid.
     psi : ndarray (nz, ny, nx), float32
         Signed distance in the band, mm, negative inside; +-gamma outside it.
     image : ndarray (nz, ny, nx), float32
@@ -53,9 +53,9 @@ class SegmentedObject:
     stop : Stop
         Why it ended.
     terms : list of dict
-        The terms of the energy with every setting as it was in the run; empty for an energy of one's own.
+        The terms of the energy with every setting as it was in the run; empty for an energy of the user's own.
     learned : (float, float) or None
-        Values, on the scale of ``image``, between which those of the object should lie by what it was learned from.
+        Lowest and highest value, on the scale of ``image``, that the learned model expects in the object.
     """
 
     id: int
@@ -105,7 +105,7 @@ class SegmentedObject:
     def area_mm2(self) -> float:
         """Area of its surface, mm2: the mesh's, with the caps where the volume's border cuts the object.
 
-        In one slice, where caps would be all of it: the contour's length times the thickness of the slice.
+        In an image of one slice: the contour's length times the thickness of the slice.
         """
         if not self.labels.any():
             return 0.0
@@ -115,7 +115,7 @@ class SegmentedObject:
 
     @property
     def length_mm(self) -> float | None:
-        """Length of the contours of an image of one slice, mm, with what runs along its border; None for a volume."""
+        """Length of the contours of an image of one slice, mm, with the parts along its border; None for a volume."""
         if self._thickness is None:
             return None
         return self.contours.length if self.labels.any() else 0.0
@@ -143,13 +143,13 @@ class SegmentedObject:
 
     @cached_property
     def quality(self) -> Quality:
-        """What tells, without a reference, whether to trust the object."""
+        """Measures of quality that need no reference."""
         return assess(self.labels, self.image, self.geometry.spacing, self.history, self.stop, self.learned)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """What a run of one or several objects left.
+    """The result of a run of one or several objects.
 
     Attributes
     ----------
@@ -175,9 +175,9 @@ class Result:
     start : ndarray or None
         psi of the start, for an image of one slice; None for volumes, where it would cost memory.
     edits_done : int
-        How many of the edits of ``config`` the run came to.
+        Number of edits of ``config`` that were applied.
     resolved_settings : dict
-        What the run took for settings that image and grid decide: see `accelsurf.report.document`.
+        Values used for settings that depend on image and grid: see `accelsurf.report.document`.
     """
 
     objects: tuple[SegmentedObject, ...]
@@ -238,17 +238,17 @@ class Result:
 
     @cached_property
     def stop(self) -> Stop:
-        """Why the run ended; of several: ``converged`` if all that are left did, ``vanished`` if none is left, else
-        the worst.
+        """Why the run ended; of several objects ``converged`` if all that remain did, ``vanished`` if none remains,
+        else the worst reason.
         """
         return overall_stop([one.stop for one in self.objects]) if self.has_ids else self._one.stop
 
     @cached_property
     def history(self) -> list[StepRecord]:
-        """The record of each step; of several objects, those that have stopped as they are, sums and largest values.
+        """The record of each step; of several objects, sums and largest values over them.
 
-        Energies, mass, volume and area are summed, of `LARGEST` it is the largest value of any object; the other
-        columns are those of the first.
+        Energies, mass, volume and area are summed; the columns of `LARGEST` have the largest value of any object; the
+        other columns are those of the first. An object that has stopped counts with its last record.
         """
         if not self.has_ids:
             return self._one.history
@@ -256,12 +256,12 @@ class Result:
 
     @cached_property
     def terms(self) -> list[dict[str, Any]]:
-        """The terms of the energy with their settings; "by object" where objects have learned others."""
+        """The terms of the energy with their settings; "by object" where they differ between objects."""
         return common_terms([one.terms for one in self.objects]) if self.has_ids else self._one.terms
 
     @property
     def learned(self) -> tuple[float, float] | None:
-        """What the values of an object that is alone should lie between; None for several."""
+        """Range of values that the learned model expects in a single object; None for several."""
         return None if self.has_ids else self._one.learned
 
     @cached_property
@@ -333,12 +333,12 @@ class Result:
 
     @property
     def quality(self) -> Quality | None:
-        """What tells, without a reference, whether to trust an object that is alone; several have it each."""
+        """Measures of quality of a single object, without a reference; None for several, which have their own."""
         return None if self.has_ids else self._one.quality
 
     def plot(self, **options: Any) -> Any:
         """Show the result in a notebook or a window, or write a picture or a page; options as of `accelsurf.show`."""
-        # By its public name: this module does not know the viewer, and loads it for those who ask for pictures only.
+        # By its public name and only when called: the viewer is a layer above this one.
         import accelsurf
 
         return accelsurf.show(self, **options)
@@ -346,7 +346,7 @@ class Result:
     @property
     def report(self) -> dict[str, Any]:
         """The run as the JSON report has it, without files."""
-        # By its public name: what is told of a result lies above it.
+        # By its public name: the report is a layer above this one.
         import accelsurf
 
         described: dict[str, Any] = accelsurf.report_of(self)
@@ -354,7 +354,7 @@ class Result:
 
 
 def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
-    """The history of several objects together by step, those that have stopped as they are."""
+    """The history of several objects together, by step; one that has stopped counts with its last record."""
     records = []
     for step in range(max(map(len, histories))):
         now = [history[min(step, len(history) - 1)] for history in histories]
@@ -365,7 +365,7 @@ def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
 
 
 def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """The terms of all objects; "by object" for what is not the same.
+    """The terms of all objects; "by object" where a setting differs.
 
     Examples
     --------

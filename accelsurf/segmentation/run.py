@@ -1,4 +1,4 @@
-"""A run of one or several objects: preprocessed, stepped, edited, put into checkpoints and restored."""
+"""A run of one or several objects: preparation, steps, levels, edits, checkpoints."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ from accelsurf.segmentation.start_pyramid import ObjectStart
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
-#: Voxels around an object's grid in what is kept of it.
+#: Voxels around an object's own grid that belong to its part of a result.
 AROUND = 2
 
 
 class Run:
     """A run of n >= 1 objects; iterate over it to run to the end.
 
-    Between two steps it can be put into a checkpoint and restored, and its edits can be changed (`set_edits`): those
-    whose step has come are applied right before it.
+    Between two steps `checkpoint` returns its state, `restore` goes back to one, and `set_edits` changes the edits. An
+    edit is applied right before its step.
 
     Parameters
     ----------
@@ -60,13 +60,13 @@ class Run:
     objects : str, Volume or ndarray, optional
         First voxels of several objects, in place of those that ``config`` names.
     arrays : mapping of str to ndarray, optional
-        psi (nz, ny, nx) on the image's grid in place of the texts of ``start``, ``mask``, ``foreground`` and
+        psi (nz, ny, nx) on the image's grid in place of the settings ``start``, ``mask``, ``foreground`` and
         ``background``.
 
     Attributes
     ----------
     config : RunConfig
-        As given, with the edits there are now, and with the seed that was drawn if none was given.
+        As given, with the current edits, and with the seed that was drawn if none was given.
     settings : RunConfig
         The settings in force.
     has_ids : bool
@@ -80,7 +80,7 @@ class Run:
     workers : Workers
         To be closed at the end (`close`).
     start_seconds, began : float
-        What the preparation took, and the clock (`time.perf_counter`) when it was done.
+        Duration of the preparation, s, and the clock (`time.perf_counter`) at its end.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class Run:
 
     @property
     def history(self) -> list[StepRecord]:
-        """Every step so far of the first object; see `objects` for those of others."""
+        """Every step so far of the first object; see `objects` for the others."""
         return self.objects[0].evolution.history
 
     # -- to run --------------------------------------------------------------------------------------------
@@ -190,7 +190,7 @@ class Run:
         return self._max_steps
 
     def extend(self, max_steps: int) -> None:
-        """Have another limit of the steps."""
+        """Set the limit of the steps."""
         self._max_steps = max_steps
         for one in self.objects:
             one.set_max_steps(max_steps)
@@ -218,7 +218,7 @@ class Run:
             yield from steps
 
     def step(self) -> tuple[Step, ...]:
-        """Apply the edits that come before it and make one step of each object that moves.
+        """Apply the edits of the coming step, then make one step of each object that moves.
 
         Returns
         -------
@@ -235,7 +235,7 @@ class Run:
         return steps
 
     def current(self) -> tuple[Step, ...]:
-        """The state now of each object: its last record once it has ended, else one of a step that moves nothing."""
+        """The present state of each object: its last record once it has ended, else a record without motion."""
         steps = []
         for one in self.objects:
             now = one.evolution
@@ -255,7 +255,7 @@ class Run:
     # -- levels --------------------------------------------------------------------------------------------
 
     def _begin_first_level(self) -> None:
-        """Begin on the coarsest level whose grid has something of each start, inside and outside."""
+        """Begin on the coarsest level whose grid has voxels inside and outside of each start."""
         while self.level > 0 and not all(one.start_is_resolved() for one in self.objects):
             self._warn("the start is not resolved there", "began")
             self.level_summaries.append(LevelSummary(self.grid, 0, None))
@@ -273,7 +273,7 @@ class Run:
             one.set_min_room(reach)
 
     def _next_level(self) -> None:
-        """Take every object to the next finer level, from where it ended, or from its start if that failed."""
+        """Continue every object on the next finer level: from its surface, or from its start if the level failed."""
         for one in self.objects:
             failed = one.failed_on_level()
             if failed is not None:
@@ -306,7 +306,7 @@ class Run:
     # -- edits ---------------------------------------------------------------------------------------------
 
     def apply_edits(self) -> None:
-        """Apply the edits whose step has come, if that has not been done; `step` does it too."""
+        """Apply the edits that are due and not yet applied; `step` does it too."""
         while self.stop is None and self._edits_done < len(self.config.edit):
             edit = self.config.edit[self._edits_done]
             if edit.step > self.step_number:
@@ -326,16 +326,16 @@ class Run:
 
     @property
     def edits_done(self) -> int:
-        """How many of the edits have been applied."""
+        """Number of edits that have been applied."""
         return self._edits_done
 
     def set_edits(self, edits: tuple[Edit, ...]) -> None:
-        """Have other edits; those that have been applied must stay as they are.
+        """Replace the edits; those that have been applied must stay the same.
 
         Raises
         ------
         UsageError
-            When one makes no sense.
+            When one is not valid for this run.
         InputError
             When a ball lies outside the volume.
         """
@@ -346,11 +346,11 @@ class Run:
             self.check(edit)
         config = seeded(self.config.replace(edit=edits))
         if config.edit[: self._edits_done] != self.config.edit[: self._edits_done]:
-            raise ValueError("an edit that has been applied cannot change: go back to before it first")
+            raise ValueError("an edit that has been applied cannot change: restore a state before it first")
         self.config = config
 
     def check(self, edit: Edit, ids: Sequence[int] = ()) -> None:
-        """Refuse what this run cannot do: a ball outside the grid, an energy or a setting that it has nothing for."""
+        """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.edit_checks.check`."""
         ids = ids or [one.id for one in self.objects]
         edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self._energy)
 
@@ -369,15 +369,15 @@ class Run:
         )
 
     def restore(self, checkpoint: RunCheckpoint) -> None:
-        """Go back to a state of this run: the same edits then make the same steps, bit for bit.
+        """Go back to a state of this run; with the same edits the steps that follow are the same, bit for bit.
 
         Raises
         ------
         ValueError
-            When the state is of a coarser level than the present one, whose images are gone.
+            When the state is of a coarser level than the present one, whose images have been released.
         """
         if checkpoint.level > self.level:
-            raise ValueError(f"a checkpoint of level {checkpoint.level}, and the run is on {self.level}")
+            raise ValueError(f"a checkpoint of level {checkpoint.level} was given, the run is on level {self.level}")
         changed = energy_key(checkpoint.settings) != energy_key(self.settings)
         if checkpoint.level < self.level:
             self.level = checkpoint.level

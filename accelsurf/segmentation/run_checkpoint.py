@@ -52,11 +52,11 @@ class RunCheckpoint(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes at most."""
+        """Upper bound of its memory, bytes."""
         return sum(one.nbytes for one in self.objects)
 
 
-#: What a checkpoint is made of, by the names under which it is written.
+#: The types in a checkpoint, by the names under which they are written.
 TYPES: dict[str, type] = {
     kind.__name__: kind
     for kind in (
@@ -83,7 +83,7 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, volume: Volume,
     OutputError
         When it cannot be written.
     TypeError
-        When an energy of one's own has a state that is none of numbers and arrays.
+        When the state of an energy of the user's own is not made of numbers and arrays.
     """
     header = {"accelsurf": __version__, "run": run_digest(volume, config)}
     state = checkpoint._replace(settings=checkpoint.settings.model_dump(mode="json"))  # type: ignore[arg-type]
@@ -115,7 +115,7 @@ def load_checkpoint(path: str | Path, volume: Volume, config: RunConfig) -> RunC
 
 
 def run_digest(volume: Volume, config: RunConfig) -> str:
-    """SHA-256 of what a run is determined by: voxels, grid and settings, but not the number of threads."""
+    """SHA-256 of voxels, grid and settings, without the number of threads."""
     sha = hashlib.sha256()
     array, geometry = np.ascontiguousarray(volume.array), volume.geometry
     sha.update(f"{array.dtype.str}{array.shape}{geometry.spacing}{geometry.origin}".encode())

@@ -1,4 +1,4 @@
-"""What a run is made of under given settings: its levels, how each object moves, what makes its energy."""
+"""Levels, solver settings and makers of energies of a run under given settings."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
-#: What `segment` takes for an energy: a name, an energy, or what makes one of the image, (nz, ny, nx) float32 as in
-#: `Result.image`, and the spacing, (hz, hy, hx) mm.
+#: What `segment` takes for an energy: a name, an energy, or a function that makes one of the image, (nz, ny, nx)
+#: float32 as in `Result.image`, and the spacing, (hz, hy, hx) mm.
 EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
 #: What `segment_objects` takes for the first voxels of objects: a file, a label map.
 ObjectsLike = str | Volume | NDArray[Any]
@@ -39,7 +39,7 @@ ObjectsLike = str | Volume | NDArray[Any]
 def choose_levels(
     config: RunConfig, geometry: Geometry, psi: NDArray[np.float32] | None, has_name: bool
 ) -> list[pyramid.Level]:
-    """The levels that a configuration asks for, finest first; see record 0015 for what ``auto`` is.
+    """The levels of a configuration, finest first; record 0015 defines ``auto``.
 
     Parameters
     ----------
@@ -47,14 +47,14 @@ def choose_levels(
     geometry : Geometry
         Of the region of interest.
     psi : ndarray or None
-        Of the start; None for several objects, which run on the image's own grid unless told otherwise.
+        Of the start; None for several objects, for which ``auto`` is the image's own grid.
     has_name : bool
         Whether the energy is one with a name.
 
     Raises
     ------
     UsageError
-        When there are not so many.
+        When the grid does not have so many.
     """
     shape, spacing, wanted = geometry.shape, geometry.spacing, config.levels
     if wanted == "auto":
@@ -73,7 +73,7 @@ def choose_levels(
 
 
 def setup_of(settings: RunConfig, place: int, levels: int) -> SolverSetup:
-    """How the object at a place moves under these settings; each has random numbers of its own."""
+    """Solver settings of the object at a position in the run; each has its own random numbers."""
     seed = None if settings.seed is None else settings.seed + place
     return SolverSetup(
         make_flow(settings.replace(seed=seed) if place else settings),
@@ -85,12 +85,12 @@ def setup_of(settings: RunConfig, place: int, levels: int) -> SolverSetup:
 
 
 def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, has_ids: bool) -> EnergyMaker:
-    """What makes the energy on each grid; an energy that is made already is only for one.
+    """The function that makes the energy on each grid; an energy object belongs to one grid only.
 
     Raises
     ------
     UsageError
-        When such an energy was given to several levels or objects.
+        When an energy object was given for several levels or objects.
     """
     if energy is None or isinstance(energy, str):
         return functools.partial(_named_energy, settings)
@@ -104,7 +104,7 @@ def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, ha
 
 
 def seeded(config: RunConfig) -> RunConfig:
-    """The configuration, with a seed if it has noise at any time; drawn once and kept, so that it repeats the run."""
+    """The configuration, with a seed if it has noise at any time; drawn once, so that it repeats the run."""
     noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
     return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config
 
@@ -135,7 +135,7 @@ def _own_energy(
 
 
 def energy_key(config: RunConfig) -> tuple[Any, ...]:
-    """The settings that make the energy what it is."""
+    """The values of the settings that the energy depends on."""
     return tuple(getattr(config, key) for key in ("energy", *energy_settings()))
 
 

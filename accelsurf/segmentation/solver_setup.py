@@ -1,4 +1,4 @@
-"""Which energy and which flow a configuration means."""
+"""Flow, stop rule, band and the user's own energy of a configuration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """When a run on so many levels has converged on the finest one.
 
     After a coarser level the run begins near its end and is checked more often. The window has an even number of
-    steps: what oscillates from step to step is then where it was. The waves of flowable-mass keep its steps short, and
+    steps, so that an oscillation from step to step cancels. The waves of flowable-mass keep its steps short, and
     the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
     """
     if levels == 1:
@@ -32,7 +32,7 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
 
 
 def half_width(config: RunConfig) -> float:
-    """Half width of the band in voxels: ``auto`` is what the flow needs."""
+    """Half width of the band in voxels; ``auto`` is the one that the flow needs."""
     if config.half_width == "auto":
         return float(FLOWS[config.flow].half_width)
     return float(config.half_width)
@@ -41,28 +41,28 @@ def half_width(config: RunConfig) -> float:
 def own_energy(
     energy: Any, config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]
 ) -> CheckedEnergy:
-    """An energy that has no name, made of image and spacing if it is not made yet, and checked.
+    """An energy of the user's own, made of image and spacing if a class or function is given, with checks.
 
     Raises
     ------
     UsageError
-        When it lacks something, or a setting was changed that it would not see.
+        When it is incomplete, or a setting was given that it would ignore.
     """
     for key in energy_settings():
         if getattr(config, key) != default_of(key):
             raise UsageError(
-                f"{key}: {getattr(config, key)} was given, but the energy is one of your own and would not see it",
+                f"{key}: {getattr(config, key)} was given, but the energy is one of your own and would ignore it",
                 "give it to the energy itself",
             )
     return CheckedEnergy(energy(image, spacing) if is_maker(energy) else energy)
 
 
 def is_maker(energy: Any) -> bool:
-    """Whether an energy of one's own is a class or function that makes it of ``(image, spacing)``."""
+    """Whether an energy of the user's own is a class or function that makes it of ``(image, spacing)``."""
     return isinstance(energy, type) or (callable(energy) and not hasattr(energy, "force"))
 
 
 def make_flow(config: RunConfig) -> Flow:
-    """The flow that a configuration asks for."""
+    """The flow of a configuration."""
     flow: Flow = load(FLOWS[config.flow].make)(config)
     return flow

@@ -14,7 +14,7 @@ from accelsurf.grid.pyramid import Level, prolong, restrict
 
 @dataclass(frozen=True)
 class ObjectStart:
-    """What an object begins with.
+    """The start of an object.
 
     Attributes
     ----------
@@ -22,7 +22,7 @@ class ObjectStart:
     corner : (z, y, x)
         First voxel of ``psi`` on the finest level.
     psi : ndarray (nz, ny, nx), float32
-        Of the first surface, mm, negative inside; its memory is used up.
+        Of the first surface, mm, negative inside; may be overwritten.
     """
 
     id: int
@@ -31,7 +31,7 @@ class ObjectStart:
 
 
 class StartPyramid:
-    """The start of an object on the levels of a run: the present level's is the last, what was used is let go.
+    """The start of an object on the levels of a run; those of coarser levels than the present one are released.
 
     Parameters
     ----------
@@ -68,21 +68,21 @@ class StartPyramid:
         self._starts.pop()
 
     def use_up(self) -> tuple[Corner, NDArray[np.float32]]:
-        """First voxel and psi on the present level; on the finest it is not needed any more, and let go."""
+        """First voxel and psi on the present level; on the finest level it is released, as nothing needs it again."""
         found = self._starts[-1]
         if self.level == 0:
             self.release()
         return found
 
     def release(self) -> None:
-        """Let go of the present level's start: a whole volume on the finest level."""
+        """Release the present level's start: a whole volume on the finest level."""
         self._starts[-1] = ((0, 0, 0), np.zeros((0, 0, 0), np.float32))
 
 
 def _aligned(
     corner: Corner, psi: NDArray[np.float32], grids: Sequence[Level]
 ) -> tuple[Corner, NDArray[np.float32]]:
-    """A start on a box of whole blocks of the coarsest level; outside of what is known it is far away."""
+    """A start on a box of whole blocks of the coarsest level; beyond the known values it is far outside."""
     blocks, whole = grids[-1].factors, grids[0].shape
     low = [c // f * f for c, f in zip(corner, blocks, strict=True)]
     high = [min(-(-(c + n) // f) * f, w) for c, n, f, w in zip(corner, psi.shape, blocks, whole, strict=True)]

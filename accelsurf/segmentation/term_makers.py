@@ -70,7 +70,7 @@ def likelihood(inputs: TermInputs) -> Made:
     Raises
     ------
     UsageError
-        When it is given something to learn from that it would not use.
+        When training voxels are given that it would not use.
     """
     image, context, channel = inputs.image, inputs.context, inputs.channel
     given = bool(inputs.config.foreground or inputs.config.background)

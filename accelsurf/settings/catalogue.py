@@ -1,4 +1,4 @@
-"""What is said about each setting, by its name: for help, messages, the viewer and the reference pages."""
+"""Entries of settings by name: for help, messages, the viewer and the reference pages."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from accelsurf.settings.flow_specs import FLOWS
 
 
 def entry(key: str) -> SettingEntry:
-    """What is said about a setting besides its type, bounds, default and help."""
+    """The entry of a setting: all but its type, bounds, default and help."""
     return entry_of(SettingFields.model_fields[key])
 
 
 def help_of(key: str) -> str:
-    """The help of a setting, with the terms or flows that there are now.
+    """The help of a setting, with the registered terms or flows.
 
     Examples
     --------
@@ -76,12 +76,12 @@ def choices() -> tuple[str, ...]:
 
 
 def energy_settings() -> tuple[str, ...]:
-    """Settings of the energies that have a name; an energy of one's own has its own."""
+    """Settings of the named energies; an energy of the user's own does not use them."""
     return tuple(key for key in SettingFields.model_fields if entry(key).scope in ("energy", "term"))
 
 
 def acts_on(key: str) -> tuple[str, ...]:
-    """Names of the flows and terms that a setting means something to; none where it does to every run or energy.
+    """Names of the flows and terms that a setting acts on; none where it acts on every run or energy.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Changes of a run while it runs: settings, and balls added to or taken from the surface, each before a given step.
+"""Changes of a run while it runs: settings, and balls added to or removed from an object, each before a given step.
 
 A run that a person changed by hand is repeated when its edits are given to it: viewer, command line and Python apply
 them in one place, `accelsurf.segmentation.run.Run`.
@@ -29,7 +29,7 @@ class Edit(BaseModel):
     step : int
         Number of the step, as in the history, before which it happens; 0 is the start.
     add, remove : str, optional
-        A ball, ``ball:X,Y,Z,R`` as a start's: united with the object, or taken away from it.
+        A ball, ``ball:X,Y,Z,R`` as a start: added to the object, or removed from it.
     object : int, optional
         Id of the object that the ball is added to or removed from, where there are several; what one gains is taken
         from the others.
@@ -39,7 +39,7 @@ class Edit(BaseModel):
 
     Notes
     -----
-    With neither, the run goes on: it has not converged before the stop rule has seen it anew from this step.
+    With neither, the run continues: the stop rule begins anew at this step.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class Edit(BaseModel):
 
 
 def edits_of(value: Any) -> Any:
-    """Return edits from what a configuration file, an option or a caller gave: tables, texts, or edits.
+    """Return edits from the value of a configuration file, an option or an argument: tables, texts, or edits.
 
     Parameters
     ----------
@@ -136,12 +136,12 @@ def _words(text: str) -> dict[str, str]:
 
 
 def refuse_unknown(edit: Edit, known: Mapping[str, FieldInfo]) -> None:
-    """Refuse settings that there are not, or that do not change while a run runs.
+    """Refuse settings that do not exist, or that cannot change while a run runs.
 
     Raises
     ------
     UsageError
-        With the nearest that may.
+        With the nearest valid name.
     """
     possible = [key for key, field in known.items() if not entry_of(field).fixed]
     for key in edit.settings:

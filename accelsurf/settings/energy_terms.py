@@ -1,7 +1,7 @@
-"""The terms that an energy can have: one entry each, from which all that lists or checks terms follows.
+"""The terms that an energy can have: one entry each. Everything that lists or checks terms reads the entries.
 
-An entry says the settings of the term with their bounds, the settings of the run that it uses, and where the function
-is that makes it. That function is imported when a run begins, so this module stays light.
+An entry has the settings of the term with their bounds, the settings of the run that it uses, and the name of the
+function that makes it. That function is imported when a run begins, so that this module imports fast.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from accelsurf.settings.registry import Registry
 
 Value = float | str
 Values = Mapping[str, Value]
-#: What stands before the value that a bound lies half-way to.
+#: Prefix of a value to which a bound lies half-way.
 HALF = "half:"
 
 
@@ -71,7 +71,7 @@ def _never(settings: Values) -> bool:
 
 @dataclass(frozen=True)
 class TermSpec:
-    """All that is said about a term.
+    """The entry of a term.
 
     Attributes
     ----------
@@ -83,26 +83,26 @@ class TermSpec:
         ``"module:function"`` or a function: of `accelsurf.segmentation.image_context.TermInputs`, returns the energy
         and a dict of the settings that it has in the run, for the report.
     settings : mapping of str to Number or Word
-        What stands after the colon, in the order in which values without a key are taken.
+        Its settings after the colon, in the order in which values without a key are assigned.
     uses : tuple of str
-        Settings of the run that it takes where it is given none of its own.
+        Settings of the run that it uses where its own are not given.
     uses_to_learn : tuple of str
         Settings of the run that it uses only when it ``learns``.
     sees_image : bool
-        Whether it says where the object is. An energy needs one such term.
+        Whether it depends on the image. An energy needs one such term.
     channels : {"first", "mean", "sum"}
         Of an image of several channels: it sees the first, or is the mean or the sum over all of them.
     signed : bool
         Whether its weight may be negative.
     example : str or None
-        How lists to choose an energy from offer it; None: they do not.
+        How lists of energies show it; None if they do not.
     keeps_fine_edges : bool
         Whether it needs edges that coarser grids do not show: ``levels = "auto"`` is then the image's own grid alone.
     reach : str or callable, optional
         Of the settings and the largest spacing, mm: how far beyond an object the term sees the image, mm; a
         ``"module:function"`` or a function. None where it sees the narrow band and means over the whole image alone.
     check : callable
-        Of the settings: what was expected where they do not go together, else nothing.
+        Of the settings: what was expected where they contradict each other, else an empty text.
     learns : callable
         Of the settings: whether it learns once from the start, unless it is given something else to learn from.
     """
@@ -123,7 +123,7 @@ class TermSpec:
     learns: Callable[[Values], bool] = _never
 
     def is_used(self, key: str, settings: Values) -> bool:
-        """Whether a setting of the run means something to the term with these settings of its own."""
+        """Whether a setting of the run acts on the term with these settings of its own."""
         return key in self.uses or (key in self.uses_to_learn and self.learns(settings))
 
 
@@ -236,10 +236,10 @@ TERMS: Registry[TermSpec] = Registry(
 
 
 def image_terms() -> tuple[str, ...]:
-    """Names of the terms that say where the object is; the others need one of them beside."""
+    """Names of the terms that depend on the image; the others need one of them beside."""
     return tuple(name for name, spec in TERMS.items() if spec.sees_image)
 
 
 def examples() -> tuple[str, ...]:
-    """Energies for lists to choose from: one of each kind that needs no more to be given."""
+    """Energies for lists to choose from: one of each kind that needs no further input."""
     return tuple(spec.example for spec in TERMS.values() if spec.example is not None)

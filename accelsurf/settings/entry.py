@@ -1,4 +1,4 @@
-"""What is said about a setting besides its type, bounds and default: one record, in the field of RunConfig itself.
+"""The entry of a setting: all but its type, bounds and default, as one record in the field of RunConfig.
 
 The command line, the viewer, ``accelsurf info``, the JSON schema and the reference pages take it from there.
 """
@@ -56,7 +56,7 @@ class Slider:
 
 @dataclass(frozen=True)
 class SettingEntry:
-    """What is said about a setting in its field; pydantic calls it to complete the JSON schema of the field.
+    """The entry of a setting in its field; pydantic calls it to complete the JSON schema of the field.
 
     Attributes
     ----------
@@ -64,10 +64,10 @@ class SettingEntry:
     unit : str
         Of the number; empty where there is none.
     metavar : str
-        What stands for the value in the help.
+        Placeholder of the value in the help.
     scope : {"run", "energy", "flow", "term"}
-        To what it means something: every run, every energy that has a name, or the flows or terms whose entry names
-        it (`accelsurf.settings.flow_specs`, `accelsurf.settings.energy_terms`).
+        What it acts on: every run, every named energy, or the flows or terms whose entry names it
+        (`accelsurf.settings.flow_specs`, `accelsurf.settings.energy_terms`).
     repeated : bool
         Whether it is a list of texts whose option may be repeated.
     fixed : bool
@@ -101,7 +101,7 @@ class SettingEntry:
         schema["description"] = self.completed(schema["description"])
 
     def completed(self, help: str) -> str:
-        """The help of the field with the names that there are now."""
+        """The help of the field with the registered names."""
         if self.listed is not None:
             help = help.replace("{}", self.listed())
         if self.names is None:

@@ -1,4 +1,4 @@
-"""The settings of a run, one entry each: type, bounds, default, help, unit, and what else is said about it.
+"""The settings of a run, one entry each: type, bounds, default, help, unit and more.
 
 The command line, TOML files, the viewer, the JSON schema, ``accelsurf info`` and the reference pages follow from these
 entries. Lengths are millimetres unless the help says voxels.
@@ -25,12 +25,12 @@ RUN, FILES = SettingGroup.RUN, SettingGroup.FILES
 
 
 def _one_or_many(value: Any) -> Any:
-    """Let a single start stand for a tuple of one."""
+    """Turn a single start into a tuple of one."""
     return (value,) if isinstance(value, str) else value
 
 
 def _expression(value: Any) -> Any:
-    """Check an energy; a list of tables becomes the text that it stands for."""
+    """Check an energy; turn a list of tables into its text."""
     if isinstance(value, (list, tuple)):
         value = energy_expression.from_tables(value)
     if isinstance(value, str):
@@ -40,7 +40,7 @@ def _expression(value: Any) -> Any:
 
 
 def _split_commas(value: Any) -> Any:
-    """Let ``"ply,stl"`` stand for ``("ply", "stl")``; names given twice count once."""
+    """Turn ``"ply,stl"`` into ``("ply", "stl")``; names given twice count once."""
     if value == "auto":
         return value
     if isinstance(value, str):
@@ -65,8 +65,8 @@ class SettingFields(BaseModel):
 
     preset: Annotated[str, OneOf(lambda: PRESETS)] | None = setting(
         None,
-        "Settings for a kind of scan: {}. Settings that are given beside it win. "
-        "accelsurf info says what each sets, and why.",
+        "Settings for a kind of scan: {}. Settings given beside it override it. "
+        "accelsurf info lists the values of each, and why.",
         entry=SettingEntry(RUN, metavar="NAME", fixed=True, listed=lambda: ", ".join(PRESETS)),
     )
     energy: Annotated[str, BeforeValidator(_expression)] = setting(
@@ -156,9 +156,9 @@ class SettingFields(BaseModel):
     )
     edge_contrast: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
         "auto",
-        "Gradient magnitude that counts as half an edge, in parts of the image's range per mm; "
-        "auto takes it from the image.",
-        entry=SettingEntry(RUN, unit="parts of the image's range per mm", metavar="K|auto", scope="term"),
+        "Gradient magnitude that counts as half an edge, in fractions of the image's range per mm; "
+        "auto measures it in the image.",
+        entry=SettingEntry(RUN, unit="fractions of the image's range per mm", metavar="K|auto", scope="term"),
     )
     balloon: float = setting(
         0.0,
@@ -192,7 +192,7 @@ class SettingFields(BaseModel):
     )
     gravity: float = setting(
         0.0,
-        "Strength g of the mass potential of flowable-mass, which evens its density out.",
+        "Strength g of the mass potential of flowable-mass, which makes its density more uniform.",
         entry=SettingEntry(metavar="G", scope="flow"),
         ge=0,
     )
@@ -231,7 +231,7 @@ class SettingFields(BaseModel):
     )
     blend: float = setting(
         0.8,
-        "Part of the last step that the momentum flow keeps in the next (no unit).",
+        "Fraction of the last step that the momentum flow adds to the next (no unit).",
         entry=SettingEntry(metavar="OMEGA", scope="flow"),
         ge=0, lt=1,
     )
@@ -277,7 +277,7 @@ class SettingFields(BaseModel):
     levels: Annotated[int, Field(ge=1)] | Literal["auto"] = setting(
         "auto",
         "Number of grids to run on, coarsest first; each has half the voxels of the next along an axis. 1 is the "
-        "image's own grid alone; auto is as many as resolve image and start.",
+        "image's own grid alone; auto is as many as resolve image and start, for several objects 1.",
         entry=SettingEntry(RUN, metavar="N|auto", fixed=True),
     )
     percentile: float = setting(
@@ -339,6 +339,6 @@ class SettingFields(BaseModel):
     edit: Annotated[tuple[Edit, ...], BeforeValidator(edits_of)] = setting(
         (),
         "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
-        "(or remove=); in TOML tables [[edit]].",
+        "(or remove=; with object=ID among several objects); in TOML tables [[edit]].",
         entry=SettingEntry(RUN, metavar="CHANGE", repeated=True, fixed=True),
     )

@@ -11,7 +11,7 @@ from accelsurf.settings.registry import Registry
 
 @dataclass(frozen=True)
 class FlowSpec:
-    """All that is said about a flow.
+    """The entry of a flow.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class FlowSpec:
         ``"module:function"`` or a function: of a RunConfig, returns the `accelsurf.flows.Flow`. It is imported when
         a run begins.
     uses : tuple of str
-        Settings of the run that mean something to it, besides those that mean something to all flows.
+        Settings of the run that act on it, besides those of all flows.
     half_width : int
         Half width of the narrow band that it needs, in voxels.
     """
@@ -46,7 +46,7 @@ FLOWS: Registry[FlowSpec] = Registry(
         "momentum with mass that flows along the surface",
         f"{_MAKERS}:flowable_mass",
         (*_MOMENTUM, "gravity"),
-        # The mass is carried along the surface by cubic interpolation, which needs a wider band.
+        # The mass is transported along the surface by cubic interpolation, which needs a wider band.
         half_width=4,
     ),
     FlowSpec("gradient", "descent, the plain baseline", f"{_MAKERS}:gradient", ("diffusion",)),

@@ -1,4 +1,4 @@
-"""The words in which a setting that cannot be used is refused: what was given, what is expected, what there is."""
+"""Messages for invalid settings: what was given, what is expected, which names are valid."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from accelsurf.settings.fields import VOXELS, SettingFields
 
 
 def usage_error(error: ValidationError, values: dict[str, Any]) -> UsageError:
-    """Turn pydantic's findings into one line about the first of them."""
+    """Turn pydantic's errors into one line about the first of them."""
     key = str(error.errors()[0]["loc"][0])
     if key in SettingFields.model_fields:
         return UsageError(*complaint(key, values.get(key)))

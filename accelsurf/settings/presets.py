@@ -1,4 +1,4 @@
-"""Presets: settings for a kind of scan, each with what its values mean and the scans that it was tried on.
+"""Presets: settings for a kind of scan, each with the meaning of its values and the scans that it was tried on.
 
 A preset names quantities of the object and of the modality (Hounsfield units, widths of structures, voxels), never of a
 file. Where the values of a modality have no unit, or depend on contrast agent and sequence, bounds and models are
@@ -21,7 +21,7 @@ class Preset(NamedTuple):
     name : str
         As it is given to ``--preset``.
     summary : str
-        For what, and what start it wants.
+        For what, and the start that it needs.
     settings : mapping
         Values of `RunConfig` by name; those not named keep their defaults.
     reasons : mapping
@@ -106,8 +106,8 @@ PRESETS: Registry[Preset] = Registry(
         {
             "energy": "two means: bright tissue on a background of zeros, whatever the scanner's unit",
             "balance": "2: with exact zeros outside, two means put the boundary at half the brightness of "
-            "tissue; asking "
-            "the inside to fit more closely moves it to about two thirds, above fluid and remains of the stripping",
+            "tissue; a larger weight of the fit inside moves it to about two thirds, above fluid and remains of the "
+            "stripping",
             "epsilon": "0: sulci are a voxel or two wide, a smeared interface closes them",
             "smoothness": "0: the cortex is folded",
         },
@@ -138,7 +138,7 @@ PRESETS: Registry[Preset] = Registry(
         {"energy": "likelihood:histogram,no", "presmooth": 0.0, "smoothness": 0.0, "levels": 1},
         {
             "energy": "histograms learned once from the balls and from all else: grey and white matter are two values, "
-            "fluid around is of another; updated ones leak along the fluid",
+            "the fluid around has another; updated histograms leak along the fluid",
             "presmooth": "none: the cord is about 10 mm wide, in few voxels",
             "smoothness": "0: the energy is of many voxels already",
             "levels": "1: the cord has few voxels across",

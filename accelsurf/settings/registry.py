@@ -33,7 +33,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     what : str
         What an entry is, for messages.
     *entries
-        Those that accelsurf has.
+        The built-in ones.
     """
 
     def __init__(self, what: str, *entries: Entry) -> None:
@@ -76,12 +76,12 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
 
 class Registration(AbstractContextManager["Registration"]):
-    """What removes an entry again.
+    """Removes an entry again.
 
     Parameters
     ----------
     entries : dict
-        Where it stands.
+        The registry's entries.
     name : str
         Its name.
     """
@@ -90,7 +90,7 @@ class Registration(AbstractContextManager["Registration"]):
         self._entries, self._name = entries, name
 
     def remove(self) -> None:
-        """Remove the entry; once it is gone, nothing happens."""
+        """Remove the entry; a second call has no effect."""
         self._entries.pop(self._name, None)
 
     def __exit__(

@@ -46,7 +46,7 @@ class RunConfig(SettingFields):
     """
 
     def __init__(self, **values: Any) -> None:
-        # The validation refuses a preset that there is not.
+        # The validation refuses an unknown preset.
         preset = values.get("preset")
         under = PRESETS[preset].settings if isinstance(preset, str) and preset in PRESETS else {}
         try:
@@ -79,7 +79,7 @@ class RunConfig(SettingFields):
             self.at(self.edit[-1].step)
 
     def matters(self, key: str) -> bool:
-        """Whether a setting means something to this flow and energy.
+        """Whether a setting acts on this flow and energy.
 
         Examples
         --------
@@ -95,7 +95,7 @@ class RunConfig(SettingFields):
                 return True
 
     def unused(self) -> list[str]:
-        """Return the settings that were changed from their defaults and mean nothing to this flow and energy.
+        """Return the settings that were changed from their defaults and have no effect on this flow and energy.
 
         Examples
         --------
@@ -141,12 +141,12 @@ class RunConfig(SettingFields):
         return type(self)(**{**present, **changes})
 
     def at(self, step: int) -> Self:
-        """Return the settings in force when a step is made: with the edits up to it, and without any to come.
+        """Return the settings in force at a step: with the edits up to it, and without later ones.
 
         Parameters
         ----------
         step : int
-            Number of the step; its own edits have happened.
+            Number of the step; its own edits are included.
 
         Raises
         ------

@@ -66,7 +66,7 @@ def written(values: Mapping[str, Any], tables: str) -> str:
 
 
 def _toml(value: Any) -> str:
-    """Return one value as TOML. Only what RunConfig holds: str, bool, int, finite float, tuple."""
+    """Return one value as TOML. Only the types of RunConfig: str, bool, int, finite float, tuple."""
     if isinstance(value, tuple):
         return "[" + ", ".join(_toml(item) for item in value) + "]"
     if isinstance(value, str):

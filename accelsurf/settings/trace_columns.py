@@ -1,7 +1,7 @@
 """The columns of the trace: one entry each, in the order in which they are written.
 
-The entries without a ``value`` are the fields of `accelsurf.evolution.loop.StepRecord`. An entry with one is measured
-in each step, and the record has it under ``extra``.
+The entries without a ``value`` are the fields of `accelsurf.evolution.records.StepRecord`. An entry with one is
+measured in each step, and the record has it under ``extra``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from accelsurf.settings.registry import Registry
 
 @dataclass(frozen=True)
 class TraceColumn:
-    """All that is said about a column of the trace.
+    """The entry of a column of the trace.
 
     Attributes
     ----------
@@ -37,14 +37,14 @@ class TraceColumn:
 _ENERGY = "mm^3"
 TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     "trace column",
-    TraceColumn("step", "", "number of the step; the last row only records the final state"),
+    TraceColumn("step", "", "number of the step; the last row is the final state"),
     TraceColumn("level", "", "grid of the step: 0 is the image's own, 1 the next coarser one"),
     TraceColumn("t", "flow time", "time at the beginning of the step"),
     TraceColumn("dt", "flow time", "length of the step; 0 in the last row"),
     TraceColumn(
         "cfl_dt",
         "flow time",
-        "length that the CFL limit alone would allow; where dt is less, waves, diffusion, noise or density bound it",
+        "length that the CFL limit alone would allow; where dt is less, waves, diffusion, noise or density limit it",
     ),
     TraceColumn("potential", _ENERGY, "energy U that is minimised; values of different levels do not compare"),
     TraceColumn("kinetic", "", "kinetic energy T of the paper; T/w is in mm^3, as the potential"),
@@ -56,13 +56,13 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
         _ENERGY,
         "energy that diffusion, the speed limiter, restarts, changes of level and edits have taken so far",
     ),
-    TraceColumn("noise_work", _ENERGY, "energy that noise has put in so far"),
+    TraceColumn("noise_work", _ENERGY, "energy that noise has added so far"),
     TraceColumn("mass", "relative", "mass of the surface; 0 without momentum"),
-    TraceColumn("mass_correction", "relative", "part of the mass that was added so far to conserve it"),
+    TraceColumn("mass_correction", "relative", "fraction of the mass that was added so far to conserve it"),
     TraceColumn("volume_mm3", "mm^3", "volume of the object"),
     TraceColumn("area_mm2", "mm^2", "area of the surface"),
     TraceColumn(
-        "speed", "mm per unit of flow time", "the speed limiter's percentile of the speed on the surface, without sign"
+        "speed", "mm per unit of flow time", "the speed limiter's percentile of the absolute speed on the surface"
     ),
     TraceColumn("motion_voxels", "voxels", "mean motion of the surface in the step, along the normal"),
     TraceColumn("limited_fraction", "", "share of front cells whose speed was clipped to the CFL limit"),
@@ -70,12 +70,12 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     TraceColumn("diffusion", "mm^2 per unit of flow time", "velocity diffusion used in the step"),
     TraceColumn("band_cells", "", "cells of the narrow band"),
     TraceColumn(
-        "cells_visited", "", "cells that all passes of the step went over: its cost, the same on any machine"
+        "cells_visited", "", "cells that all passes of the step visited: its cost, the same on any machine"
     ),
     TraceColumn("restarted", "", "1 when momentum was set to zero before the step"),
     TraceColumn("removed_components", "", "components removed because they are smaller than the grid resolves"),
     TraceColumn("seconds", "s", "wall time of the step"),
-    TraceColumn("edits", "", "changes by hand right before the step"),
+    TraceColumn("edits", "", "edits applied right before the step"),
 )
 
 

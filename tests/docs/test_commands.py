@@ -136,7 +136,10 @@ def test_every_command_of_a_how_to_page_is_accepted(page, tmp_path, monkeypatch,
             Path(target).write_text(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/how-to/notebooks.md"])
+PYTHON = ["README.md", *(f"docs/how-to/{name}.md" for name in ("notebooks", "several-objects", "starts-and-regions"))]
+
+
+@pytest.mark.parametrize("page", PYTHON)
 def test_the_python_of_the_page_runs(page, tmp_path, monkeypatch):
     """But for what opens a window."""
     monkeypatch.chdir(tmp_path)

@@ -131,7 +131,7 @@ def test_stalled():
 def test_short_steps_are_no_rest(flow):
     """A diffusion that makes the steps a thousand and more times too short: the surface has not moved, nor arrived."""
     stop = run(Evolution(ball(6), ChanVese(smooth_image()), flow(diffusion=1e5), rule=StopRule(), max_steps=100))
-    assert stop.reason == "stalled" and stop.steps < 40 and "times shorter than the forces ask for" in stop.message
+    assert stop.reason == "stalled" and stop.steps < 40 and "times shorter than the forces allow" in stop.message
     # Some hundred times too short: 20 of them move it by less than the tolerance, and prove nothing.
     evolution = Evolution(ball(4), ChanVese(smooth_image()), flow(diffusion=1000.0), rule=StopRule(), max_steps=60)
     assert run(evolution).reason == "max-steps"

@@ -70,7 +70,7 @@ def test_the_band_is_as_wide_as_the_flow_needs() -> None:
 def test_a_setting_that_does_nothing_is_told() -> None:
     _, scan = image()
     result = segment(scan, flow="gradient", gravity=1.0, start="ball:10,12,12,4vox", max_steps=3)
-    assert result.warnings == ["gravity was given, but means nothing to flow gradient with energy chan-vese"]
+    assert result.warnings == ["gravity was given, but has no effect on flow gradient with energy chan-vese"]
 
 
 def test_for_k_of_at_most_1_the_clock_starts_when_the_first_step_is_made() -> None:

@@ -1,7 +1,7 @@
 """What the header of a NIfTI-1 or NIfTI-2 file says, and the voxels of those that ITK does not read.
 
 ITK repairs, guesses and forgets: it reads a file without voxels as zeros, takes a negative pixdim as a mirrored axis,
-falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is looked at here first,
+falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is read here first,
 and the fields that place the grid are put back after writing. nibabel takes the header apart; its own checks, which
 repair too, are not used.
 """

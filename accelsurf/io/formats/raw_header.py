@@ -1,6 +1,6 @@
 """What the header of a volume format claims about its voxels, and whether they are there.
 
-Readers return zeros or garbage for what is missing; this is looked at before anything is read or allocated.
+Readers return zeros or garbage for missing voxels; the size is checked before anything is read or allocated.
 """
 
 from __future__ import annotations
