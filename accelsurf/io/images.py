@@ -170,7 +170,7 @@ def _storable(array: NDArray[Any]) -> NDArray[Any]:
 
 def _check_writable(array: NDArray[Any], form: ImageFormat, suffix: str) -> None:
     """Refuse what a format cannot hold."""
-    if form.one_slice and array.shape[0] > 1:
+    if form.only_2d and array.shape[0] > 1:
         raise UsageError(
             f"a volume of {array.shape[0]} slices given, a {suffix} holds one",
             "write a .tif stack, or a volume format",

@@ -106,7 +106,7 @@ def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
                 f"mesh: {kind} was given for {image}, expected {', '.join(possible)}",
                 f"--mesh auto is {','.join(automatic_mesh_formats(shape))} for {'one slice' if is_2d else 'a volume'}",
             )
-    if IMAGE_FORMATS[labels].one_slice and geometry.shape[0] > 1:
+    if IMAGE_FORMATS[labels].only_2d and geometry.shape[0] > 1:
         raise UsageError(
             f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
             "use --format tif for a stack, or a volume format",

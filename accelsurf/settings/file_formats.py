@@ -15,7 +15,7 @@ from accelsurf.settings.registry import Registry
 
 Function = str | Callable[..., Any]
 #: What of the grid a file keeps: all of it, the spacing, or the size of a pixel.
-KeptGrid = Literal["all", "spacing", "pixel"]
+GridFidelity = Literal["all", "spacing", "pixel"]
 #: What a mesh file describes: the surface in a volume, or the contours in an image of one slice.
 Shape = Literal["surface", "contour"]
 #: Types of values that a TIFF can hold here.
@@ -48,7 +48,7 @@ class ImageFormat:
         asked of volumes that were read from other formats. None: it never does.
     types : tuple of str
         The numpy types of values that it holds; empty: all of integers and floats of 4 and 8 bytes.
-    one_slice : bool
+    only_2d : bool
         Whether it holds one slice only.
     keeps : {"all", "spacing", "pixel"}
         What of the grid is read back: all of it, the spacing, or the size of a pixel; the rest is the world's origin,
@@ -68,8 +68,8 @@ class ImageFormat:
     read_channels: Function | None = None
     is_anatomical: Function | None = None
     types: tuple[str, ...] = ()
-    one_slice: bool = False
-    keeps: KeptGrid = "all"
+    only_2d: bool = False
+    keeps: GridFidelity = "all"
     white_labels: bool = False
     distances: str | None = None
 
@@ -131,7 +131,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.raster:read",
         f"{_FORMATS}.png:write",
         types=("uint8", "uint16"),
-        one_slice=True,
+        only_2d=True,
         keeps="pixel",
         white_labels=True,
         distances="tif",
@@ -269,8 +269,8 @@ def label_help() -> str:
     >>> label_help()
     'nii.gz, nii, nrrd, mha, mhd, tif, or for one slice png'
     """
-    volumes = [name for name, form in IMAGE_FORMATS.items() if not form.one_slice]
-    slices = [name for name, form in IMAGE_FORMATS.items() if form.one_slice]
+    volumes = [name for name, form in IMAGE_FORMATS.items() if not form.only_2d]
+    slices = [name for name, form in IMAGE_FORMATS.items() if form.only_2d]
     return f"{', '.join(volumes)}, or for one slice {', '.join(slices)}"
 
 

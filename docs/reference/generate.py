@@ -173,7 +173,7 @@ def _file_formats() -> str:
 
 def _values(form: ImageFormat) -> str:
     values = ", ".join(form.types) or "integers and floats"
-    values += "; one slice" if form.one_slice else ""
+    values += "; one slice" if form.only_2d else ""
     return values + (f"; signed distances go to `{form.distances}`" if form.distances else "")
 
 
