@@ -71,7 +71,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name from its module the first time it is asked for."""
+    """Load a public name from its module when it is first used."""
     name = _SAME.get(name, name)
     home = _HOMES.get(name)
     if home is None:

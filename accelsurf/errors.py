@@ -1,4 +1,4 @@
-"""One family of errors: each says what was given, what was expected, and what to do about it.
+"""The errors of accelsurf: each has what was given, what was expected, and what to do about it.
 
 The command line turns them into one line, a hint and an exit code; in Python the hint travels as a note, so a
 traceback shows it below the message.
@@ -52,21 +52,21 @@ class AccelsurfError(Exception):
 
 
 class UsageError(AccelsurfError):
-    """An option, a setting or a combination of them that makes no sense (exit 2)."""
+    """An option, a setting or a combination of them that is not valid (exit 2)."""
 
     exit_code = 2
     kind = "usage"
 
 
 class InputError(AccelsurfError):
-    """A file or an array that cannot be used: unreadable, damaged, or of the wrong sort (exit 3)."""
+    """A file or an array that cannot be used: unreadable, damaged, or of the wrong kind (exit 3)."""
 
     exit_code = 3
     kind = "input"
 
 
 class GeometryError(InputError):
-    """A grid that is not one: bad spacing, sheared axes, or two grids that should agree and do not (exit 3)."""
+    """An invalid grid: bad spacing, sheared axes, or two grids that should agree and do not (exit 3)."""
 
     kind = "geometry"
 
@@ -91,7 +91,7 @@ def check_known(what: str, given: str, known: Iterable[str]) -> None:
     Raises
     ------
     UsageError
-        With what there is.
+        With the known words.
     """
     names = tuple(known)
     if given not in names:
@@ -99,20 +99,20 @@ def check_known(what: str, given: str, known: Iterable[str]) -> None:
 
 
 class NotConvergedError(AccelsurfError):
-    """The run ended before it converged, and --strict asks for more."""
+    """The run ended before it converged, which --strict makes an error (exit 4)."""
 
     exit_code = 4
     kind = "not-converged"
 
 
 class DoubtfulError(AccelsurfError):
-    """There is a result, but its quality is in doubt, and --strict asks for more."""
+    """There is a result, but its quality is in doubt, which --strict makes an error (exit 5)."""
 
     exit_code = 5
     kind = "doubtful"
 
 
 class DivergedError(AccelsurfError):
-    """The energy became infinite or no number."""
+    """The energy became infinite or NaN (exit 1)."""
 
     kind = "diverged"

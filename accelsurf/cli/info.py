@@ -80,7 +80,7 @@ def _print_presets() -> None:
     from accelsurf.settings.catalogue import as_typed
     from accelsurf.settings.presets import PRESETS
 
-    print("\nPresets (--preset NAME; options beside it win):")
+    print("\nPresets (--preset NAME; other options override its values):")
     for name, preset in PRESETS.items():
         print(f"\n  {name}: {preset.summary}")
         for key, value in preset.settings.items():

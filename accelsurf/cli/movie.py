@@ -164,7 +164,7 @@ def _scene(volume: Volume, reference: Path | None, look: Look, size: tuple[int, 
 
 
 def _draw(run: Run, scene: Scene, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
-    """Run to the end, and write the movie, or without its settings a picture of the last step; says what it wrote."""
+    """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
     from accelsurf.viewer.frontends import movie_file
 
     if movie is None:

@@ -75,7 +75,7 @@ def edge_indicator(
         (hz, hy, hx), mm.
     scale : float, optional
         s, mm: sigma of the Gaussian that the image is smoothed with first. By default the largest spacing, so that
-        edges look alike along every axis.
+        edges are equally blurred along every axis.
     contrast : float, optional
         K, image units per mm. By default `edge_contrast` of the image's gradients.
 

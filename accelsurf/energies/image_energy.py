@@ -45,7 +45,7 @@ class ImageEnergy(Energy):
         self.sums.follow(change)
 
     def state(self) -> Any:
-        """Return the sums; a subclass that carries more from step to step extends both methods."""
+        """Return the sums; a subclass with more state extends both methods."""
         return self.sums.state()
 
     def restore(self, surface: LevelSet, state: Any) -> None:

@@ -42,7 +42,7 @@ class CheckedEnergy(Energy):
             raise UsageError(
                 f"energy: a {kind} was given, which has no {', '.join(missing)}",
                 "an energy has alpha, start, follow, value and force: see accelsurf.energies.Energy; "
-                "accelsurf.energies.ImageEnergy has start and follow ready",
+                "accelsurf.energies.ImageEnergy has start and follow already",
             )
         self._kind = kind
         self.name = f"custom: {kind}"
@@ -76,11 +76,11 @@ class CheckedEnergy(Energy):
             self._energy.project(surface)
 
     def state(self) -> Any:
-        """Return what the energy carries from step to step, if it says so."""
+        """Return the energy's state, if it has the method."""
         return self._energy.state() if self._has("state") else None
 
     def restore(self, surface: LevelSet, state: Any) -> None:
-        """Go on from a state; an energy that has none starts again."""
+        """Set a state; an energy without the method starts again."""
         if self._has("restore"):
             self._energy.restore(surface, state)
         else:

@@ -1,4 +1,4 @@
-"""Energies added with weights, and the terms that need no image."""
+"""Weighted sum of energies, and the terms without an image."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class WeightedSum(Energy):
             energy.project(surface)
 
     def state(self) -> list[Any]:
-        """Return the states of the terms, in their order; None for those that have none."""
+        """Return the states of the terms, in their order; None for a term without state."""
         return [energy.state() for _, energy in self._terms]
 
     def restore(self, surface: LevelSet, state: list[Any]) -> None:
-        """Go on, on this surface, from what `state` returned on it."""
+        """Set the state that `state` returned on this surface."""
         for (_, energy), own in zip(self._terms, state, strict=True):
             energy.restore(surface, own)
 
@@ -79,7 +79,7 @@ class Balloon(Energy):
 
 
 class Area(Energy):
-    """U = A, f = H: the area of the surface as a term of its own."""
+    """U = A, f = H: the area of the surface as a term."""
 
     alpha = 1.0
 

@@ -109,7 +109,7 @@ def check_kind(reader: sitk.ImageFileReader) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """ITK's warnings off for a moment: what matters is checked here and said in one line."""
+    """Switch ITK's warnings off for a while: accelsurf checks the file and reports a problem in one line."""
     before = sitk.ProcessObject.GetGlobalWarningDisplay()
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     try:

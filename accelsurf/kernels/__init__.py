@@ -9,7 +9,7 @@ Arguments that many kernels have, with n band cells ("slots"):
 
 =================  ==================================================================================================
 start, stop        Range of slots that the call owns; ``first_block, last_block`` the same in blocks of `grid.BLOCK`.
-grid, dense, band  `grid.Grid`, `grid.DenseArrays` and `grid.Band`, where what a slot, a cell and a foot is stands too.
+grid, dense, band  `grid.Grid`, `grid.DenseArrays` and `grid.Band`, which also define slot, cell and foot.
 psi, slot          The arrays of ``dense``, (nz * ny * nx,): float32, mm; int32, -1 for voxels that are not in the band.
 cells, foot        As in the band, (n,) int64 and (n, 3) float32 mm; also with more rows, for cells that may enter.
 front              (n,) bool, the slots that count.

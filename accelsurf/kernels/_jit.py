@@ -19,7 +19,7 @@ FASTMATH = {"contract", "arcp", "nsz"}
 def _cache_folder() -> str | None:
     """Folder of the compiled kernels, named by the source of all of them; None where nothing can be written.
 
-    Numba looks only at the file of a kernel to tell whether its compiled form is current, not at the kernels
+    Numba compares only the file of a kernel to decide whether its compiled form is current, not at the kernels
     that it calls and that were compiled into it: after a change in one of those it would run the old code.
     """
     here = Path(__file__).parent

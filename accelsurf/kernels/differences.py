@@ -119,7 +119,7 @@ def upwind_differences(psi, cell, i, n, stride, h):
 
 @kernel
 def godunov_norm(psi, cell, iz, iy, ix, grid, shrinking):
-    """|grad psi| of psi_t = beta |grad psi| by Godunov's upwind choice; ``shrinking`` says beta > 0.
+    """|grad psi| of psi_t = beta |grad psi| by Godunov's upwind choice; ``shrinking``: beta > 0.
 
     beta > 0: max(min(D-, 0)^2, max(D+, 0)^2) per axis; beta < 0: max(max(D-, 0)^2, min(D+, 0)^2).
     """

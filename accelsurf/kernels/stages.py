@@ -1,4 +1,4 @@
-"""The stages of a step, for ``--profile``: each kernel that the package calls says which one it belongs to."""
+"""The stages of a step, for ``--profile``: each kernel that the package calls names its own."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Differences of many cells at once: neighbours are gathered into rows, and the arithmetic runs over the rows.
 
 Well inside the volume only; `differences` computes the same cell by cell, and is used at the border. In a row all cells
-are treated alike, so the compiler makes vector instructions of it.
+are treated in the same way, so that the compiler vectorizes it.
 """
 
 from __future__ import annotations

@@ -268,7 +268,7 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
 def fields_between(start, stop, coarse, band, grid, place, fields, out):
     """Fields (m, n) at the feet of a ``band`` on another grid: linear there over the band cells around.
 
-    ``coarse`` = (slot, grid) of the level that the values live on; ``place`` (2, 3) takes an index position of the
+    ``coarse`` = (slot, grid) of the level of the values; ``place`` (2, 3) takes an index position of the
     band's ``grid`` to one of it: factor and addition. ``fields`` = (values (m, n_old) float32, fill values (m,) for
     where there is nothing).
     """

@@ -1,7 +1,7 @@
 """The report of a run as JSON: pure functions from values to text.
 
-The report says what was run on what, how it ended, what came out and where, so that a run can be repeated and a batch
-can be filtered without looking at pictures. Lengths are mm, order x, y, z, LPS. Entries about files are in
+The report has input, settings, how the run ended, measures and files, so that a run can be repeated and a batch can be
+filtered without pictures. Lengths are mm, order x, y, z, LPS. Entries about files are in
 `file_entries`, tables in `tables`, pictures in `preview`.
 """
 

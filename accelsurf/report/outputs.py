@@ -116,7 +116,7 @@ def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
 def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
     """Refuse to start when an output exists already, or the folder cannot take one; make the folder.
 
-    A report of a run that failed does not count as existing: it holds no result.
+    The report of a failed run does not count as existing: it has no result.
 
     Raises
     ------

@@ -32,7 +32,7 @@ def sobolev(config: RunConfig) -> Flow:
 
 
 def heavy_ball(config: RunConfig) -> Flow:
-    """Descent that keeps part of the last step."""
+    """Descent that adds a fraction of the last step."""
     return HeavyBall(config.blend)
 
 

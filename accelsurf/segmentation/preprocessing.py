@@ -124,7 +124,7 @@ def preprocess(
     Raises
     ------
     UsageError, InputError
-        As `accelsurf.segment` says.
+        As of `accelsurf.segment`.
     """
     check_channels(volumes)
     first, whole, given = volumes[0], volumes[0].geometry, given or {}

@@ -150,7 +150,7 @@ class Run:
 
     @property
     def geometry(self) -> Geometry:
-        """The grid that the surfaces live on, on the finest level: that of the region of interest."""
+        """The grid of the surfaces on the finest level: that of the region of interest."""
         return self.prepared.geometry
 
     @property

@@ -1,7 +1,7 @@
 """The settings of a run, one entry each: type, bounds, default, help, unit and more.
 
 The command line, TOML files, the viewer, the JSON schema, ``accelsurf info`` and the reference pages follow from these
-entries. Lengths are millimetres unless the help says voxels.
+entries. Lengths are in mm unless the help says voxels.
 """
 
 from __future__ import annotations

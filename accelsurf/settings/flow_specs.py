@@ -53,7 +53,7 @@ FLOWS: Registry[FlowSpec] = Registry(
     FlowSpec("sobolev", "descent along the smoothed gradient", f"{_MAKERS}:sobolev", ("sobolev_length",)),
     FlowSpec(
         "momentum",
-        "descent that keeps part of the last step (Andersson et al. 2013)",
+        "descent that adds a fraction of the last step (Andersson et al. 2013)",
         f"{_MAKERS}:heavy_ball",
         ("blend",),
     ),

@@ -1,4 +1,4 @@
-"""Base of an energy whose surface may not go everywhere."""
+"""Base of an energy with a constraint on its surface."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from accelsurf.levelset import BandChange, LevelSet
 
 
 class ConstrainedEnergy(Energy):
-    """Base of an energy whose force is limited in places; all else is the energy's own.
+    """Wraps an energy whose force is limited in places; everything else is that of the energy.
 
-    A subclass gives `force`, and `project` where the surface may not go somewhere.
+    A subclass gives `force`, and `project` if it bounds the surface.
 
     Parameters
     ----------
     energy : Energy
-        What acts on the surface where it is free.
+        The energy without the constraint.
     """
 
     def __init__(self, energy: Energy) -> None:
@@ -42,11 +42,11 @@ class ConstrainedEnergy(Energy):
         self._energy.project(surface)
 
     def state(self) -> Any:
-        """Return what the energy carries from step to step."""
+        """Return the energy's state."""
         return self._energy.state()
 
     def restore(self, surface: LevelSet, state: Any) -> None:
-        """Go on, on this surface, from what `state` returned on it."""
+        """Set the state that `state` returned on this surface."""
         self._energy.restore(surface, state)
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:

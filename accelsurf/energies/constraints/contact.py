@@ -1,4 +1,4 @@
-"""Contact of several surfaces: where two meet, neither enters the other or moves it back."""
+"""Contact of several surfaces: where two meet, neither enters the other or displaces it."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Contact(NamedTuple):
 
 
 class NonOverlap(ConstrainedEnergy):
-    """An energy of one object beside others, under the condition that no two overlap.
+    """An energy of one object among others, under the condition that no two overlap.
 
     Where surfaces i and j touch, i's force becomes max(f_i, -max(f_j, 0)): the contact reaction stops it where both
     would grow, and lets it follow where j shrinks. Then neither can lower its own energy alone. (The mean of both
-    forces would minimise U_i + U_j, and come to no equilibrium between objects that are alike: the smallest difference
+    forces would minimise U_i + U_j, and reach no equilibrium between similar objects: the smallest difference
     of their models lets one take the other's volume.) Normal velocities meet in the same way, as in an inelastic
     collision. Contact sets in over the last voxel between the two; surfaces that separate do not act on each other.
     After each motion psi_i is at least (psi_i - psi_j)/2: a voxel in both goes to the one in which it is deeper.
@@ -75,7 +75,7 @@ class NonOverlap(ConstrainedEnergy):
         return self._energy.state(), self._cells, self._forces
 
     def restore(self, surface: LevelSet, state: Any) -> None:
-        """Go on, on this surface, from what `state` returned on it."""
+        """Set the state that `state` returned on this surface."""
         inner, self._cells, self._forces = state
         self._energy.restore(surface, inner)
 
@@ -102,7 +102,7 @@ class NonOverlap(ConstrainedEnergy):
         for other in self.neighbours:
             shape = np.array(other.surface.shape)
             place = index + to_closest - np.array(other.corner)
-            # Closest points of cells at the volume's border may lie beyond it: there the border's own voxels count.
+            # Closest points of cells at the volume's border may lie beyond it: then the border's own voxels are read.
             within = np.clip(place, 0, shape - 1)
             near = np.flatnonzero((np.abs(place - within) <= FRONT_WIDTH).all(axis=1))
             place = within
@@ -141,7 +141,7 @@ class NonOverlap(ConstrainedEnergy):
             flow.add_velocity(surface, reaction)
 
     def project(self, surface: LevelSet) -> None:
-        """Divide the voxels that neighbours have too; between the surface's motion and its redistancing."""
+        """Cut the surface where it overlaps neighbours; between its motion and its redistancing."""
         super().project(surface)
         for other in self.neighbours:
             on, theirs = shared_cells(surface, self._corner, other)
@@ -150,7 +150,7 @@ class NonOverlap(ConstrainedEnergy):
             surface.dense.psi[cells] = np.maximum(mine, np.float32(0.5) * (mine - theirs))
 
     def overlap(self, surface: LevelSet) -> float:
-        """How deep, mm, neighbours are inside of the surface where it runs, within a voxel; 0 if none is."""
+        """Largest depth, mm, of neighbours inside the surface, measured within a voxel of it; 0 if none is inside."""
         deepest, on_surface = 0.0, surface.front(1.0)
         for other in self.neighbours:
             on, theirs = shared_cells(surface, self._corner, other)
@@ -163,7 +163,7 @@ class NonOverlap(ConstrainedEnergy):
 def contact_reaction(
     mine: NDArray[np.float32], theirs: NDArray[np.float32], share: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """What makes a quantity along the inward normal max(mine, -max(theirs, 0)) where two touch, less off it."""
+    """The change of a quantity along the inward normal to max(mine, -max(theirs, 0)), weighted by ``share``."""
     return np.asarray(-share * np.minimum(mine + np.maximum(theirs, 0.0), 0.0))
 
 

@@ -22,7 +22,7 @@ class MaskConstraint(ConstrainedEnergy):
     Parameters
     ----------
     energy : Energy
-        What acts on the surface within the mask.
+        The energy within the mask.
     distance : ndarray (nz, ny, nx), float32
         Signed distance to the boundary of the mask, mm, negative within; from `mask_distance`, on the energy's grid.
     """
