@@ -35,7 +35,7 @@ def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError
         summary = f"{name}: {stop.reason} after {stop.steps} steps: {stop.message}"
     if stop.reason in ("vanished", "filled") and not result.has_ids:
         return EmptyResultError(summary, "start closer to the object, or with less --smoothness"), []
-    if result.has_ids and not result.labels.any():
+    if result.has_ids and not any(one.has_surface for one in result.objects):
         return EmptyResultError(summary, "start closer to the objects, or with less --smoothness"), []
     if stop.reason == "diverged":
         return DivergedError(summary, _REPORT), []
@@ -59,8 +59,8 @@ def _late(name: str, result: Result, one: SegmentedObject) -> list[str]:
 def _doubts(result: Result, one: SegmentedObject) -> list[str]:
     if not result.has_ids:
         return list(one.quality.warnings)
-    if not one.labels.any():
-        return [f"object {one.id}: vanished after {one.stop.steps} steps"]
+    if not one.has_surface:
+        return [f"object {one.id}: {one.stop.reason} after {one.stop.steps} steps: {one.stop.message}"]
     return [f"object {one.id}: {doubt}" for doubt in one.quality.warnings]
 
 

@@ -39,11 +39,11 @@ class StopRule(NamedTuple):
         """Whether the surface has converged; ``state`` records the check."""
         if (len(state.history) - state.first) % self.window:
             return None
-        records = state.history[state.seen :]
+        records = state.history[state.judged_at :]
         asked = sum(record.cfl_dt for record in records) / max(len(records), 1)
         if sum(record.dt for record in records) < SHORT * self.window * asked:
             return None
-        before, state.snapshot, state.seen = state.snapshot, surface.snapshot(), len(state.history)
+        before, state.snapshot, state.judged_at = state.snapshot, surface.snapshot(), len(state.history)
         if before is None:
             return None
         moved, last = surface.distance_from(before), state.history[-1]

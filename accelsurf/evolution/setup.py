@@ -12,7 +12,8 @@ class SolverSetup(NamedTuple):
     """What moves a surface besides its energy.
 
     ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
-    each level; stop ``rule`` of the finest level, None to run to the last step.
+    each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard
+    or None.
     """
 
     flow: Flow
@@ -20,3 +21,4 @@ class SolverSetup(NamedTuple):
     restart: Restart | None
     half_width: float
     rule: StopRule | None
+    max_volume: float | None = None

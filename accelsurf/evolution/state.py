@@ -30,7 +30,7 @@ class LoopState:
         Decrease of the potential on earlier grids and before edits.
     potential_before : float
         E on the grid before, to be compared with the first value here; NaN when there is nothing to compare.
-    first, seen : int
+    first, judged_at : int
         Number of the first step on this grid, and of the one at which convergence was last checked.
     snapshot : Snapshot or None
         The surface then.
@@ -47,7 +47,7 @@ class LoopState:
     gained_before: float = 0.0
     potential_before: float = math.nan
     first: int = 0
-    seen: int = 0
+    judged_at: int = 0
     snapshot: Snapshot | None = None
     fields: StepFields | None = None
     edits: int = 0
@@ -75,7 +75,7 @@ class LoopState:
         """
         count = len(self.history)
         following = LoopState(self.history, self.time, gained_before=self.gained, edits=self.edits)
-        following.first = following.seen = count
+        following.first = following.judged_at = count
         if with_fields:
             following.budget, following.potential_before = self.budget, self.potential
         return following

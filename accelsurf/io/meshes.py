@@ -81,10 +81,10 @@ def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             reason = " ".join(str(error).split())[:200]
             hint = error.hint if isinstance(error, InputError) else ""
             raise InputError(f"cannot be read as a mesh ({reason})", hint or "is the file complete?") from None
-        return _closed(points, triangles)
+        return closed_mesh(points, triangles)
 
 
-def _closed(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The same surface with points at the same place made one; refused where it is damaged or open."""
     points = np.asarray(points, np.float64).reshape(-1, 3)
     triangles = np.asarray(triangles, np.int64).reshape(-1, 3)

@@ -109,7 +109,9 @@ def describe_config(
     if config is None:
         return None
     settings = config.model_dump(mode="json")
-    return settings if result is None else {**settings, "energy": result.energy}
+    if result is None:
+        return settings
+    return {**settings, "energy": result.energy, **dict.fromkeys(result.given, "given as an array")}
 
 
 def describe_result(result: Result | None) -> dict[str, Any]:

@@ -7,7 +7,10 @@ import sys
 from importlib import metadata
 
 #: Packages that a result can depend on.
-PACKAGES = ("accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "pydantic", "matplotlib")
+PACKAGES = (
+    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "nibabel", "trimesh", "Pillow", "pydantic",
+    "matplotlib",
+)
 
 
 def versions() -> dict[str, str | None]:
@@ -16,7 +19,7 @@ def versions() -> dict[str, str | None]:
     Examples
     --------
     >>> sorted(versions())[:3]
-    ['SimpleITK', 'accelsurf', 'matplotlib']
+    ['Pillow', 'SimpleITK', 'accelsurf']
     """
     found: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
     for name in PACKAGES:

@@ -205,7 +205,7 @@ def write_result(
 
 
 def _has_surface(result: Result) -> bool:
-    return bool(result.labels.any()) and result.stop.reason not in ("vanished", "filled")
+    return any(one.has_surface for one in result.objects)
 
 
 def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
@@ -227,7 +227,7 @@ def _mesh_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
         return
     is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
     for one in result.objects:
-        if not one.labels.any():
+        if not one.has_surface:
             continue
         mesh = one.contours if is_2d else one.surface
         for kind in kinds:

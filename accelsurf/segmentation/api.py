@@ -146,7 +146,7 @@ def segment_objects(
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the run.
     spacing, channels, config, **options
-        As for `segment`; ``max_steps`` and ``max_volume`` count for each object.
+        As for `segment`; ``max_volume`` counts for each object, ``max_steps`` for the run.
 
     Returns
     -------
@@ -252,6 +252,7 @@ def result_of(run: Run) -> Result:
         resolved_settings=resolved_settings_of(run, len(summaries)),
         kernels=run.seconds_by_kernel(),
         edits_done=run.edits_done,
+        given=run.given,
         warnings=run.level_warnings
         + [
             f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"

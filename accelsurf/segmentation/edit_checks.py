@@ -64,6 +64,8 @@ def _check_object(edit: Edit, ids: Sequence[int], where: str) -> None:
     if edit.object is not None and edit.object not in (ids or (1,)):
         known = ", ".join(str(one) for one in ids[:8]) + (", ..." if len(ids) > 8 else "")
         raise UsageError(f"{where}: object {edit.object} was given, expected one of {known or '1'}", "as in object=3")
+    if edit.object is not None and not edit.balls:
+        raise UsageError(f"{where}: object {edit.object} was given without a ball", "settings change for all objects")
     if edit.object is None and edit.balls and len(ids) > 1:
         raise UsageError(
             f"{where}: a ball was given without its object", "write which one it is added to, as in object=3"

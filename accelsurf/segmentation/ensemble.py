@@ -28,7 +28,7 @@ from accelsurf.segmentation.preprocessing import PreprocessedInput
 #: Voxels by which a band may grow in a round, and by which stencils extend.
 REACH = 3
 #: A converged object moves again when a neighbour is this deep inside it, in voxels of the smallest spacing.
-PUSHED = 0.5
+REACTIVATION_DEPTH = 0.5
 #: Reasons that hold for the whole run if they hold for any object, the worst first.
 WORST: tuple[StopReason, ...] = ("interrupted", "diverged", "leaked", "stalled", "max-steps", "filled")
 T = TypeVar("T")
@@ -62,15 +62,15 @@ class Ensemble:
         if self._pool is not None:
             self._pool.shutdown()
 
-    def step(self, steps_left: int, wake: bool = True) -> tuple[Step, ...]:
+    def step(self, steps_left: int, reactivate: bool = True) -> tuple[Step, ...]:
         """One step of each object that moves; none when all have ended on their level.
 
         Parameters
         ----------
         steps_left : int
             How many steps may follow, this one included, whatever an object has made itself.
-        wake : bool
-            Whether objects that have converged move again when others run into them.
+        reactivate : bool
+            Whether objects that have converged move again when others push into them.
         """
         if not self._meets:
             steps = [one.step() for one in self._objects]
@@ -83,8 +83,8 @@ class Ensemble:
         meets = self._meet()
         steps = [step for batch in self._batches(meets) for step in self._each(EvolvingObject.step, batch)]
         self._each(EvolvingObject.grow_grid, [one for one in moving if one.moves])
-        if wake:
-            self._wake(meets)
+        if reactivate and steps_left > 1:
+            self._reactivate(meets)
         return tuple(step for step in steps if step is not None)
 
     def _each(self, work: Callable[[EvolvingObject], T], batch: list[EvolvingObject]) -> list[T]:
@@ -120,9 +120,9 @@ class Ensemble:
             out[k].append(self._objects[i])
         return out
 
-    def _wake(self, meets: list[list[int]]) -> None:
+    def _reactivate(self, meets: list[list[int]]) -> None:
         """Continue converged objects that a neighbour has moved into."""
-        deepest = PUSHED * self._smallest
+        deepest = REACTIVATION_DEPTH * self._smallest
         for i, one in enumerate(self._objects):
             stop = one.evolution.stop
             if stop is None or stop.reason != "converged" or stop.steps >= one.evolution.max_steps:
@@ -130,7 +130,7 @@ class Ensemble:
             moving = [self._objects[j] for j in meets[i] if self._objects[j].moves]
             one.contact.neighbours = [other.as_neighbour for other in moving]
             if one.contact.overlap(one.surface) > deepest:
-                one.wake()
+                one.reactivate()
 
     def separated(self, mask_distance: NDArray[np.float32] | None) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""

@@ -18,13 +18,14 @@ from accelsurf.evolution.state import LoopState
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared, widened
 from accelsurf.grid.pyramid import Level
+from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
 from accelsurf.segmentation.balls import Ball, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
-from accelsurf.segmentation.start_pyramid import ObjectStart, StartPyramid, finer_box, to_finest
+from accelsurf.segmentation.start_pyramid import StartPyramid, finer_box, to_finest
 
 #: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the
 #: box is made larger when the band comes within `GUARD` voxels of its edge.
@@ -48,8 +49,6 @@ class EvolvingObject:
     workers : Workers
     max_steps : int
         Of all levels together.
-    max_volume : float or None
-        Volume, mm3, above which the object counts as leaked; None for no limit.
     among_others : bool
         Whether there are other objects, which it must not overlap. It then lives on a box of the grid that grows
         with it.
@@ -64,11 +63,10 @@ class EvolvingObject:
         make_energy: EnergyMaker,
         workers: Workers,
         max_steps: int,
-        max_volume: float | None,
         among_others: bool,
     ) -> None:
         self.id, self.workers, self.context = start.id, workers, context
-        self.max_volume, self.leaked = max_volume, False
+        self.leaked = False
         self._inputs, self._setup, self._make_energy = inputs, setup, make_energy
         self._among_others = among_others
         self._max_steps, self._stop_requested = max_steps, False
@@ -112,7 +110,7 @@ class EvolvingObject:
         if stop is None or self.level > 0:
             return None
         if self.leaked and stop.reason == "interrupted":
-            message = f"the object grew beyond {self.max_volume:g} mm3, its largest allowed volume"
+            message = f"the object grew beyond {self._setup.max_volume:g} mm3, its largest allowed volume"
             return stop._replace(reason="leaked", message=message)
         return stop
 
@@ -152,7 +150,7 @@ class EvolvingObject:
         self._begin_from_start(None)
 
     def _begin_from_start(self, state: LoopState | None) -> None:
-        corner, psi = self._starts.use_up()
+        corner, psi = self._starts.current()
         if not self._among_others:
             self.corner = corner
             self._evolve(LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True), state)
@@ -270,7 +268,7 @@ class EvolvingObject:
                 self.evolution.zero_momentum()
         if step is None:
             return None
-        limit = self.max_volume
+        limit = self._setup.max_volume
         if limit is not None and step.record.volume_mm3 > limit and not self.leaked:
             self.leaked = True
             self.request_stop()
@@ -289,7 +287,7 @@ class EvolvingObject:
             before.measure()
             self._lay_out(box, before.surface.psi, at, before, before.state.on_next_grid(with_fields=True))
 
-    def wake(self) -> None:
+    def reactivate(self) -> None:
         """Continue after convergence, because a neighbour moved into the object."""
         before = self.evolution
         if self.level == 0:
@@ -304,12 +302,18 @@ class EvolvingObject:
         """Set the limit of the steps of all levels together."""
         self._max_steps = self.evolution.max_steps = max_steps
 
+    @property
+    def takes_edits(self) -> bool:
+        """Whether it evolves, or has converged or stalled and can evolve again."""
+        stop = self.evolution.stop
+        return stop is None or (stop.reason in ("converged", "stalled") and self.surface.size > 0)
+
+    def set_up(self, setup: SolverSetup, make_energy: EnergyMaker) -> None:
+        """Have another set-up and energy on the following levels."""
+        self._setup, self._make_energy = setup, make_energy
+
     def edit(
-        self,
-        setup: SolverSetup,
-        make_energy: EnergyMaker,
-        new_energy: bool,
-        balls: tuple[Ball, ...],
+        self, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool, balls: tuple[Ball, ...]
     ) -> None:
         """Continue with other settings, and with balls added to the object or removed from it.
 
@@ -329,7 +333,7 @@ class EvolvingObject:
                     self._make_room(ball)
             if self.evolution.stop is not None and self.level == 0:
                 self.evolution.history.pop()
-        self._setup, self._make_energy = setup, make_energy
+        self.set_up(setup, make_energy)
         energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy else None
         self.evolution = self.evolution.edited(
             energy,
@@ -364,14 +368,10 @@ class EvolvingObject:
         return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, self.evolution.checkpoint())
 
     def restore(
-        self,
-        checkpoint: ObjectCheckpoint,
-        setup: SolverSetup,
-        make_energy: EnergyMaker,
-        new_energy: bool,
+        self, checkpoint: ObjectCheckpoint, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool
     ) -> None:
         """Go back to a state of this level, with the settings that were in force then."""
-        self._setup, self._make_energy = setup, make_energy
+        self.set_up(setup, make_energy)
         self.leaked, self._stop_requested = checkpoint.leaked, False
         now = self.evolution
         if (self.corner, now.surface.shape) != (checkpoint.corner, checkpoint.shape):

@@ -31,6 +31,14 @@ def _is_text(value: Any) -> bool:
     return isinstance(value, Sequence) and all(isinstance(item, str) for item in value)
 
 
+def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None) -> dict[str, NDArray[Any]]:
+    """What a run was given as arrays, by setting: psi, and the label map of several objects."""
+    given: dict[str, NDArray[Any]] = dict(arrays or {})
+    if objects is not None and not isinstance(objects, str):
+        given["objects"] = np.asarray(objects.array if isinstance(objects, Volume) else objects)
+    return given
+
+
 def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
     """Psi (nz, ny, nx), mm, negative inside, of the value of a setting.
 
@@ -51,8 +59,13 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
         When nothing of the grid is inside; GeometryError when a mask lies on another grid.
     """
     if hasattr(value, "vertices") and hasattr(value, "faces"):
-        index = geometry.world_to_index(np.asarray(value.vertices, float))
-        inside = meshes.voxels_inside(index, np.asarray(value.faces), geometry.shape)
+        try:
+            points, triangles = meshes.closed_mesh(value.vertices, value.faces)
+        except InputError as error:
+            raise InputError(f"{name}: the mesh: {error.message}", error.hint) from None
+        inside = meshes.voxels_inside(geometry.world_to_index(points), triangles, geometry.shape)
+        if not inside.any():
+            raise InputError(f"{name}: no voxel centre is inside the mesh", "its points are mm, LPS as ITK")
         return starts.psi_of_mask(inside, geometry)
     if not isinstance(value, (Volume, np.ndarray)):
         return _balls(name, value, geometry)

@@ -135,7 +135,7 @@ def preprocess(
     start = given["start"] if "start" in given else starts.build(config.start, first, smoothed)
     foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
     distance = _mask_distance(config, given, whole, box)
-    psi = _start_within(_crop(start, box), distance, config)
+    psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     around = smoothed if config.roi is not None else None  # the result shows it
     values = _crop(smoothed, box) if config.roi is None else smoothed[box].copy()
     del smoothed, start
@@ -201,11 +201,18 @@ def _raw_values(volumes: Sequence[Volume], box: Box, scales: Sequence[Scale]) ->
     return raw
 
 
+def _name_of_start(config: RunConfig, given: Mapping[str, NDArray[np.float32]]) -> str:
+    """What messages call the start."""
+    if config.objects is not None:
+        return config.objects
+    return "array" if "start" in given else " + ".join(config.start)
+
+
 def _start_within(
-    psi: NDArray[np.float32], distance: NDArray[np.float32] | None, config: RunConfig
+    psi: NDArray[np.float32], distance: NDArray[np.float32] | None, config: RunConfig, what: str
 ) -> NDArray[np.float32]:
     """The start within region and mask, of which a part must remain."""
-    where, what = "the region of interest", config.objects or " + ".join(config.start)
+    where = "the region of interest"
     if distance is not None:
         psi = np.maximum(psi, distance)
         where = "the mask" if config.roi is None else "the mask and the region of interest"

@@ -80,6 +80,11 @@ class SegmentedObject:
         """1 where a voxel's centre is inside, (nz, ny, nx)."""
         return (self.psi < 0).view(np.uint8)
 
+    @property
+    def has_surface(self) -> bool:
+        """Whether something of the grid is inside and something outside."""
+        return bool(self.labels.any()) and self.stop.reason not in ("vanished", "filled")
+
     @cached_property
     def surface(self) -> Surface:
         """The surface as a closed mesh in world mm (LPS), normals outward; extracted once."""
@@ -107,7 +112,7 @@ class SegmentedObject:
 
         In an image of one slice: the contour's length times the thickness of the slice.
         """
-        if not self.labels.any():
+        if not self.has_surface:
             return 0.0
         if self.length_mm is not None and self._thickness is not None:
             return self.length_mm * self._thickness
@@ -118,7 +123,7 @@ class SegmentedObject:
         """Length of the contours of an image of one slice, mm, with the parts along its border; None for a volume."""
         if self._thickness is None:
             return None
-        return self.contours.length if self.labels.any() else 0.0
+        return self.contours.length if self.has_surface else 0.0
 
     @property
     def enclosed_mm2(self) -> float | None:
@@ -174,6 +179,8 @@ class Result:
     warnings : list of str
     start : ndarray or None
         psi of the start, for an image of one slice; None for volumes, where it would cost memory.
+    given : tuple of str
+        Settings that were given as arrays, meshes or lists in place of texts.
     edits_done : int
         Number of edits of ``config`` that were applied.
     resolved_settings : dict
@@ -193,6 +200,7 @@ class Result:
     warnings: list[str] = field(default_factory=list)
     start: NDArray[np.float32] | None = None
     edits_done: int = 0
+    given: tuple[str, ...] = ()
     resolved_settings: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -275,7 +283,7 @@ class Result:
         """
         if not self.has_ids:
             return self._one.surface
-        meshes = [one.surface for one in self.objects if one.labels.any()]
+        meshes = [one.surface for one in self.objects if one.has_surface]
         if not meshes:
             raise InputError("no object is left, so there is no surface", "start closer to the objects")
         first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -293,7 +301,7 @@ class Result:
         """
         if not self.has_ids:
             return self._one.contours
-        return Contours(tuple(loop for one in self.objects if one.labels.any() for loop in one.contours.loops))
+        return Contours(tuple(loop for one in self.objects if one.has_surface for loop in one.contours.loops))
 
     def labels_volume(self) -> Volume:
         """The labels on the input's grid with its header."""

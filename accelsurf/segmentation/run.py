@@ -15,15 +15,17 @@ from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
+from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io.channels import read_further
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import edit_checks
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop, union_of, within
 from accelsurf.segmentation.evolving_object import EvolvingObject
+from accelsurf.segmentation.given import given_arrays
 from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.object_records import EnergyMaker
 from accelsurf.segmentation.preprocessing import preprocess
-from accelsurf.segmentation.run_checkpoint import RunCheckpoint
+from accelsurf.segmentation.run_checkpoint import RunCheckpoint, digest_of
 from accelsurf.segmentation.run_setup import (
     EnergyLike,
     ObjectsLike,
@@ -35,7 +37,6 @@ from accelsurf.segmentation.run_setup import (
     setup_of,
     window_reach,
 )
-from accelsurf.segmentation.start_pyramid import ObjectStart
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
@@ -71,6 +72,8 @@ class Run:
         The settings in force.
     has_ids : bool
         Whether objects with ids were given: labels are then ids, and none overlap.
+    given : tuple of str
+        Settings given as arrays in place of texts; ``given_digest`` is their SHA-256.
     prepared : PreprocessedInput
         Image and mask, on the grid of the region of interest.
     objects : tuple of EvolvingObject
@@ -102,8 +105,10 @@ class Run:
         union = union_of(several, volume.geometry) if several else None
         channels = [volume, *channels, *read_further(config.channel)]
         given = {**(arrays or {}), **({} if union is None else {"start": union})}
+        by_array = given_arrays(labels, arrays)
+        self.given, self.given_digest = tuple(by_array), digest_of(by_array)
         self.prepared, psi = preprocess(channels, config, given)
-        starts = [ObjectStart(one.id, one.corner, one.psi) for one in (within(o, self.prepared) for o in several)]
+        starts = [within(one, self.prepared) for one in several]
         for edit in config.edit:
             self.check(edit, [one.id for one in starts] or [1])
         threads = available_cores() if config.threads == "auto" else config.threads
@@ -114,7 +119,7 @@ class Run:
         self._inputs = LevelInputs(self.prepared.images, self.prepared.mask_distance, grids)
         if not starts:
             starts = [ObjectStart(1, (0, 0, 0), psi)]
-        del psi, union, several, given, arrays
+        del psi, union, several, given, arrays, by_array
         self._max_steps = config.max_steps
         self.objects = tuple(self._object(place, start) for place, start in enumerate(starts))
         del starts
@@ -141,7 +146,6 @@ class Run:
             self._energy_maker(self.settings),
             Workers(1) if self.has_ids else self.workers,
             self._max_steps,
-            self.config.max_volume,
             self.has_ids,
         )
 
@@ -288,9 +292,7 @@ class Run:
     def _summary(self) -> LevelSummary:
         stops = [one.evolution.stop for one in self.objects]
         ended = [stop for stop in stops if stop is not None]
-        reason = None
-        if len(ended) == len(stops):
-            reason = ended[0].reason if not self.has_ids else overall_stop(ended).reason
+        reason = overall_stop(ended).reason if len(ended) == len(stops) else None
         return LevelSummary(self.grid, max(one.steps_on_level() for one in self.objects), reason)
 
     def summaries(self) -> list[LevelSummary]:
@@ -318,10 +320,11 @@ class Run:
             balls = edit_checks.balls_of(edit, self.geometry)
             for place, one in enumerate(self.objects):
                 own = balls if not self.has_ids else edit_checks.balls_for(one.id, edit, balls)
-                stopped = one.evolution.stop
-                if stopped is not None and (stopped.reason not in ("converged", "stalled") or not one.surface.size):
-                    continue
-                one.edit(setup_of(settings, place, self._levels), self._energy_maker(settings), new_energy, own)
+                setup, maker = setup_of(settings, place, self._levels), self._energy_maker(settings)
+                if one.takes_edits:
+                    one.edit(setup, maker, new_energy, own)
+                else:
+                    one.set_up(setup, maker)
             self.settings, self._edits_done = settings, self._edits_done + 1
 
     @property

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf import __version__
 from accelsurf.errors import InputError
@@ -17,10 +19,10 @@ from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import EnergyRates
 from accelsurf.grid.pyramid import Level
-from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.levelset import Snapshot, SurfaceState
 from accelsurf.segmentation.object_records import ObjectCheckpoint
+from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -66,32 +68,47 @@ TYPES: dict[str, type] = {
 }
 
 
-def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, volume: Volume, config: RunConfig) -> None:
+#: Settings that do not change what a run has done up to a step, or only what is written at the end.
+_FREE = {"threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible"}
+
+
+class Source(Protocol):
+    """What identifies a run; see `accelsurf.segmentation.run.Run`."""
+
+    config: RunConfig
+    prepared: PreprocessedInput
+    given_digest: str
+
+    @property
+    def energy_name(self) -> str:
+        """Name of the energy."""
+        ...
+
+
+def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, run: Source) -> None:
     """Write a checkpoint, completely or not at all.
 
     Parameters
     ----------
     path : str or Path
     checkpoint : RunCheckpoint
-    volume : Volume
-        The image of the run.
-    config : RunConfig
-        Of the run: with another image or configuration the file is refused.
+    run : Run
+        The run: with another image, start or configuration the file is refused.
 
     Raises
     ------
     OutputError
         When it cannot be written.
     TypeError
-        When the state of an energy of the user's own is not made of numbers and arrays.
+        When the state of an energy of one's own is not made of numbers and arrays.
     """
-    header = {"accelsurf": __version__, "run": run_digest(volume, config)}
+    header = {"accelsurf": __version__, "run": run_digest(run)}
     state = checkpoint._replace(settings=checkpoint.settings.model_dump(mode="json"))  # type: ignore[arg-type]
     write_bytes(Path(path), to_bytes((header, state), TYPES))
 
 
-def load_checkpoint(path: str | Path, volume: Volume, config: RunConfig) -> RunCheckpoint:
-    """Read a checkpoint of a run with this image and configuration.
+def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:
+    """Read a checkpoint of a run with this image, start and configuration.
 
     Raises
     ------
@@ -106,7 +123,7 @@ def load_checkpoint(path: str | Path, volume: Volume, config: RunConfig) -> RunC
         header, state = from_bytes(content, TYPES)
     except InputError as error:
         raise InputError(f"{path}: {error.message}", error.hint) from None
-    if header["run"] != run_digest(volume, config):
+    if header["run"] != run_digest(run):
         raise InputError(
             f"{path}: a checkpoint of another image or of other settings", "give those of the run that wrote it"
         )
@@ -114,12 +131,26 @@ def load_checkpoint(path: str | Path, volume: Volume, config: RunConfig) -> RunC
     return RunCheckpoint(*state._replace(settings=RunConfig(**settings)))
 
 
-def run_digest(volume: Volume, config: RunConfig) -> str:
-    """SHA-256 of voxels, grid and settings, without the number of threads."""
+def run_digest(run: Source) -> str:
+    """SHA-256 of what determines the steps of a run: voxels, grid, starts and settings, but not the number of threads.
+
+    Of an energy of one's own it is the name.
+    """
     sha = hashlib.sha256()
-    array, geometry = np.ascontiguousarray(volume.array), volume.geometry
-    sha.update(f"{array.dtype.str}{array.shape}{geometry.spacing}{geometry.origin}".encode())
-    sha.update(np.ascontiguousarray(geometry.direction).tobytes())
-    sha.update(array.tobytes())
-    sha.update(config.model_dump_json(exclude={"threads"}).encode())
+    for volume in run.prepared.volumes:
+        geometry = volume.geometry
+        sha.update(f"{geometry.spacing}{geometry.origin}".encode())
+        sha.update(np.ascontiguousarray(geometry.direction).tobytes())
+        sha.update(digest_of({"image": volume.array}).encode())
+    sha.update(f"{run.energy_name}{run.given_digest}{run.config.model_dump_json(exclude=_FREE)}".encode())
+    return sha.hexdigest()
+
+
+def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of arrays by name."""
+    sha = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        sha.update(f"{name}{array.dtype.str}{array.shape}".encode())
+        sha.update(array.tobytes())
     return sha.hexdigest()

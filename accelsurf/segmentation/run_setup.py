@@ -81,6 +81,7 @@ def setup_of(settings: RunConfig, place: int, levels: int) -> SolverSetup:
         Restart() if settings.restart == "auto" else None,
         half_width(settings),
         stop_rule(settings, levels),
+        settings.max_volume,
     )
 
 

@@ -3,31 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.pyramid import Level, prolong, restrict
-
-
-@dataclass(frozen=True)
-class ObjectStart:
-    """The start of an object.
-
-    Attributes
-    ----------
-    id : int
-    corner : (z, y, x)
-        First voxel of ``psi`` on the finest level.
-    psi : ndarray (nz, ny, nx), float32
-        Of the first surface, mm, negative inside; may be overwritten.
-    """
-
-    id: int
-    corner: Corner
-    psi: NDArray[np.float32]
+from accelsurf.initialization.object_starts import ObjectStart
 
 
 class StartPyramid:
@@ -67,7 +49,7 @@ class StartPyramid:
         """Go to the next finer level."""
         self._starts.pop()
 
-    def use_up(self) -> tuple[Corner, NDArray[np.float32]]:
+    def current(self) -> tuple[Corner, NDArray[np.float32]]:
         """First voxel and psi on the present level; on the finest level it is released, as nothing needs it again."""
         found = self._starts[-1]
         if self.level == 0:

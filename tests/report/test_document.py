@@ -40,6 +40,7 @@ def finished(**changes):
         terms=[{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
         resolved_settings={"presmooth_mm": 0.5},
         has_ids=False,
+        given=(),
         quality=Quality(0.25, 0.5, 0.125, 1, 2.0, 0.01, None, False, ("border: 25% of it",)),
     )
     return SimpleNamespace(**{**values, **changes})

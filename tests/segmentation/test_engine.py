@@ -4,6 +4,7 @@ many.
 
 import functools
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -131,6 +132,7 @@ def test_what_one_object_gains_the_others_lose(pair):
         ("step=1 add=ball:29,14,13,5", "without its object"),
         ("step=1 add=ball:29,14,13,5 object=7", "object 7 was given, expected one of 4, 300"),
         ("step=1 add=ball:29,14,13,5 object=x", "expected an object's id"),
+        ("step=1 smoothness=0.3 object=4", "object 4 was given without a ball"),
     ],
 )
 def test_an_edit_names_its_object(pair, edit, words):
@@ -150,6 +152,29 @@ def test_an_object_that_has_converged_goes_on_after_an_edit(pair):
         assert [record.step for record in one.history] == list(range(len(one.history)))
         assert sum(record.edits for record in one.history) == 1
         assert one.history[-1].area_mm2 < plain.by_id[one.id].history[-1].area_mm2
+
+
+def test_the_leak_guard_changes_with_an_edit(pair):
+    volume, starts, _ = pair
+    options = {"max_steps": 40, "max_volume": 700.0}
+    assert segment_objects(volume, starts, **options).stop.reason == "leaked"
+    raised = segment_objects(volume, starts, **options, edit=["step=2 max_volume=90000"])
+    assert {one.stop.reason for one in raised.objects} <= {"converged", "max-steps"}
+    alone = segment(volume, start="ball:14,14,13,5", edit=["step=3 max_volume=600"], max_steps=40)
+    assert alone.stop.reason == "leaked" and "600 mm3" in alone.stop.message
+
+
+def test_an_edit_holds_for_an_object_whose_coarse_level_failed(pair):
+    volume = pair[0]
+    small, large = (distances((centre,), radius)[0] < 0 for centre, radius in zip(CENTRES, (2.9, 7.5), strict=True))
+    starts = np.where(small, 4, 0) + np.where(large, 300, 0)
+    config = RunConfig(levels=2, smoothness=1.0, max_steps=30, edit=["step=6 smoothness=0 cfl=0.3"])
+    with Run(volume, config, objects=starts) as run:
+        while run.level > 0:
+            run.step()
+        ended_on = {one.id: [r for r in one.evolution.history if r.level == 1] for one in run.objects}
+        assert len(ended_on[4]) < 6  # it vanished on the coarse level, before the edit
+        assert all(one.evolution.limits.cfl == 0.3 for one in run.objects)
 
 
 # ------------------------------------------------------------------------------------------------- checkpoints
@@ -194,10 +219,10 @@ def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, sev
     objects = starts if several else None
     with Run(volume, config, objects=objects) as straight:
         stepped(straight, 11)
-        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), volume, straight.config)
+        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), straight)
         whole = result_of(ended(straight))
     with Run(volume, config, objects=objects) as other:
-        other.restore(load_checkpoint(tmp_path / "run.checkpoint", volume, other.config))
+        other.restore(load_checkpoint(tmp_path / "run.checkpoint", other))
         assert other.step_number == 11
         resumed = result_of(ended(other))
         assert content(other) == content(straight)
@@ -205,24 +230,53 @@ def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, sev
     assert [s[1:] for s in resumed.levels] == [s[1:] for s in whole.levels] and resumed.warnings == whole.warnings
 
 
-def test_a_checkpoint_of_another_run_or_a_damaged_one_is_refused(pair, tmp_path):
+def test_a_checkpoint_of_another_run_is_refused(pair, tmp_path):
     volume, starts, _ = pair
     config, path = RunConfig(max_steps=5), tmp_path / "run.checkpoint"
     with Run(volume, config, objects=starts) as run:
         run.step()
-        save_checkpoint(path, run.checkpoint(), volume, run.config)
-        assert load_checkpoint(path, volume, run.config.replace(threads=2)).step == 1
-        with pytest.raises(InputError, match="of another image or of other settings"):
-            load_checkpoint(path, volume, run.config.replace(smoothness=0.1))
-        with pytest.raises(InputError, match="of another image or of other settings"):
-            load_checkpoint(path, volume.with_array(volume.array + 1), run.config)
+        save_checkpoint(path, run.checkpoint(), run)
+    for same in ({"threads": 2}, {"max_steps": 50}):
+        with Run(volume, config.replace(**same), objects=starts) as run:
+            assert load_checkpoint(path, run).step == 1
+    swapped = np.where(starts == 4, 300, np.where(starts == 300, 4, 0))
+    others = [
+        Run(volume, config.replace(smoothness=0.1), objects=starts),
+        Run(volume.with_array(volume.array + 1), config, objects=starts),
+        Run(volume, config, objects=swapped),
+        Run(volume, config, objects=starts, arrays={"mask": np.full(SHAPE, -1.0, np.float32)}),
+        Run(volume, config, energy=lambda image, _: ChanVese(image), objects=starts),
+        Run(volume, config, channels=[volume], objects=starts),
+    ]
+    for run in others:
+        with run, pytest.raises(InputError, match="of another image or of other settings"):
+            load_checkpoint(path, run)
+
+
+def test_a_damaged_checkpoint_is_refused(pair, tmp_path):
+    volume, starts, _ = pair
+    path, random = tmp_path / "run.checkpoint", np.random.default_rng(1)
+    with Run(volume, RunConfig(max_steps=5), objects=starts) as run:
+        run.step()
+        save_checkpoint(path, run.checkpoint(), run)
         whole = path.read_bytes()
-        for damaged in (b"", whole[:100], whole[: len(whole) // 2], b"\0" * 1000, whole[:-40]):
-            path.write_bytes(damaged)
-            with pytest.raises(InputError, match="damaged"):
-                load_checkpoint(path, volume, run.config)
+        damaged = [b"", whole[:100], whole[: len(whole) // 2], b"\0" * 1000, whole[:-40]]
+        for _ in range(300):
+            changed = bytearray(whole)
+            for place in random.integers(0, len(whole), 3):
+                changed[place] = random.integers(256)
+            damaged.append(bytes(changed))
+        refused = 0
+        for content_ in damaged:
+            path.write_bytes(content_)
+            try:
+                load_checkpoint(path, run)
+            except InputError:
+                refused += 1
+        # A byte of padding may change without harm; arrays have checksums.
+        assert refused > 0.9 * len(damaged)
         with pytest.raises(InputError, match="cannot be read"):
-            load_checkpoint(tmp_path / "absent", volume, run.config)
+            load_checkpoint(tmp_path / "absent", run)
 
 
 def test_a_checkpoint_of_a_level_that_is_over_is_refused(pair):
@@ -289,6 +343,9 @@ def test_segment_takes_objects_too(pair, tmp_path):
 # ------------------------------------------------------------------------------------ starts that are no texts
 
 BALL = {"max_steps": 6, "levels": 1}
+CORNERS = np.array([[5.0, 5, 5], [20, 5, 5], [5, 20, 5], [5, 5, 20]])
+OPEN_MESH = SimpleNamespace(vertices=CORNERS, faces=np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3]]))
+WRONG_FACES = SimpleNamespace(vertices=CORNERS, faces=np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 9]]))
 
 
 def test_starts_as_arrays_volumes_meshes_and_balls(pair):
@@ -307,6 +364,9 @@ def test_starts_as_arrays_volumes_meshes_and_balls(pair):
     inside[:, :, :22] = True
     held = segment(volume, start="ball:14,14,13,5", mask=inside, max_steps=30)
     assert held.labels.any() and not held.labels[~inside].any()
+    assert by_mask.report["config"]["start"] == "given as an array"
+    with pytest.raises(InputError, match="start array: nothing of it lies in the mask"):
+        segment(volume, start=mask, mask=~inside & (np.indices(SHAPE)[2] > 35), **BALL)
     learned = segment(volume, start="ball:14,14,13,5", energy="likelihood:update=no", foreground=mask, **BALL)
     assert learned.terms[0]["inside"]["mean"] == pytest.approx(float(volume.array[mask].mean()), abs=0.02)
 
@@ -318,6 +378,8 @@ def test_starts_as_arrays_volumes_meshes_and_balls(pair):
         (np.ones((3, 4, 5)), GeometryError, r"start: an array of shape \(3, 4, 5\) was given"),
         (Volume(np.ones(SHAPE, np.uint8), Geometry(SHAPE, (1.0, 1.0, 2.0))), GeometryError, "on another grid"),
         ([(1, 2, 3)], UsageError, "start: a list was given, expected a text"),
+        (OPEN_MESH, InputError, "start: the mesh: .* open edges, expected a closed surface"),
+        (WRONG_FACES, InputError, "start: the mesh: its triangles name points"),
         (object(), UsageError, "start: a object was given, expected a text"),
         ([(900, 0, 0, 3)], InputError, "no voxel centre is inside"),
     ],
@@ -350,3 +412,16 @@ def test_compare_and_strict_take_several_objects(pair, tmp_path, capsys):
     assert "object 4: max-steps" in capsys.readouterr().err
     names = {path.name for path in out.iterdir()}
     assert {"cells_surface_4.ply", "cells_surface_300.ply", "cells_objects.csv", "cells_seg.nii.gz"} <= names
+
+
+def test_an_object_that_fills_the_volume_is_told_and_the_others_are_written(tmp_path, capsys):
+    image = np.zeros((16, 16, 30), np.float32)
+    image[4:12, 4:12, 20:26] = 1.0
+    starts = np.zeros(image.shape, np.uint16)
+    starts[6:10, 6:10, 21:25] = 2
+    volume = Volume.from_array(image)
+    io.write(volume, tmp_path / "a.nii.gz")
+    io.write_labels(volume.with_array(starts), tmp_path / "s.nii.gz")
+    words = [str(tmp_path / "a.nii.gz"), "--objects", str(tmp_path / "s.nii.gz"), "--energy", "threshold:,5"]
+    assert run(["segment", *words, "-o", str(tmp_path / "out"), "--quiet", "--max-steps", "200"]) == 5
+    assert "filled" in capsys.readouterr().err
