@@ -279,8 +279,7 @@ class Run:
     def _next_level(self) -> None:
         """Continue every object on the next finer level: from its surface, or from its start if the level failed."""
         for one in self.objects:
-            failed = one.failed_on_level()
-            if failed is not None:
+            if (failed := one.failed_on_level()) is not None:
                 name = f"object {one.id}: " if self.has_ids else ""
                 self._warn(f"{name}{failed.message}", "went on from the start")
         self.level_summaries.append(self._summary())
