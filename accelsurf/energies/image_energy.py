@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.energies.protocol import Energy
+from accelsurf.energies.energy import Energy
 from accelsurf.energies.region_sums import MomentTracker
 from accelsurf.levelset import BandChange, LevelSet
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
+from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.energies.interface import Interface
-from accelsurf.energies.protocol import Energy
 from accelsurf.energies.region_sums import MomentTracker, RegionMoments
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from accelsurf.energies.area import AreaTerm
+from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import check_shape
 from accelsurf.energies.interface import Interface
-from accelsurf.energies.protocol import Energy
 from accelsurf.grid.slabs import runs
 from accelsurf.kernels import windows
 from accelsurf.levelset import BandChange, LevelSet

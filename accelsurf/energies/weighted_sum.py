@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.energies.protocol import Energy
+from accelsurf.energies.energy import Energy
 from accelsurf.levelset import BandChange, LevelSet
 
 

@@ -14,7 +14,7 @@ from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.given import psi_of, split_given
-from accelsurf.segmentation.region import cropped
+from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike

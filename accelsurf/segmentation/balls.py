@@ -13,7 +13,7 @@ from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.pyramid import Level
 
 
-class Ball(NamedTuple):
+class BallEdit(NamedTuple):
     """A ball to be added to an object or removed from it: ``centre`` (z, y, x) as voxel index, ``radius`` in mm."""
 
     kind: str
@@ -33,7 +33,7 @@ class Ball(NamedTuple):
         return low, high
 
 
-def apply_balls(psi: NDArray[np.float32], balls: Sequence[Ball], grid: Level, corner: Corner, gamma: float) -> None:
+def apply_balls(psi: NDArray[np.float32], balls: Sequence[BallEdit], grid: Level, corner: Corner, gamma: float) -> None:
     """Add balls to an object or remove them from it: changes psi near them, in place.
 
     Parameters

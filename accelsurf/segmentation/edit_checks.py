@@ -8,7 +8,7 @@ from typing import Any
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
-from accelsurf.segmentation.balls import Ball
+from accelsurf.segmentation.balls import BallEdit
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings
@@ -72,12 +72,12 @@ def _check_object(edit: Edit, ids: Sequence[int], where: str) -> None:
         )
 
 
-def balls_of(edit: Edit, geometry: Geometry) -> tuple[Ball, ...]:
+def balls_of(edit: Edit, geometry: Geometry) -> tuple[BallEdit, ...]:
     """The balls of an edit on the grid of the region of interest."""
-    return tuple(Ball(kind, *starts.ball_of(text, geometry)) for kind, text in edit.balls)
+    return tuple(BallEdit(kind, *starts.ball_of(text, geometry)) for kind, text in edit.balls)
 
 
-def balls_for(own: int, edit: Edit, balls: Sequence[Ball]) -> tuple[Ball, ...]:
+def balls_for(own: int, edit: Edit, balls: Sequence[BallEdit]) -> tuple[BallEdit, ...]:
     """The balls of an edit for object ``own`` of several: what one object gains is taken from the others."""
     if edit.object is None or edit.object == own:
         return tuple(balls)

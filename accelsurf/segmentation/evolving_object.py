@@ -21,7 +21,7 @@ from accelsurf.grid.pyramid import Level
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
-from accelsurf.segmentation.balls import Ball, apply_balls
+from accelsurf.segmentation.balls import BallEdit, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
@@ -313,7 +313,7 @@ class EvolvingObject:
         self._setup, self._make_energy = setup, make_energy
 
     def edit(
-        self, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool, balls: tuple[Ball, ...]
+        self, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool, balls: tuple[BallEdit, ...]
     ) -> None:
         """Continue with other settings, and with balls added to the object or removed from it.
 
@@ -345,7 +345,7 @@ class EvolvingObject:
             (lambda surface: self._change_psi(surface, balls)) if balls else None,
         )
 
-    def _make_room(self, ball: Ball) -> None:
+    def _make_room(self, ball: BallEdit) -> None:
         """Make the box large enough for a ball."""
         low, high = ball.extent(self.grid)
         own_low, own_high = self.extent()
@@ -353,7 +353,7 @@ class EvolvingObject:
             low, high = np.minimum(low, own_low), np.maximum(high, own_high)
         self.grow_grid(low, high)
 
-    def _change_psi(self, surface: LevelSet, balls: tuple[Ball, ...]) -> None:
+    def _change_psi(self, surface: LevelSet, balls: tuple[BallEdit, ...]) -> None:
         """Add balls to the object or remove them from it, within the mask."""
         psi = surface.dense.psi.reshape(surface.shape)
         apply_balls(psi, balls, self.grid, self.corner, float(surface.gamma))

@@ -18,7 +18,7 @@ from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.initialization import starts
 from accelsurf.segmentation.image_context import ImageContext, Mask, Scale
-from accelsurf.segmentation.region import cropped, region_of_interest
+from accelsurf.segmentation.region_of_interest import cropped, region_of_interest
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 

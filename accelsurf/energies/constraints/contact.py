@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.constraints.constrained import ConstrainedEnergy
-from accelsurf.energies.protocol import Energy
+from accelsurf.energies.energy import Energy
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import FRONT_WIDTH, LevelSet

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.constraints.constrained import ConstrainedEnergy
+from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
-from accelsurf.energies.protocol import Energy
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.levelset import LevelSet
 

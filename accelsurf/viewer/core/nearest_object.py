@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.initialization import starts
-from accelsurf.segmentation.balls import Ball
+from accelsurf.segmentation.balls import BallEdit
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.run import Run
 
@@ -25,7 +25,7 @@ def nearest_object(run: Run, ball: str) -> int:
     UsageError, InputError
         When it is no ball or lies outside.
     """
-    centre = Ball("add", *starts.ball_of(ball, run.geometry)).on_level(run.grid)[0]
+    centre = BallEdit("add", *starts.ball_of(ball, run.geometry)).on_level(run.grid)[0]
     return min(run.objects, key=lambda one: _distance(one, centre)).id
 
 
