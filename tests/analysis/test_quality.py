@@ -106,10 +106,10 @@ def test_the_command_warns_of_each_doubt_and_of_nothing_else(case, tmp_path, cap
     io.write(Volume(allowed.astype(np.uint8), Geometry(SHAPE, SPACING)), tmp_path / "mask.nii.gz")
     words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", start, "--mask", str(tmp_path / "mask.nii.gz")]
     words += ["--levels", "1", "--quiet"]
-    assert cli.run([*words, "-o", str(tmp_path / "one")]) == 0
+    assert cli.execute([*words, "-o", str(tmp_path / "one")]) == 0
     message = capsys.readouterr().err
     assert message.count("warning: ") == (case != "good") and (case == "good" or f"warning: {case}: " in message)
-    assert cli.run([*words, "-o", str(tmp_path / "two"), "--strict"]) == (0 if case == "good" else 5)
+    assert cli.execute([*words, "-o", str(tmp_path / "two"), "--strict"]) == (0 if case == "good" else 5)
     message = capsys.readouterr().err
     assert message == "" if case == "good" else f"error: scan: {case}: " in message
     assert (tmp_path / "two" / "scan_seg.nii.gz").exists()

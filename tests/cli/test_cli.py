@@ -26,7 +26,7 @@ REPORT_KEYS = {
 
 
 def run(*words):
-    return cli.run([str(word) for word in words])
+    return cli.execute([str(word) for word in words])
 
 
 def command(*words, **options):
@@ -473,7 +473,7 @@ def test_demo_shows_what_it_promises(tmp_path):
 
 def test_help_loads_nothing_heavy():
     code = (
-        "import sys; from accelsurf.cli import run; assert run(['--help']) == 0; "
+        "import sys; from accelsurf.cli import execute; assert execute(['--help']) == 0; "
         "heavy = {'numpy', 'numba', 'scipy', 'SimpleITK', 'matplotlib', 'skimage', 'pydantic', 'pyvista'}; "
         "sys.exit(', '.join(heavy & set(sys.modules)) or 0)"
     )

@@ -66,7 +66,7 @@ def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys)
                 scan_in_place_of(Path(word))
         if words[1] == "movie" and not can_draw():
             continue
-        assert cli.run(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
+        assert cli.execute(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
         printed += capsys.readouterr().out
     if "tutorial" in page.parts:
         check_figures(page.read_text(encoding="utf-8"), printed)
@@ -105,7 +105,7 @@ def folder_of_a_reader():
     y, x = np.indices((160, 200))
     io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
-    assert cli.run(["segment", "scan.nii.gz", "-o", "out", "--max-steps", "2", "--quiet"]) == 0
+    assert cli.execute(["segment", "scan.nii.gz", "-o", "out", "--max-steps", "2", "--quiet"]) == 0
     Path("out/run.toml").write_text("max_steps = 2\n")
 
 
@@ -131,7 +131,7 @@ def test_every_command_of_a_how_to_page_is_accepted(page, tmp_path, monkeypatch,
         if words[1] == "movie":
             words += ["--size", "320x180"]
         capsys.readouterr()
-        assert cli.run(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
+        assert cli.execute(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
         if target is not None:
             Path(target).write_text(capsys.readouterr().out)
 

@@ -237,7 +237,7 @@ def test_from_the_command_line(tmp_path):
     image, truth, _ = ball(0.0)
     io.write(Volume.from_array(image.astype(np.float32)), tmp_path / "ball.nii.gz")
     words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path / "out", "--quiet", "--energy", "geodesic"]
-    assert cli.run([str(w) for w in (*words, "--start", "ball:22,20,20,17.5vox")]) == 0
+    assert cli.execute([str(w) for w in (*words, "--start", "ball:22,20,20,17.5vox")]) == 0
     report = json.loads((tmp_path / "out" / "ball_report.json").read_text())
     assert report["energy"]["name"] == report["config"]["energy"] == "geodesic"
     assert dice(io.read_labels(tmp_path / "out" / "ball_seg.nii.gz").array > 0, truth) > 0.97

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.analysis.metrics import dice
-from accelsurf.cli import run
+from accelsurf.cli import execute
 from accelsurf.errors import UsageError
 from accelsurf.evolution import multilevel
 from accelsurf.evolution.convergence import StopRule
@@ -217,7 +217,7 @@ def test_a_start_that_no_coarse_voxel_sees(cube):
 def test_levels_on_the_command_line_and_in_the_report(cube, tmp_path, capsys):
     write(Volume(cube.image.array, cube.image.geometry), tmp_path / "cube.nii.gz")
     call = ["segment", str(tmp_path / "cube.nii.gz"), "-o", str(tmp_path / "out"), "--start", START["start"]]
-    assert run([*call, "--levels", "2"]) == 0
+    assert execute([*call, "--levels", "2"]) == 0
     assert "steps on 2 levels" in capsys.readouterr().out
     report = json.loads((tmp_path / "out" / "cube_report.json").read_text())
     assert report["config"]["levels"] == 2
@@ -226,5 +226,5 @@ def test_levels_on_the_command_line_and_in_the_report(cube, tmp_path, capsys):
     assert [entry["spacing"] for entry in report["levels"]] == [[2.0, 2.0, 2.0], [1.0, 1.0, 1.0]]
     assert sum(entry["steps"] for entry in report["levels"]) == report["stop"]["steps"]
     assert (tmp_path / "out" / "cube_trace.csv").read_text().startswith("step,level,t,")
-    assert run([*call, "--levels", "none", "--overwrite"]) == 2
+    assert execute([*call, "--levels", "none", "--overwrite"]) == 2
     assert "levels: none was given, expected a whole number at least 1 or auto" in capsys.readouterr().err

@@ -12,7 +12,7 @@ import pytest
 import accelsurf
 from accelsurf import io
 from accelsurf.analysis.metrics import dice
-from accelsurf.cli import run
+from accelsurf.cli import execute
 from accelsurf.energies import ChanVese
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
@@ -400,7 +400,7 @@ def test_compare_and_strict_take_several_objects(pair, tmp_path, capsys):
     io.write_labels(volume.with_array(truth.astype(np.uint16)), tmp_path / "truth.nii.gz")
     words = [str(tmp_path / "cells.nii.gz"), "--objects", str(tmp_path / "starts.nii.gz"), "--max-steps", "12"]
     out = tmp_path / "out"
-    assert run(["compare", *words, "-o", str(out), "--reference", str(tmp_path / "truth.nii.gz"), "--quiet"]) == 0
+    assert execute(["compare", *words, "-o", str(out), "--reference", str(tmp_path / "truth.nii.gz"), "--quiet"]) == 0
     found = json.loads((out / "compare.json").read_text())["runs"]
     assert [one["flow"] for one in found] == ["gradient", "constant-density"]
     for one in found:
@@ -408,7 +408,7 @@ def test_compare_and_strict_take_several_objects(pair, tmp_path, capsys):
         assert [entry["id"] for entry in one["objects"]] == list(IDS)
     assert (out / "compare.png").stat().st_size > 1000
     levels = ["--levels", "2", "--edit", "step=3 smoothness=0.3"]
-    assert run(["segment", *words, *levels, "-o", str(out), "--strict", "--quiet"]) == 4
+    assert execute(["segment", *words, *levels, "-o", str(out), "--strict", "--quiet"]) == 4
     assert "object 4: max-steps" in capsys.readouterr().err
     names = {path.name for path in out.iterdir()}
     assert {"cells_surface_4.ply", "cells_surface_300.ply", "cells_objects.csv", "cells_seg.nii.gz"} <= names
@@ -423,5 +423,5 @@ def test_an_object_that_fills_the_volume_is_told_and_the_others_are_written(tmp_
     io.write(volume, tmp_path / "a.nii.gz")
     io.write_labels(volume.with_array(starts), tmp_path / "s.nii.gz")
     words = [str(tmp_path / "a.nii.gz"), "--objects", str(tmp_path / "s.nii.gz"), "--energy", "threshold:,5"]
-    assert run(["segment", *words, "-o", str(tmp_path / "out"), "--quiet", "--max-steps", "200"]) == 5
+    assert execute(["segment", *words, "-o", str(tmp_path / "out"), "--quiet", "--max-steps", "200"]) == 5
     assert "filled" in capsys.readouterr().err

@@ -226,7 +226,7 @@ def test_the_command_line_has_them_all(tmp_path, capsys):
         "--mask", mask, "--roi", "2,2,2,43,37,25vox", "--energy", "likelihood:update=no + 0.05*area - 0.1*balloon",
         "--foreground", at(centre, 5), "--channel", str(tmp_path / "a" / "scan.nii.gz"), "--max-volume", "1e5",
     ]
-    assert cli.run(words) == 0, capsys.readouterr().err
+    assert cli.execute(words) == 0, capsys.readouterr().err
     document = json.loads((tmp_path / "out" / "scan_report.json").read_text())
     assert [term["term"] for term in document["energy"]["terms"]] == ["likelihood", "area", "balloon"]
     assert document["quality"]["leaked"] is False
@@ -239,13 +239,13 @@ def test_strict_turns_doubt_into_exit_5(tmp_path, capsys):
     volume, _, centre = ball()
     io.write(Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "scan.nii.gz")
     words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", at(centre, 4), "--max-volume", "2500"]
-    assert cli.run([*words, "-o", str(tmp_path / "one")]) == 0
+    assert cli.execute([*words, "-o", str(tmp_path / "one")]) == 0
     assert "warning: leak: the object grew beyond 2500 mm3" in capsys.readouterr().err
-    assert cli.run([*words, "-o", str(tmp_path / "two"), "--strict"]) == 5
+    assert cli.execute([*words, "-o", str(tmp_path / "two"), "--strict"]) == 5
     assert "error: scan: leak" in capsys.readouterr().err
     document = json.loads((tmp_path / "two" / "scan_report.json").read_text())
     assert (document["status"], document["exit_code"], document["error"]["type"]) == ("failed", 5, "DoubtfulError")
-    assert cli.run([*words[:4], "-o", str(tmp_path / "three"), "--strict"]) == 0
+    assert cli.execute([*words[:4], "-o", str(tmp_path / "three"), "--strict"]) == 0
 
 
 # -------------------------------------------------------------------------------------------- files of several channels
@@ -297,6 +297,6 @@ def test_the_command_line_takes_a_vector_image(tmp_path, capsys):
     images = [sitk.GetImageFromArray(part.astype(np.float32)) for part in (first, second)]
     sitk.WriteImage(sitk.Compose(*images), str(tmp_path / "two.nii.gz"))
     words = ["segment", str(tmp_path / "two.nii.gz"), "-o", str(tmp_path / "out")]
-    assert cli.run([*words, "--start", "ball:15,15,15,5vox", "--energy", "likelihood:update=no"]) == 0
+    assert cli.execute([*words, "--start", "ball:15,15,15,5vox", "--energy", "likelihood:update=no"]) == 0
     labels = io.read_labels(tmp_path / "out" / "two_seg.nii.gz")
     assert dice(labels.array > 0, truth) > 0.9, capsys.readouterr().err

@@ -355,7 +355,7 @@ def scan(tmp_path_factory):
 
 
 def run(*words):
-    return cli.run([str(word) for word in words])
+    return cli.execute([str(word) for word in words])
 
 
 def test_command_line_from_a_table_to_labels_meshes_and_rows(scan, tmp_path, capsys):

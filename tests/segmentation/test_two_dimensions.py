@@ -23,7 +23,7 @@ PICTURE = (60 + 110 * TRUTH + np.random.default_rng(0).normal(0, 30, TRUTH.shape
 
 
 def run(*words):
-    return cli.run([str(word) for word in words])
+    return cli.execute([str(word) for word in words])
 
 
 def report_of(folder, name):

@@ -233,7 +233,7 @@ def test_a_run_with_its_files(toys, tmp_path, ending):
     io.write(bytes_volume(), tmp_path / f"ball.{ending}")
     words = ["segment", tmp_path / f"ball.{ending}", "-o", tmp_path, "--start", START, "--save-sdf"]
     words += ["--max-steps", 30, "--mesh", "ply,toymesh", *(() if ending == "toy" else ("--format", "toy"))]
-    assert cli.run([str(word) for word in words]) == 0
+    assert cli.execute([str(word) for word in words]) == 0
     labels = io.read_labels(tmp_path / "ball_seg.toy")
     assert 300 < labels.array.sum() < 700 and labels.geometry.spacing == (1.0, 0.5, 0.5)
     assert io.read(tmp_path / "ball_sdf.nrrd").array.dtype == np.float32
@@ -261,11 +261,11 @@ def test_help_of_the_command():
 
 
 def test_info(toys, capsys):
-    assert cli.run(["info"]) == 0
+    assert cli.execute(["info"]) == 0
     shown = capsys.readouterr().out
     assert "a toy that wants bright voxels (settings: strength)" in shown and "momentum, toy-flow" in shown
     assert "a toy that counts the band (cells)" in shown
-    assert cli.run(["info", "--json"]) == 0
+    assert cli.execute(["info", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert "toy" in facts["energies"] and "toy" in facts["energy_terms"] and "toy-flow" in facts["flows"]
     assert "toy_cells" in facts["trace_columns"] and facts["presets"]["toy-scan"]["settings"] == {"cfl": 0.4}
@@ -275,7 +275,7 @@ def test_info(toys, capsys):
 def test_a_run_its_report_trace_and_progress(toys, tmp_path, capsys):
     io.write(volume(), tmp_path / "ball.nii.gz")
     words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path, "--energy", ENERGY, "--flow", "toy-flow"]
-    assert cli.run([str(word) for word in (*words, "--start", START, "--progress", "json")]) == 0
+    assert cli.execute([str(word) for word in (*words, "--start", START, "--progress", "json")]) == 0
     report = json.loads((tmp_path / "ball_report.json").read_text())
     assert report["energy"]["terms"][0] == {"term": "toy", "weight": 1.0, "strength": 2.0}
     assert report["config"]["flow"] == "toy-flow" and report["stop"]["reason"] == "converged"
@@ -291,7 +291,7 @@ def test_several_objects(toys, tmp_path):
     io.write(volume(), tmp_path / "ball.nii.gz")
     io.write_labels(volume().with_array(starts), tmp_path / "starts.nii.gz")
     words = ["segment", tmp_path / "ball.nii.gz", "-o", tmp_path, "--objects", tmp_path / "starts.nii.gz"]
-    assert cli.run([str(word) for word in (*words, "--energy", ENERGY, "--max-steps", 4)]) == 0
+    assert cli.execute([str(word) for word in (*words, "--energy", ENERGY, "--max-steps", 4)]) == 0
     report = json.loads((tmp_path / "ball_report.json").read_text())
     assert report["objects"][0]["terms"][0] == {"term": "toy", "weight": 1.0, "strength": 2.0}
     rows = list(csv.DictReader(streams.StringIO((tmp_path / "ball_trace.csv").read_text())))
@@ -357,4 +357,4 @@ if __name__ == "__main__":
         if sys.argv[1] == "panel":
             _panel()
         else:
-            sys.exit(cli.run(sys.argv[1:]))
+            sys.exit(cli.execute(sys.argv[1:]))

@@ -15,7 +15,7 @@ from accelsurf.settings.run_config import RunConfig
 
 
 def run(*words):
-    return cli.run([str(word) for word in words])
+    return cli.execute([str(word) for word in words])
 
 
 @pytest.mark.parametrize("name", list(PRESETS))

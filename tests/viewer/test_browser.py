@@ -264,7 +264,7 @@ def test_a_host_must_be_asked_for_and_warns(tmp_path):
 
 def test_options_of_the_page_are_refused_for_a_window(tmp_path, capsys):
     for option in (["--host", "0.0.0.0"], ["--port", "80"], ["--no-open"]):
-        assert cli.run(["view", str(tmp_path / "a.nii"), *option]) == 2
+        assert cli.execute(["view", str(tmp_path / "a.nii"), *option]) == 2
         assert "with --browser only" in capsys.readouterr().err
 
 
@@ -280,7 +280,7 @@ def test_without_trame_one_line_says_what_to_install(tmp_path, monkeypatch, caps
     io.write(volume, tmp_path / "ball.nii.gz")
     monkeypatch.setitem(sys.modules, "trame.app", None)
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 5.0))
-    assert cli.run(["view", str(tmp_path / "ball.nii.gz"), "--browser", "--start", start]) == 2
+    assert cli.execute(["view", str(tmp_path / "ball.nii.gz"), "--browser", "--start", start]) == 2
     error = capsys.readouterr().err
     assert "trame is not installed" in error and 'pip install "accelsurf[viewer]"' in error
 
@@ -330,7 +330,7 @@ def test_load_run_pause_back_slide_save_download(tmp_path):
     # What was steered in the page is the same run from the command line, byte for byte.
     again = tmp_path / "again"
     config = server.results / "run.toml"
-    assert cli.run(["segment", str(server.image), "--config", str(config), "-o", str(again), "--quiet"]) == 0
+    assert cli.execute(["segment", str(server.image), "--config", str(config), "-o", str(again), "--quiet"]) == 0
     assert (again / "ball_seg.nii.gz").read_bytes() == (server.results / "ball_seg.nii.gz").read_bytes()
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.cli import run as command
+from accelsurf.cli import execute as command
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig

@@ -65,7 +65,7 @@ def test_frames_differ_and_the_surface_grows(image, tmp_path, suffix, capsys):
     path, options = image
     out = tmp_path / f"evolution{suffix}"
     size = ["--size", "480x270", "--orbit", "0", "--hold", "0.2", "--every", "3", "--fps", "10"]
-    assert cli.run(["movie", str(path), "-o", str(out), *options, *size]) == 0
+    assert cli.execute(["movie", str(path), "-o", str(out), *options, *size]) == 0
     assert "frames" in capsys.readouterr().out
     frames = decoded(out)
     assert {frame.shape for frame in frames} == {(270, 480, 3)}
@@ -85,7 +85,7 @@ def test_the_camera_turns(image, tmp_path):
         out = tmp_path / f"{orbit}.gif"
         look = ["--size", "320x180", "--orbit", orbit, "--hold", "0.5", "--every", "1000", "--fps", "10"]
         look += ["--view", "front"]
-        assert cli.run(["movie", str(path), "-o", str(out), *options, *look, "--quiet"]) == 0
+        assert cli.execute(["movie", str(path), "-o", str(out), *options, *look, "--quiet"]) == 0
         pictures[orbit] = decoded(out)
     # Pillow leaves out frames in which nothing changed, and shows the last one longer.
     assert len(pictures["90"]) > len(pictures["0"]) >= 2
@@ -96,7 +96,7 @@ def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
     path, options = image
     look = ["--theme", "light", "--color", "force", "--size", "640x360", "--volume", "--planes"]
     out = tmp_path / "last.png"
-    assert cli.run(["movie", str(path), "--preview", "-o", str(out), *options, *look]) == 0
+    assert cli.execute(["movie", str(path), "--preview", "-o", str(out), *options, *look]) == 0
     assert "picture" in capsys.readouterr().out
     with Image.open(out) as picture:
         assert picture.size == (640, 360)
@@ -106,16 +106,16 @@ def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
 def test_a_result_folder_is_run_again_with_its_settings(image, tmp_path, capsys):
     path, options = image
     results = tmp_path / "out"
-    assert cli.run(["segment", str(path), "-o", str(results), "--smoothness", "0.3", *options]) == 0
+    assert cli.execute(["segment", str(path), "-o", str(results), "--smoothness", "0.3", *options]) == 0
     source, config = movie_file.run_of_folder(results)
     assert (source, config.smoothness, config.max_steps, config.levels) == (path, 0.3, 25, 1)
     look = ["--size", "320x180", "--hold", "0", "--every", "5"]
     again, live = tmp_path / "again.gif", tmp_path / "live.gif"
-    assert cli.run(["movie", str(results), "-o", str(again), *look]) == 0
-    assert cli.run(["movie", str(path), "-o", str(live), "--smoothness", "0.3", *options, *look]) == 0
+    assert cli.execute(["movie", str(results), "-o", str(again), *look]) == 0
+    assert cli.execute(["movie", str(path), "-o", str(live), "--smoothness", "0.3", *options, *look]) == 0
     assert again.read_bytes() == live.read_bytes()
     capsys.readouterr()
-    assert cli.run(["movie", str(results), "-o", str(tmp_path / "b.gif"), "--cfl", "0.4"]) == 2
+    assert cli.execute(["movie", str(results), "-o", str(tmp_path / "b.gif"), "--cfl", "0.4"]) == 2
     assert "--cfl was given for a folder of results" in capsys.readouterr().err
     path.write_bytes(path.read_bytes() + b" ")
     with pytest.raises(InputError, match="has changed"):
@@ -129,7 +129,7 @@ def test_edits_are_made_again_too(image, tmp_path):
     path, options = image
     results = tmp_path / "out"
     edit = ["--edit", "step=5 smoothness=0.5", "--edit", "step=9 flow=gradient"]
-    assert cli.run(["segment", str(path), "-o", str(results), "--quiet", *options, *edit]) == 0
+    assert cli.execute(["segment", str(path), "-o", str(results), "--quiet", *options, *edit]) == 0
     report = json.loads((results / "ball_report.json").read_text())
     volume = io.read(path)
     scene = Scene(volume, size=(320, 180))
@@ -179,7 +179,7 @@ def test_folders_without_a_run_are_refused(tmp_path):
 def test_bad_options_cost_one_line_and_no_file(image, tmp_path, capsys, monkeypatch, given, message):
     path, _ = image
     monkeypatch.chdir(tmp_path)
-    assert cli.run(["movie", str(path), *given]) == 2
+    assert cli.execute(["movie", str(path), *given]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("error:") == 1 and len(error.splitlines()) <= 2
     assert [p.name for p in tmp_path.iterdir()] == ["ball.nii.gz"]
@@ -189,10 +189,10 @@ def test_files_are_not_replaced_unless_asked_for(image, tmp_path, capsys):
     path, options = image
     out = tmp_path / "a.gif"
     out.write_bytes(b"mine")
-    assert cli.run(["movie", str(path), "-o", str(out), *options]) == 7
+    assert cli.execute(["movie", str(path), "-o", str(out), *options]) == 7
     assert "exists already" in capsys.readouterr().err and out.read_bytes() == b"mine"
     look = ["--size", "320x180", "--every", "1000", "--hold", "0", "--overwrite", "--quiet"]
-    assert cli.run(["movie", str(path), "-o", str(out), *options, *look]) == 0
+    assert cli.execute(["movie", str(path), "-o", str(out), *options, *look]) == 0
     assert out.read_bytes()[:3] == b"GIF"
 
 

@@ -193,7 +193,7 @@ def test_the_command_opens_a_session_of_the_objects(config, tmp_path, monkeypatc
     seen = []
     monkeypatch.setattr(view, "_front_end", lambda page: page)
     monkeypatch.setattr(view, "_open_window", lambda session, *_: seen.append(session.status.objects))
-    assert cli.run(["view", str(tmp_path / "scan.nii.gz"), "--objects", config.objects]) == 0
+    assert cli.execute(["view", str(tmp_path / "scan.nii.gz"), "--objects", config.objects]) == 0
     assert seen == [(3, 8)]
 
 

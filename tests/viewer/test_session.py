@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.cli import run as command
+from accelsurf.cli import execute as command
 from accelsurf.energies.chan_vese import ChanVese
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.volume import Volume

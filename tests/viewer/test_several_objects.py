@@ -152,7 +152,7 @@ def test_a_preview_of_a_run_has_both_colours(files, tmp_path, capsys):
     image, starts = files
     out = tmp_path / "last.png"
     options = ["--objects", str(starts), "--threads", "1", "--theme", "light", "--size", "960x540"]
-    assert cli.run(["movie", str(image), "--preview", "-o", str(out), *options]) == 0
+    assert cli.execute(["movie", str(image), "--preview", "-o", str(out), *options]) == 0
     assert "of 2 objects 2 converged; up to" in capsys.readouterr().out
     with Image.open(out) as opened:
         picture = np.asarray(opened.convert("RGB"))
@@ -164,9 +164,9 @@ def test_a_movie_is_made_again_from_a_folder(files, tmp_path):
     image, starts = files
     look = ["--size", "320x180", "--hold", "0", "--every", "10", "--quiet"]
     run = ["--objects", str(starts), "--threads", "1", "--max-steps", "30"]
-    assert cli.run(["segment", str(image), "-o", str(tmp_path / "out"), *run, "--quiet"]) == 0
-    assert cli.run(["movie", str(tmp_path / "out"), "-o", str(tmp_path / "a.gif"), *look]) == 0
-    assert cli.run(["movie", str(image), "-o", str(tmp_path / "b.gif"), *run, *look]) == 0
+    assert cli.execute(["segment", str(image), "-o", str(tmp_path / "out"), *run, "--quiet"]) == 0
+    assert cli.execute(["movie", str(tmp_path / "out"), "-o", str(tmp_path / "a.gif"), *look]) == 0
+    assert cli.execute(["movie", str(image), "-o", str(tmp_path / "b.gif"), *run, *look]) == 0
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
 
 
