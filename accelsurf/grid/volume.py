@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelsurf.errors import InputError
+from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid import thumbnail
 from accelsurf.grid.geometry import Geometry
 
@@ -175,3 +175,36 @@ def _where(bad: NDArray[np.bool_]) -> str:
     count = int(bad.sum())
     z, y, x = (int(i) for i in np.unravel_index(int(bad.argmax()), bad.shape))
     return f"{count} {'voxel is' if count == 1 else 'voxels are'} (first at index x={x}, y={y}, z={z})"
+
+
+def array_on_grid(value: Volume | NDArray[Any], geometry: Geometry, name: str) -> NDArray[Any]:
+    """Return the values of a volume, or of an array, that lies on a grid; a 2D array is one slice.
+
+    Parameters
+    ----------
+    value : Volume or ndarray (nz, ny, nx)
+    geometry : Geometry
+        The image's grid.
+    name : str
+        What messages call it.
+
+    Raises
+    ------
+    GeometryError
+        When it lies on another grid, or has another shape.
+    """
+    if isinstance(value, Volume):
+        if not value.geometry.matches(geometry):
+            raise GeometryError(
+                f"{name}: on another grid than the image: {value.geometry.difference(geometry)}",
+                "resample it to the image's grid first, nearest neighbour",
+            )
+        return value.array
+    array = np.asarray(value)
+    array = array[np.newaxis] if array.ndim == 2 else array
+    if array.shape != geometry.shape:
+        raise GeometryError(
+            f"{name}: an array of shape {array.shape} was given, expected the image's {geometry.shape}",
+            "both are (z, y, x)",
+        )
+    return array

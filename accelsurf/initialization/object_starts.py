@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf import io
-from accelsurf.errors import GeometryError, InputError
+from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner, corner_of, meeting, shared, widened
 from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.grid.volume import Volume, array_on_grid
 from accelsurf.initialization import starts
 from accelsurf.io.files import naming
 
@@ -88,21 +88,7 @@ def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[s
     if isinstance(objects, str):
         name, start = objects, starts.parse(f"label:{objects}")
         objects, ids = io.read_labels(start.file), start.ids
-    if not isinstance(objects, Volume):
-        array = np.asarray(objects)
-        array = array[np.newaxis] if array.ndim == 2 else array
-        if array.shape != geometry.shape:
-            raise GeometryError(
-                f"objects: a label map of shape {array.shape} was given, expected the image's {geometry.shape}",
-                "both are (z, y, x)",
-            )
-        objects = Volume(array, geometry)
-    if not objects.geometry.matches(geometry):
-        raise GeometryError(
-            f"objects {name}: on another grid than the image: {objects.geometry.difference(geometry)}",
-            "resample it to the image's grid first, nearest neighbour",
-        )
-    labels = objects.array
+    labels = array_on_grid(objects, geometry, f"objects {name}")
     if labels.dtype.kind == "f" and not np.array_equal(labels, np.rint(labels)):
         raise InputError(f"objects {name}: a label is no whole number", "give a label map, not a probability")
     labels = labels.astype(np.int64 if labels.dtype.kind in "fb" else labels.dtype, copy=False)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.grid.volume import Volume, array_on_grid
 from accelsurf.initialization import starts
 from accelsurf.io import meshes
 
@@ -69,20 +69,7 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
         return starts.psi_of_mask(inside, geometry)
     if not isinstance(value, (Volume, np.ndarray)):
         return _balls(name, value, geometry)
-    if isinstance(value, Volume):
-        if not value.geometry.matches(geometry):
-            raise GeometryError(
-                f"{name}: on another grid than the image: {value.geometry.difference(geometry)}",
-                "resample it to the image's grid first, nearest neighbour",
-            )
-        value = value.array
-    array = np.asarray(value)
-    array = array[np.newaxis] if array.ndim == 2 else array
-    if array.shape != geometry.shape:
-        raise GeometryError(
-            f"{name}: an array of shape {array.shape} was given, expected the image's {geometry.shape}",
-            "both are (z, y, x)",
-        )
+    array = array_on_grid(value, geometry, name)
     inside = np.asarray(array > 0)
     if not inside.any():
         raise InputError(f"{name}: the mask is empty", "give one with voxels above 0")

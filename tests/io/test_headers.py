@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.errors import InputError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.formats.deflate import gzip_file
-from tests.support.text_headers import text_header
-
-VALUES = np.random.default_rng(0).integers(0, 30000, (4, 5, 6)).astype(np.int16)
-
-
-def refuse(path, words, family=InputError):
-    with pytest.raises(family, match=words) as caught:
-        io.read(path)
-    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
-    assert caught.value.hint or "finite numbers" in words
+from tests.support.text_headers import VALUES, refuse, text_header
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,20 @@
-"""Plain headers of NRRD and MetaImage, with changes."""
+"""Plain headers of NRRD and MetaImage, with changes, and how files that are no good are refused."""
+
+import numpy as np
+import pytest
+
+from accelsurf import io
+from accelsurf.errors import InputError
+
+VALUES = np.random.default_rng(0).integers(0, 30000, (4, 5, 6)).astype(np.int16)
+
+
+def refuse(path, words, family=InputError):
+    with pytest.raises(family, match=words) as caught:
+        io.read(path)
+    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+    assert caught.value.hint or "finite numbers" in words
+
 
 
 def text_header(suffix, **changes):
