@@ -13,7 +13,7 @@ class SolverSetup(NamedTuple):
 
     ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
     each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard
-    or None.
+    or None; ``reach``, how far beyond the surface its energy sees the image, mm.
     """
 
     flow: Flow
@@ -22,3 +22,4 @@ class SolverSetup(NamedTuple):
     half_width: float
     rule: StopRule | None
     max_volume: float | None = None
+    reach: float = 0.0

@@ -70,7 +70,6 @@ class EvolvingObject:
         self._inputs, self._setup, self._make_energy = inputs, setup, make_energy
         self._among_others = among_others
         self._max_steps, self._stop_requested = max_steps, False
-        self._min_room = (ROOM, ROOM, ROOM)
         self._starts = StartPyramid(start, inputs.grids)
         self.corner: Corner = (0, 0, 0)
         self.made: MadeEnergy
@@ -185,15 +184,11 @@ class EvolvingObject:
 
     # -- on a grid -----------------------------------------------------------------------------------------
 
-    def set_min_room(self, reach: float) -> None:
-        """Set the margin, mm, around the object, so that its energy has the same data as on the whole grid."""
-        z, y, x = (max(ROOM, math.ceil(reach / h) + GUARD) for h in self.grid.spacing)
-        self._min_room = (z, y, x)
-
     def _boxed(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> Box:
-        """The box of the grid for an object between two voxels."""
+        """The box for an object between two voxels: its energy sees there what it sees on the whole grid."""
         a, b, c = (slice(int(i), int(j)) for i, j in zip(low, high, strict=True))
-        room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(self._min_room, low, high, strict=True)]
+        needed = [max(ROOM, math.ceil(self._setup.reach / h) + GUARD) for h in self.grid.spacing]
+        room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
         return widened((a, b, c), self.grid.shape, (room[0], room[1], room[2]))
 
     def _lay_out(

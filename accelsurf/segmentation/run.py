@@ -35,7 +35,6 @@ from accelsurf.segmentation.run_setup import (
     energy_maker,
     seeded,
     setup_of,
-    window_reach,
 )
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
@@ -142,7 +141,7 @@ class Run:
             start,
             self._inputs,
             context,
-            setup_of(self.settings, place, self._levels),
+            setup_of(self.settings, place, self._levels, self.geometry),
             self._energy_maker(self.settings),
             Workers(1) if self.has_ids else self.workers,
             self._max_steps,
@@ -266,15 +265,9 @@ class Run:
             self.level -= 1
             for one in self.objects:
                 one.skip_level()
-        self._enter_level()
+        self._inputs.release_coarser(self.level)
         for one in self.objects:
             one.start_level()
-
-    def _enter_level(self) -> None:
-        self._inputs.release_coarser(self.level)
-        reach = window_reach(self.settings, self.geometry) if self.has_ids else 0.0
-        for one in self.objects if self.has_ids else ():
-            one.set_min_room(reach)
 
     def _next_level(self) -> None:
         """Continue every object on the next finer level: from its surface, or from its start if the level failed."""
@@ -284,7 +277,7 @@ class Run:
                 self._warn(f"{name}{failed.message}", "went on from the start")
         self.level_summaries.append(self._summary())
         self.level -= 1
-        self._enter_level()
+        self._inputs.release_coarser(self.level)
         for one in self.objects:
             one.next_level()
 
@@ -319,7 +312,7 @@ class Run:
             balls = edit_checks.balls_of(edit, self.geometry)
             for place, one in enumerate(self.objects):
                 own = balls if not self.has_ids else edit_checks.balls_for(one.id, edit, balls)
-                setup, maker = setup_of(settings, place, self._levels), self._energy_maker(settings)
+                setup, maker = setup_of(settings, place, self._levels, self.geometry), self._energy_maker(settings)
                 if one.takes_edits:
                     one.edit(setup, maker, new_energy, own)
                 else:
@@ -383,12 +376,13 @@ class Run:
         changed = energy_key(checkpoint.settings) != energy_key(self.settings)
         if checkpoint.level < self.level:
             self.level = checkpoint.level
-            self._enter_level()
+            self._inputs.release_coarser(self.level)
             for one in self.objects:
                 one.release_to(self.level)
         for place, (one, state) in enumerate(zip(self.objects, checkpoint.objects, strict=True)):
             settings = checkpoint.settings
-            one.restore(state, setup_of(settings, place, self._levels), self._energy_maker(settings), changed)
+            setup = setup_of(settings, place, self._levels, self.geometry)
+            one.restore(state, setup, self._energy_maker(settings), changed)
         self._stop_requested = False
         self.settings, self._edits_done = checkpoint.settings, checkpoint.edits_done
         self._steps_made = checkpoint.step

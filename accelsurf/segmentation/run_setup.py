@@ -72,7 +72,7 @@ def choose_levels(
     return grids
 
 
-def setup_of(settings: RunConfig, place: int, levels: int) -> SolverSetup:
+def setup_of(settings: RunConfig, place: int, levels: int, geometry: Geometry) -> SolverSetup:
     """Solver settings of the object at a position in the run; each has its own random numbers."""
     seed = None if settings.seed is None else settings.seed + place
     return SolverSetup(
@@ -82,6 +82,7 @@ def setup_of(settings: RunConfig, place: int, levels: int) -> SolverSetup:
         half_width(settings),
         stop_rule(settings, levels),
         settings.max_volume,
+        window_reach(settings, geometry),
     )
 
 

@@ -92,6 +92,20 @@ def test_a_start_that_a_coarse_grid_does_not_resolve_begins_on_the_next(pair):
     assert any("the start is not resolved there" in warning for warning in result.warnings)
 
 
+def test_a_box_has_room_for_the_windows_of_the_energy_on_each_level(pair):
+    volume, starts, _ = pair
+    for config in (
+        RunConfig(levels=2, energy="local-region:R=6", max_steps=40),
+        RunConfig(levels=2, max_steps=40, edit=["step=1 energy=local-region:R=6"]),
+    ):
+        with Run(volume, config, objects=starts) as run:
+            while run.level > 0:
+                run.step()
+            # 2 sqrt(6/5) R = 13.1 mm, in voxels of 1 mm on the finest level, and three more.
+            box = run.objects[0]._boxed(np.array([9, 13, 13]), np.array([11, 15, 15]))
+            assert box[2].stop == 15 + 17
+
+
 # ------------------------------------------------------------------------------------------------------- edits
 
 
