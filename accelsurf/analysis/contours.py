@@ -1,8 +1,8 @@
 """The zero level of psi in an image of one slice: closed contours in world mm, their length, and files of them.
 
-Marching squares (scikit-image) on psi, linear between pixel centres. As the mesh of a volume, a contour is closed also
-where the object is cut by the image's border: it runs along the outer edges of the border pixels, half a pixel
-outside their centres, and that part counts in its length.
+Marching squares (scikit-image) on psi; the vertices lie so that the contours enclose the object's area, see
+`vertex_placement`. As the mesh of a volume, a contour is closed also where the object is cut by the image's border: it
+runs along the outer edges of the border pixels, half a pixel outside their centres, and that part counts in its length.
 
 Shown as an image, with x to the right and y down, the object lies to the left of the direction in which a contour
 runs: outer contours run counter-clockwise, those of holes clockwise. (In a slice across another axis, the last of its
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from skimage.measure import find_contours
 
 from accelsurf.analysis.surface_mesh import NODE_MARGIN, polydata, writer_for
+from accelsurf.analysis.vertex_placement import balanced, on_edges
 from accelsurf.errors import EmptyResultError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
@@ -138,8 +139,11 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     loops = []
     for nodes in found:
         rows, columns = (np.interp(nodes[:-1, a], np.arange(len(places[a])), places[a]) for a in (0, 1))
-        points = geometry.index_to_world(np.insert(np.stack([rows, columns], axis=1), axis, 0.0, axis=1))
-        loops.append(points[(points != np.roll(points, -1, axis=0)).any(axis=1)])
+        zyx = on_edges(np.insert(np.stack([rows, columns], axis=1), axis, 0.0, axis=1), psi, margin)
+        zyx = zyx[(zyx != np.roll(zyx, -1, axis=0)).any(axis=1)]
+        numbers = np.arange(len(zyx))
+        zyx = balanced(zyx, np.stack([numbers, np.roll(numbers, -1)], axis=1), psi, geometry.spacing)
+        loops.append(geometry.index_to_world(zyx))
     return Contours(tuple(loops))
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
+from accelsurf.analysis.vertex_placement import balanced, on_edges
 from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
@@ -126,8 +127,9 @@ class Surface:
 def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     """The surface psi = 0 as a closed mesh.
 
-    Between voxel centres psi is taken as linear along the grid's edges: where it is a signed distance there, the
-    vertices are second order accurate. Away from the surface its values do not matter, only their sign.
+    The vertices lie so that the mesh encloses the volume of the surface: that of a ball of radius 2 voxels is right
+    within 1 %, of 5 voxels within 0.05 %, see `vertex_placement`. Psi must be a signed distance within two voxels of
+    the surface; further away its values do not matter, only their sign.
 
     Parameters
     ----------
@@ -165,6 +167,7 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     nodes, faces, _, _ = marching_cubes(block, level=0.0)
     zyx = np.stack([np.interp(nodes[:, a], np.arange(len(positions[a])), positions[a]) for a in range(3)], axis=1)
     zyx, faces = _merge_cap_edges(zyx, faces, geometry.shape)
+    zyx = balanced(on_edges(zyx, psi, NODE_MARGIN * min(geometry.spacing)), faces, psi, geometry.spacing)
     # skimage's triangles face outward in a right-handed (z, y, x); taken as (x, y, z) they are mirrored once, and
     # once more by a left-handed direction.
     if np.linalg.det(geometry.direction) > 0.0:

@@ -81,6 +81,15 @@ def curvatures(psi, cell, iz, iy, ix, grid):
 
 
 @kernel
+def mean_above_centre(psi, cell, iz, iy, ix, grid):
+    """Mean of psi over a voxel less psi at its centre: sum of h_a^2 psi_aa over 24, mm."""
+    _, _, zz = axis_differences(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
+    _, _, yy = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+    _, _, xx = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
+    return (grid.hz * grid.hz * zz + grid.hy * grid.hy * yy + grid.hx * grid.hx * xx) / 24.0
+
+
+@kernel
 def curvature_at_foot(mean, gauss, d, most):
     """Curvature H of the surface at the foot of a cell at distance ``d`` whose level has H = ``mean``, K = ``gauss``.
 

@@ -1,11 +1,11 @@
-"""Region sums and surface integrals: volume fractions by the plane that psi and its gradient define in a voxel."""
+"""Region sums and surface integrals: volume fractions by the plane that the mean of psi and its gradient define."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.differences import curvature_at_foot, curvatures, gradient
+from accelsurf.kernels.differences import curvature_at_foot, curvatures, gradient, mean_above_centre
 from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
 from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.stencils import block_curvatures, gather_block
@@ -87,7 +87,7 @@ def measure_band(start, stop, psi, grid, band, within, out):
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
     most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
     rows = np.empty((19, BATCH), np.float32)
-    shape = np.empty((5, BATCH), np.float32)
+    shape = np.empty((6, BATCH), np.float32)
     which = np.empty(BATCH, np.int64)
     at = start
     while at < stop:
@@ -109,23 +109,27 @@ def measure_band(start, stop, psi, grid, band, within, out):
             else:
                 gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
                 mean, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
-                fraction[s], area[s], curvature[s] = measures(
-                    grid, d, voxels, (gz, gy, gx, mean, gauss), within, diagonal, most
-                )
+                level = (gz, gy, gx, mean, gauss, mean_above_centre(psi, band.cells[s], iz, iy, ix, grid))
+                fraction[s], area[s], curvature[s] = measures(grid, d, voxels, level, within, diagonal, most)
         block_curvatures(count, grid, rows, shape)
         for i in range(count):
             s = which[i]
-            level = (shape[0, i], shape[1, i], shape[2, i], shape[3, i], shape[4, i])
+            level = (shape[0, i], shape[1, i], shape[2, i], shape[3, i], shape[4, i], shape[5, i])
             fraction[s], area[s], curvature[s] = measures(grid, band.psi[s], area[s], level, within, diagonal, most)
 
 
 @kernel
 def measures(grid, d, voxels, level, within, diagonal, most):
-    """Share, area and curvature, see `measure_band`, of a cell whose ``level`` has that gradient (z, y, x), H and K."""
-    gz, gy, gx, mean, gauss = level
+    """Share, area and curvature, see `measure_band`, of a cell.
+
+    Its ``level`` is the gradient (z, y, x), H, K and what the mean of psi over the voxel is above psi at its centre.
+    With the mean the plane has the share of a curved surface: with the centre's value a ball's volume would be
+    0.25 (h/R)^2 too large.
+    """
+    gz, gy, gx, mean, gauss, above = level
     fraction = 1.0 if d < 0.0 else 0.0
     if abs(d) <= diagonal:
-        fraction = fraction_below_plane(d, gz, gy, gx, grid)
+        fraction = fraction_below_plane(d + above, gz, gy, gx, grid)
     curvature = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
     return fraction, smeared_area(d, voxels, gz, gy, gx, gauss, grid), curvature
 

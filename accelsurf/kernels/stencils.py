@@ -93,9 +93,9 @@ def gather_block(cell, iz, iy, ix, psi, grid, rows, i):
 
 @kernel
 def block_curvatures(count, grid, rows, out):
-    """Gradient and curvatures of ``count`` columns of `gather_block`: rows z, y, x, H, K of ``out`` (5, m).
+    """Gradient, curvatures and mean of ``count`` columns of `gather_block`: rows of ``out`` (6, m).
 
-    As `differences.gradient` and `differences.curvatures`.
+    Rows z, y, x, H, K as `differences.gradient` and `differences.curvatures`, then `differences.mean_above_centre`.
     """
     half, quarter, two = np.float32(0.5), np.float32(0.25), np.float32(2.0)
     hz, hy, hx = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
@@ -103,12 +103,15 @@ def block_curvatures(count, grid, rows, out):
     zy0, zy1, zy2, zy3 = rows[7], rows[8], rows[9], rows[10]
     zx0, zx1, zx2, zx3 = rows[11], rows[12], rows[13], rows[14]
     yx0, yx1, yx2, yx3 = rows[15], rows[16], rows[17], rows[18]
-    out_z, out_y, out_x, out_h, out_k = out[0], out[1], out[2], out[3], out[4]
+    out_z, out_y, out_x, out_h, out_k, out_mean = out[0], out[1], out[2], out[3], out[4], out[5]
+    part = np.float32(1.0 / 24.0)
     for i in range(np.uint64(count)):
         z, y, x = half * hz * (zp[i] - zm[i]), half * hy * (yp[i] - ym[i]), half * hx * (xp[i] - xm[i])
-        zz = hz * hz * ((zp[i] - c[i]) - (c[i] - zm[i]))
-        yy = hy * hy * ((yp[i] - c[i]) - (c[i] - ym[i]))
-        xx = hx * hx * ((xp[i] - c[i]) - (c[i] - xm[i]))
+        zz = (zp[i] - c[i]) - (c[i] - zm[i])
+        yy = (yp[i] - c[i]) - (c[i] - ym[i])
+        xx = (xp[i] - c[i]) - (c[i] - xm[i])
+        out_mean[i] = part * (zz + yy + xx)
+        zz, yy, xx = hz * hz * zz, hy * hy * yy, hx * hx * xx
         zy = quarter * hz * hy * ((zy3[i] - zy1[i]) - (zy2[i] - zy0[i]))
         zx = quarter * hz * hx * ((zx3[i] - zx1[i]) - (zx2[i] - zx0[i]))
         yx = quarter * hy * hx * ((yx3[i] - yx1[i]) - (yx2[i] - yx0[i]))

@@ -34,13 +34,13 @@ def gathered(psi, wanted, first, count):
 
 
 def blocks(psi, spacing=SPACING):
-    """(cells, rows, gradient z y x, H, K as rows) of every cell that `gather_block` takes."""
+    """(cells, rows, gradient z y x, H, K, mean as rows) of every cell that `gather_block` takes."""
     grid = reference.grid_of(psi.shape, spacing)
     rows, cells = np.zeros((19, psi.size), np.float32), []
     for cell in range(psi.size):
         if stencils.gather_block(cell, *unravel(cell, grid), psi.ravel(), grid, rows, len(cells)):
             cells.append(cell)
-    out = np.full((5, psi.size), np.nan, np.float32)
+    out = np.full((6, psi.size), np.nan, np.float32)
     stencils.block_curvatures(len(cells), grid, rows, out)
     return np.array(cells, int), rows[:, : len(cells)], out
 
@@ -157,11 +157,16 @@ def test_curvatures_as_cell_by_cell_and_as_the_reference(shape, spacing):
     assert (np.abs(out[:3] - gradient.T) <= 2 * EPS * np.abs(gradient.T)).all()
     assert (np.abs(out[3] - k.sum(axis=1)) <= 18 * EPS * mean)[steep].all()
     assert (np.abs(out[4] - k.prod(axis=1)) <= 23 * EPS * gauss)[steep].all()
+    second = sum(r[2 * a + 1] - 2 * r[0] + r[2 * a + 2] for a in range(3)) / 24
+    bound = 8 * EPS * sum(own[a] * h[a] ** 2 for a in range(3)) / 24
+    assert (np.abs(out[5] - second) <= bound).all()
     grid = reference.grid_of(shape, spacing)
     for i, cell in enumerate(cells):
         at = unravel(cell, grid)
         single = differences.gradient(psi.ravel().astype(float), cell, *at, grid)
         assert (np.abs(out[:3, i] - single) <= 2 * EPS * np.abs(single)).all()
+        above = differences.mean_above_centre(psi.ravel().astype(float), cell, *at, grid)
+        assert abs(above - out[5, i]) <= bound[i]
         if steep[i]:
             one, product = differences.curvatures(psi.ravel().astype(float), cell, *at, grid)
             assert abs(out[3, i] - one) <= 18 * EPS * mean[i]
@@ -188,7 +193,7 @@ def test_a_column_is_the_same_bytes_wherever_it_stands():
     grid = reference.grid_of((9, 9, 9), SPACING)
     cross, block = (rng.standard_normal((n, 128)).astype(np.float32) for n in (15, 19))
     way = rng.choice(np.array([-1, 1], np.float32), 128)
-    norms, shape = np.empty(128, np.float32), np.empty((5, 128), np.float32)
+    norms, shape = np.empty(128, np.float32), np.empty((6, 128), np.float32)
     stencils.godunov_norms(128, grid, cross, way, norms)
     stencils.block_curvatures(128, grid, block, shape)
     for first, count in ((0, 1), (1, 7), (5, 13), (100, 28), (64, 63)):
@@ -196,7 +201,7 @@ def test_a_column_is_the_same_bytes_wherever_it_stands():
         rows, more = np.zeros((15, 128), np.float32), np.zeros((19, 128), np.float32)
         ways = np.ones(128, np.float32)
         rows[:, :count], more[:, :count], ways[:count] = cross[:, part], block[:, part], way[part]
-        some, other = np.full(128, np.nan, np.float32), np.full((5, 128), np.nan, np.float32)
+        some, other = np.full(128, np.nan, np.float32), np.full((6, 128), np.nan, np.float32)
         stencils.godunov_norms(count, grid, rows, ways, some)
         stencils.block_curvatures(count, grid, more, other)
         np.testing.assert_array_equal(some[:count], norms[part])
