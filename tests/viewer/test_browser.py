@@ -13,6 +13,7 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -20,6 +21,8 @@ import pytest
 from PIL import Image
 
 from accelsurf import cli, io
+from accelsurf.viewer.frontends import page_connections
+from accelsurf.viewer.frontends.page_connections import MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit
 from tests.support import viewing
 
 aiohttp = pytest.importorskip("aiohttp", reason='trame is missing: pip install "accelsurf[viewer]"')
@@ -250,6 +253,71 @@ def test_other_sites_and_other_machines_are_refused(served):
     # Another address of this machine is not listened on.
     with pytest.raises(OSError), socket.create_connection(("127.0.0.2", served.port), timeout=5):
         pass
+
+
+def open_sockets(served):
+    """Connections that the server holds, by the system's table."""
+    port = f":{served.port:04X}"
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    return sum(row[1].endswith(port) and row[3] == "01" for row in rows)
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux's table of connections")
+def test_idle_and_half_open_connections_are_few(served):
+    """1,300 were kept. Whoever has the token comes in all the same, and stays in."""
+
+    async def flood():
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{served.origin}/ws") as page:
+            await page.send_bytes(hello(served.token))
+            assert (await page.receive(timeout=20)).type == aiohttp.WSMsgType.BINARY
+            idle = []
+            for number in range(300):
+                idle.append(await asyncio.open_connection("127.0.0.1", served.port))
+                if number % 2:
+                    idle[-1][1].write(b"GET /index.html HTTP/1.1\r\nHost: 127")
+            await asyncio.sleep(0.5)
+            held = open_sockets(served)
+            await page.send_bytes(packed(call_of("trame.state.get", number=2)))
+            answer = await page.receive(timeout=20)
+            for _, writer in idle:
+                writer.close()
+            return held, answer.type
+
+    held, answer = asyncio.run(flood())
+    assert held <= MAX_CONNECTIONS
+    assert answer == aiohttp.WSMsgType.BINARY
+    assert get(served, "/index.html")[0] == 200
+
+
+def test_a_connection_without_the_token_may_not_stay(monkeypatch):
+    """Neither one that never asks nor one that asks slowly; with the token it may."""
+
+    class Transport:
+        def __init__(self, port):
+            self.port, self.open = port, True
+
+        def get_extra_info(self, name):
+            return "127.0.0.1", self.port
+
+        def abort(self):
+            self.open = False
+
+    now = 100.0
+    monkeypatch.setattr(page_connections.time, "monotonic", lambda: now)
+    server = SimpleNamespace(connection_made=lambda *_: None, connection_lost=lambda *_: None)
+    limit = ConnectionLimit()
+    limit.watch(server)
+    silent, asking, known = (Transport(port) for port in (1, 2, 3))
+    for transport in (silent, asking, known):
+        server.connection_made(SimpleNamespace(transport=transport), transport)
+    limit.trust(known)
+    now += 0.6 * MAX_IDLE
+    limit.requested(asking)
+    now += 0.6 * MAX_IDLE
+    limit.close_idle()
+    assert (silent.open, asking.open, known.open) == (False, True, True)
+    server.connection_lost(SimpleNamespace(transport=asking))
+    assert [one.transport for one in limit.connections.values()] == [known]
 
 
 def test_a_host_must_be_asked_for_and_warns(tmp_path):

@@ -85,6 +85,7 @@ class Page:
         self.session, self.scene = session, scene
         self.requests = RequestHandler(session, scene, folder, overwrite)
         self.token, self.address = secrets.token_hex(24), ""
+        self._guard = PageGuard(host, self.token, self.requests.files)
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
@@ -104,7 +105,7 @@ class Page:
         })
         server.trigger("ask")(self._ask)
         server.trigger("shown")(self._was_shown)
-        server.controller.on_server_bind.add(PageGuard(self._host, self.token, self.requests.files).install)
+        server.controller.on_server_bind.add(self._guard.install)
         files = resources.files("accelsurf.viewer")
         with layout(server) as page:
             page.root.add_child(style(files.joinpath("page.css").read_text(encoding="utf-8")))
@@ -162,8 +163,10 @@ class Page:
                 await asyncio.sleep(POLL_SECONDS)
                 if self._server.running and not self.address:
                     name = socket.gethostname() if self._host in ("0.0.0.0", "::") else self._host
+                    self._guard.watch()
                     self.address = f"http://{name}:{self._server.port}/index.html?secret={self.token}"
                 self._update()
+                self._guard.connections.close_idle()
             await serving
         except OSError as error:
             raise OutputError(

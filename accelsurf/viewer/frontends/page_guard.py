@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from accelsurf.viewer.frontends.page_connections import ConnectionLimit
+
 #: Address of this machine alone.
 LOCAL = "127.0.0.1"
 #: Bytes of the longest message that a page may send: its requests have a few numbers each.
@@ -46,6 +48,8 @@ class PageGuard:
 
     def __init__(self, host: str, token: str, files: Mapping[str, Path]) -> None:
         self._host, self._token, self._files = host, token, files
+        self.connections = ConnectionLimit()
+        self._server: Any = None
 
     def install(self, server: Any) -> None:
         """Put the checks before those of a server, before it listens."""
@@ -55,16 +59,22 @@ class PageGuard:
         async def check(request: Any, handler: Any) -> Any:
             if not self._is_addressed(request):
                 return web.Response(status=403, text="this page is not served under that name")
+            self.connections.requested(request.transport)
             return await handler(request)
 
         async def add_headers(_: Any, response: Any) -> None:
             response.headers.update(HEADERS)
 
+        self._server = server
         server.app.middlewares.append(check)
         server.app.on_response_prepare.append(add_headers)
         server.app.router.add_get("/files/{name}", self._download)
         for handler in server._ws_handlers:
-            handler.onMessage = _checked(handler)
+            handler.onMessage = self._checked(handler)
+
+    def watch(self) -> None:
+        """Limit the connections of the installed server, once it listens."""
+        self.connections.watch(self._server.runner.server)
 
     def _is_addressed(self, request: Any) -> bool:
         """Whether a request came to the address that was opened, and from its page: no other site may ask."""
@@ -80,31 +90,33 @@ class PageGuard:
 
         if not hmac.compare_digest(request.query.get("secret", "").encode(), self._token.encode()):
             return web.Response(status=403, text="the token is not right")
+        self.connections.trust(request.transport)
         path = self._files.get(request.match_info["name"])
         if path is None or not path.is_file():
             return web.Response(status=404, text="no such file")
         headers = {"Content-Disposition": f'attachment; filename="{path.name}"'}
         return web.FileResponse(path, headers=headers)
 
+    def _checked(self, handler: Any) -> Any:
+        """Check a message before trame gets it: one that no page of ours would send ends the connection.
 
-def _checked(handler: Any) -> Any:
-    """Check a message before trame gets it: one that no page of ours would send ends the connection.
+        trame itself would reserve up to 4 GB because a header says so, and allow any change of its state and any call.
+        """
+        inner = handler.onMessage
 
-    trame itself would reserve up to 4 GB because a header says so, and allow any change of its state and any call.
-    """
-    inner = handler.onMessage
-
-    async def on_message(is_binary: bool, message: Any, client: str) -> None:
-        try:
-            if not is_binary:
-                raise ValueError("text")
-            await inner(is_binary, message._replace(data=_checked_bytes(message.data)), client)
-        except Exception:
+        async def on_message(is_binary: bool, message: Any, client: str) -> None:
             connection = handler.connections.get(client)
-            if connection is not None:
-                await connection.close(code=1008, message=b"not understood")
+            try:
+                if not is_binary:
+                    raise ValueError("text")
+                await inner(is_binary, message._replace(data=_checked_bytes(message.data)), client)
+                if client in handler.authentified_client_ids:
+                    self.connections.trust(connection)
+            except Exception:
+                if connection is not None:
+                    await connection.close(code=1008, message=b"not understood")
 
-    return on_message
+        return on_message
 
 
 def _checked_bytes(data: bytes) -> bytes:
