@@ -37,7 +37,7 @@ class Interrupts:
     def __init__(self) -> None:
         self.count = 0
         self.number: int = signal.SIGINT
-        self.outcome = "nothing was written"
+        self.outcome = "no result is written; what was there before is as it was"
         self._question: str | None = None
         self._was_patient = False  # a first signal may have been answered with a question
         self._ending = False
@@ -106,17 +106,31 @@ class Interrupts:
         return 128 + self.number if self.count else code
 
 
+@contextmanager
+def default_handling() -> Iterator[None]:
+    """Give Ctrl-C back to Python: for an event loop that has a way of its own to end."""
+    before = signal.getsignal(signal.SIGINT)
+    if not isinstance(before, Interrupts):
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def say(line: str) -> None:
     """Write a line to stderr also where print cannot: in a signal handler, or when stderr is closed."""
     if sys.stderr is None:
         return
     try:
-        print(line, file=sys.stderr, flush=True)
+        print(line, file=sys.stderr, flush=True)  # noqa: T201
     except RuntimeError:  # the main program is writing to it at this moment
         with suppress(OSError):
             os.write(2, f"{line}\n".encode(errors="replace"))
-    except (OSError, ValueError):
-        pass
+    except (OSError, ValueError):  # nobody reads it
+        return
 
 
 @contextmanager
@@ -127,7 +141,7 @@ def uninterrupted() -> Iterator[None]:
         return
     waiting: list[int] = []
     before = {number: signal.getsignal(number) for number in SIGNALS}
-    python_ones = [number for number, handler in before.items() if callable(handler)]
+    python_ones = [signal.Signals(number) for number, handler in before.items() if callable(handler)]
     for number in python_ones:
         signal.signal(number, lambda number, frame: waiting.append(number))
     try:
@@ -135,5 +149,5 @@ def uninterrupted() -> Iterator[None]:
     finally:
         for number in python_ones:
             signal.signal(number, before[number])
-        for number in waiting:
-            signal.raise_signal(number)
+        for came in waiting:
+            signal.raise_signal(came)

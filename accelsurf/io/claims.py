@@ -1,7 +1,8 @@
 """Hidden folders beside outputs, in which drafts lie until they are complete: each belongs to a living process.
 
-A folder ``.NAME.accelsurf`` is claimed by a lock of the operating system on a file in it. The system frees the lock when
-the process ends, however it ends. So who gets the lock of a folder that is there already knows that its owner is dead.
+A folder ``.NAME.accelsurf`` is claimed by a lock of the operating system on a file in it. The system frees the lock
+when the process ends, however it ends. So who gets the lock of a folder that is there already knows that its owner is
+dead.
 """
 
 from __future__ import annotations

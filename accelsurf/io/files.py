@@ -55,18 +55,11 @@ def staging(path: Path) -> Iterator[FileSet]:
     OutputError
         When nothing can be written there, or the work inside raises what a full disk makes Python or ITK raise.
     """
-    with writing_to(path):
+    try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
         with opened(path.parent, path.name, unique=True) as files:
             yield files
-
-
-@contextmanager
-def writing_to(path: Path) -> Iterator[None]:
-    """Turn what goes wrong while files are written into one line that starts with a name."""
-    try:
-        yield
     except OSError as error:
         raise OutputError(
             f"{path}: cannot be written ({error.strerror or error})",
