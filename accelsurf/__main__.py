@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import NoReturn
 
-from accelsurf.interrupts import Interrupts, say
+from accelsurf.interrupts import Interrupts
 
 
 def main() -> NoReturn:
@@ -19,7 +19,7 @@ def main() -> NoReturn:
         streams.open_missing()
         code = execute(sys.argv[1:])
     except KeyboardInterrupt:
-        say(f"error: interrupted: {interrupts.outcome}")
+        interrupts.report("error: ")
     except Exception:
         sys.excepthook(*sys.exc_info())
     leave(code, interrupts)
@@ -44,6 +44,7 @@ def leave(code: int, interrupts: Interrupts) -> NoReturn:
         except (OSError, ValueError):
             pass
     atexit._run_exitfuncs()
+    interrupts.report()
     os._exit(interrupts.exit_code(code))
 
 

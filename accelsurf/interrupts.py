@@ -41,6 +41,7 @@ class Interrupts:
         self._question: str | None = None
         self._was_patient = False  # a first signal may have been answered with a question
         self._ending = False
+        self._reported = False
         self._replaced: dict[int, Any] = {}
 
     @classmethod
@@ -96,6 +97,18 @@ class Interrupts:
         """Raise KeyboardInterrupt again when a second signal came and its exception was swallowed."""
         if self.count > 1:
             raise KeyboardInterrupt
+
+    def report(self, kind: str = "") -> None:
+        """Print what is on the disk, once, if there was a signal.
+
+        Parameters
+        ----------
+        kind : str, optional
+            First words of the line, such as "error: ".
+        """
+        if self.count and not self._reported:
+            self._reported = True
+            say(f"{kind}interrupted: {self.outcome}")
 
     def end(self) -> None:
         """From now on signals are counted only: the program is about to end."""

@@ -106,13 +106,13 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
     except (KeyboardInterrupt, Exception) as error:
         # A library may have turned the exception of a signal into one of its own.
         if isinstance(error, KeyboardInterrupt) or interrupts.count:
-            return _say(interrupts.exit_code(INTERRUPTED), f"interrupted: {interrupts.outcome}", "")
+            interrupts.report("error: ")
+            return interrupts.exit_code(INTERRUPTED)
         if debug:
             raise
         hint = "this is a bug in accelsurf; run again with --debug and report the traceback"
         return _say(1, f"{type(error).__name__}: {error}", hint)
-    if interrupts.count:
-        say(f"interrupted: {interrupts.outcome}")
+    interrupts.report()
     return code
 
 
