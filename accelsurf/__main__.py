@@ -2,50 +2,18 @@
 
 from __future__ import annotations
 
-import sys
+import os
 from typing import NoReturn
-
-from accelsurf.interrupts import Interrupts
 
 
 def main() -> NoReturn:
-    """Run the command line of this process; end it with the exit code that its signals and its errors ask for."""
-    interrupts = Interrupts()
-    code = 1
+    """Run the command line of this process; Ctrl-C ends it in one line also while the program is being loaded."""
     try:
-        interrupts.install()
-        from accelsurf.cli import execute, streams
-
-        streams.open_missing()
-        code = execute(sys.argv[1:])
+        from accelsurf.cli import main as run
     except KeyboardInterrupt:
-        interrupts.report("error: ")
-    except Exception:
-        sys.excepthook(*sys.exc_info())
-    leave(code, interrupts)
-
-
-def leave(code: int, interrupts: Interrupts) -> NoReturn:
-    """End the process at once, so that a signal either changes its exit code or comes too late.
-
-    Python's own end takes a fraction of a second more, in which a signal would print a traceback or do nothing.
-    """
-    import atexit
-    import os
-
-    try:
-        interrupts.end()
-    except KeyboardInterrupt:
-        interrupts.end()
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            if stream is not None:
-                stream.flush()
-        except (OSError, ValueError):
-            pass
-    atexit._run_exitfuncs()
-    interrupts.report()
-    os._exit(interrupts.exit_code(code))
+        os.write(2, b"error: interrupted: no result is written; what was there before is as it was\n")
+        os._exit(130)
+    run()
 
 
 if __name__ == "__main__":

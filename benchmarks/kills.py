@@ -9,7 +9,7 @@ change from run to run, so that old and new files differ, and so do their names.
 
 After each the files must be those that one report names, by their checksums: all old or all new. Whatever is hidden
 must go with the next run. ``python -m benchmarks.kills --help`` lists the options; the table in
-docs/reference/trials.md says what is promised.
+docs/how-to/files-of-a-run.md says what is promised.
 """
 
 from __future__ import annotations
@@ -232,7 +232,8 @@ def fill_disk(bench: Bench, outcome: Outcome) -> None:
     replaced = bench.report() != before
     outcome.count(f"exit {program.returncode}")
     if program.returncode != (0 if replaced else CANNOT_WRITE) or "Traceback" in error:
-        outcome.faults.append(f"limit {limit}: exit {program.returncode}, replaced {replaced}, {error.strip()[-300:]!r}")
+        said = error.strip()[-300:]
+        outcome.faults.append(f"limit {limit}: exit {program.returncode}, replaced {replaced}, {said!r}")
     if fault := fault_of(bench.results) or ", ".join(map(str, bench.hidden())):
         outcome.faults.append(f"limit {limit}: {fault}")
 
@@ -257,7 +258,7 @@ def run_trials(bench: Bench, counts: dict[str, int], every: int = 5) -> dict[str
             KINDS[kind](bench, outcome)
             if number % every == 0 or number == count:
                 bench.finish()
-                if left := bench.hidden() or [path for path in bench.results.glob("*_failed*")]:
+                if left := bench.hidden() or list(bench.results.glob("*_failed*")):
                     outcome.faults.append(f"left after the next run: {', '.join(map(str, left))}")
                 if fault := fault_of(bench.results):
                     outcome.faults.append(f"after the next run: {fault}")

@@ -5,6 +5,8 @@ Results go to stdout, progress and errors to stderr. An error is one line and a 
 
 from __future__ import annotations
 
+import atexit
+import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -12,9 +14,9 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError
 
 from accelsurf import __version__
-from accelsurf.cli.streams import guarded
+from accelsurf.cli.interrupts import Interrupts, say
+from accelsurf.cli.streams import guarded, open_missing
 from accelsurf.errors import AccelsurfError
-from accelsurf.interrupts import Interrupts, say
 
 INTERRUPTED = 130
 
@@ -57,7 +59,37 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     argv : sequence of str, optional
         Arguments without the program's name; those of the process by default.
     """
-    sys.exit(execute(sys.argv[1:] if argv is None else argv))
+    interrupts = Interrupts()
+    code = 1
+    try:
+        interrupts.install()
+        open_missing()
+        code = execute(sys.argv[1:] if argv is None else argv)
+    except KeyboardInterrupt:
+        interrupts.report("error: ")
+    except Exception:
+        sys.excepthook(*sys.exc_info())
+    _leave(code, interrupts)
+
+
+def _leave(code: int, interrupts: Interrupts) -> NoReturn:
+    """End the process at once, so that a signal either changes its exit code or comes too late.
+
+    Python's own end takes a fraction of a second more, in which a signal would print a traceback or do nothing.
+    """
+    try:
+        interrupts.end()
+    except KeyboardInterrupt:
+        interrupts.end()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except (OSError, ValueError):
+            continue
+    atexit._run_exitfuncs()
+    interrupts.report()
+    os._exit(interrupts.exit_code(code))
 
 
 def execute(argv: Sequence[str]) -> int:

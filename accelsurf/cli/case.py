@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
+from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.outcome import shortcoming
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.interrupts import Interrupts, say
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
 from accelsurf.report import canvas, document, object_files, outputs, result_sets

@@ -72,10 +72,8 @@ def demo(
         results[place.name], code = done.result, max(code, done.code)
         if watcher.interrupted:
             break
-    facts = {
-        "input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image)),
-        "reference": describe_input(labels, checksum=io.sha256(labels)),
-    }
+    facts = {"input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image))}
+    facts["reference"] = describe_input(labels, checksum=io.sha256(labels))
     title = "A cube in noise: gradient descent and accelerated flow"
     with opened_set(output, "demo") as files, watcher.writing():
         conclude(results, files, paths, facts, phantom.truth, title, display.quiet)

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.options import Display
-from accelsurf.interrupts import Interrupts
 from accelsurf.report.document import to_json
 from accelsurf.settings.trace_columns import row_values
 

@@ -78,7 +78,7 @@ def view(
     made = run_config(settings, config)
     page = _front_end(page)
     from accelsurf import io
-    from accelsurf.interrupts import default_handling
+    from accelsurf.cli.interrupts import default_handling
     from accelsurf.io import channels
 
     volume, *more = channels.read(source)

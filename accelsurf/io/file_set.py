@@ -19,8 +19,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from accelsurf.errors import OutputError
-from accelsurf.interrupts import uninterrupted
 from accelsurf.io.claims import SUFFIX, Claim, claim, hidden_folders, hidden_name
+from accelsurf.io.signals import uninterrupted
 
 _JOURNAL = "journal.json"
 _NEW, _OLD = "new", "old"

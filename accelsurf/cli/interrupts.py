@@ -1,7 +1,4 @@
-"""What SIGINT (Ctrl-C) and SIGTERM do: at each moment a line, an exit code, and files that belong together.
-
-Imports nothing heavy: it is at work before the rest of the program is loaded.
-"""
+"""What SIGINT (Ctrl-C) and SIGTERM do: at each moment a line, an exit code, and files that belong together."""
 
 from __future__ import annotations
 
@@ -138,29 +135,9 @@ def say(line: str) -> None:
     if sys.stderr is None:
         return
     try:
-        print(line, file=sys.stderr, flush=True)  # noqa: T201
+        print(line, file=sys.stderr, flush=True)
     except RuntimeError:  # the main program is writing to it at this moment
         with suppress(OSError):
             os.write(2, f"{line}\n".encode(errors="replace"))
     except (OSError, ValueError):  # nobody reads it
         return
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Let both signals wait until the end of a short piece of work, such as some renames; then they act as before."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals are handled in the main thread alone
-        return
-    waiting: list[int] = []
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    python_ones = [signal.Signals(number) for number, handler in before.items() if callable(handler)]
-    for number in python_ones:
-        signal.signal(number, lambda number, frame: waiting.append(number))
-    try:
-        yield
-    finally:
-        for number in python_ones:
-            signal.signal(number, before[number])
-        for came in waiting:
-            signal.raise_signal(came)
