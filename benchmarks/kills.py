@@ -4,7 +4,7 @@ Each trial runs ``accelsurf segment --overwrite`` on a small image, into a folde
 change from run to run, so that old and new files differ, and so do their names.
 
 * kill: SIGKILL at a random moment of the whole run, or of the part in which files are written.
-* interrupt: SIGINT at such a moment.
+* interrupt: SIGINT, once or twice, or SIGTERM at such a moment.
 * disk: no file may grow beyond a random size, as on a full disk.
 
 After each the files must be those that one report names, by their checksums: all old or all new. Whatever is hidden
@@ -203,20 +203,25 @@ def kill(bench: Bench, outcome: Outcome) -> None:
 
 
 def interrupt(bench: Bench, outcome: Outcome) -> None:
-    """One run with Ctrl-C."""
+    """One run with Ctrl-C, pressed once or twice, or with SIGTERM."""
     outcome.runs += 1
     before, program = bench.report(), bench.start()
-    moment = bench.wait(program)
+    how = bench.random.choice(("SIGINT", "SIGINT", "SIGINT twice", "SIGTERM"))
+    number = signal.Signals[how.split()[0]]
+    moment = f"by {how} {bench.wait(program)}"
     alive = program.poll() is None
-    program.send_signal(signal.SIGINT)
+    program.send_signal(number)
+    if how == "SIGINT twice":
+        time.sleep(bench.random.uniform(0.0, 0.2))
+        program.send_signal(number)
     sent = time.perf_counter()
     _, error = program.communicate(timeout=600)
     late = time.perf_counter() - sent < TOO_LATE_SECONDS
     if program.returncode == 0 and (late or not alive):
         outcome.count("ended before the signal")
-    elif program.returncode == -signal.SIGINT and "accelsurf" not in error:
+    elif program.returncode in (-number, 1) and "accelsurf" not in error:  # Python itself was starting
         outcome.count("before the first line of the program")
-    elif program.returncode != 130 or "interrupted" not in error or "Traceback" in error:
+    elif program.returncode != 128 + number or "interrupted" not in error or "Traceback" in error:
         outcome.faults.append(f"interrupt {moment}: exit {program.returncode}, {error.strip()[-300:]!r}")
     if fault := fault_of(bench.results) or ", ".join(map(str, bench.hidden())):
         outcome.faults.append(f"interrupt {moment}: {fault}")

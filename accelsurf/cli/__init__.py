@@ -40,6 +40,7 @@ app = App(
     help_epilogue="Every command takes --help, and --debug to show the full traceback of an error.",
     version=__version__,
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,  # it would end the process without a line
 )
 app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in noise with and without momentum.")
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
