@@ -5,6 +5,8 @@ Results go to stdout, progress and errors to stderr. An error is one line and a 
 
 from __future__ import annotations
 
+import atexit
+import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -12,6 +14,8 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError
 
 from accelsurf import __version__
+from accelsurf.cli.interrupts import Interrupts, say
+from accelsurf.cli.streams import guarded, open_missing
 from accelsurf.errors import AccelsurfError
 
 INTERRUPTED = 130
@@ -26,7 +30,8 @@ EXIT_CODES = {
     5: "the surface vanished or filled the volume; with --strict also a doubtful result",
     7: "an output exists already, or cannot be written",
     8: "nothing can be drawn: no screen or driver, or a package of the viewer is missing",
-    INTERRUPTED: "interrupted (Ctrl-C); the present state is written",
+    INTERRUPTED: "interrupted (Ctrl-C); the present state is written, after a second Ctrl-C nothing",
+    143: "ended by SIGTERM; nothing is written, an earlier result stays",
 }
 
 app = App(
@@ -35,6 +40,7 @@ app = App(
     help_epilogue="Every command takes --help, and --debug to show the full traceback of an error.",
     version=__version__,
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,  # it would end the process without a line
 )
 app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in noise with and without momentum.")
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
@@ -54,7 +60,37 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     argv : sequence of str, optional
         Arguments without the program's name; those of the process by default.
     """
-    sys.exit(execute(sys.argv[1:] if argv is None else argv))
+    interrupts = Interrupts()
+    code = 1
+    try:
+        interrupts.install()
+        open_missing()
+        code = execute(sys.argv[1:] if argv is None else argv)
+    except KeyboardInterrupt:
+        interrupts.report("error: ")
+    except Exception:
+        sys.excepthook(*sys.exc_info())
+    _leave(code, interrupts)
+
+
+def _leave(code: int, interrupts: Interrupts) -> NoReturn:
+    """End the process at once, so that a signal either changes its exit code or comes too late.
+
+    Python's own end takes a fraction of a second more, in which a signal would print a traceback or do nothing.
+    """
+    try:
+        interrupts.end()
+    except KeyboardInterrupt:
+        interrupts.end()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except (OSError, ValueError):
+            continue
+    atexit._run_exitfuncs()
+    interrupts.report()
+    os._exit(interrupts.exit_code(code))
 
 
 def execute(argv: Sequence[str]) -> int:
@@ -69,10 +105,26 @@ def execute(argv: Sequence[str]) -> int:
     end = arguments.index("--") if "--" in arguments else len(arguments)
     debug = "--debug" in arguments[:end]
     arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
+    interrupts = Interrupts.current()
+    interrupts.install()
     try:
-        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
-        sys.stdout.flush()
-        return int(code or 0)
+        with guarded() as output:
+            code = _run(arguments, debug, interrupts)
+            output.flush()
+            code = interrupts.exit_code(code)
+            # A reader that has seen enough, as in `accelsurf info | head`, is no error.
+            if output.error is not None and not isinstance(output.error, BrokenPipeError) and code == 0:
+                reason = getattr(output.error, "strerror", None) or output.error
+                code = _say(7, f"standard output: cannot be written ({reason})", "files that were written are complete")
+            return code
+    finally:
+        interrupts.uninstall()
+
+
+def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
+    """Run a command; print what is wrong."""
+    try:
+        code = int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     except CycloptsError as error:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
         return _say(2, str(error), f"{command} --help lists the options")
@@ -80,26 +132,26 @@ def execute(argv: Sequence[str]) -> int:
         if debug:
             raise
         return _say(error.exit_code, error.message, error.hint)
-    except KeyboardInterrupt:
-        return _say(INTERRUPTED, "interrupted", "")
-    except BrokenPipeError:
-        # The reader of stdout closed it (as in `accelsurf info | head`): not our error, but stdout cannot be used.
-        sys.stdout = None
-        return 0
     except MemoryError as error:
         if debug:
             raise
         return _say(3, f"not enough memory {error}".strip(), "crop or downsample the volume")
-    except Exception as error:
+    except (KeyboardInterrupt, Exception) as error:
+        # A library may have turned the exception of a signal into one of its own.
+        if isinstance(error, KeyboardInterrupt) or interrupts.count:
+            interrupts.report("error: ")
+            return interrupts.exit_code(INTERRUPTED)
         if debug:
             raise
         hint = "this is a bug in accelsurf; run again with --debug and report the traceback"
         return _say(1, f"{type(error).__name__}: {error}", hint)
+    interrupts.report()
+    return code
 
 
 def _say(code: int, message: str, hint: str) -> int:
     """Print one line about an error, and one about what to do, to stderr; return the code."""
-    print("error: " + " ".join(message.split()), file=sys.stderr)
+    say("error: " + " ".join(message.split()))
     if hint:
-        print("hint: " + " ".join(hint.split()), file=sys.stderr)
+        say("hint: " + " ".join(hint.split()))
     return code

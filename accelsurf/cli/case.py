@@ -1,31 +1,33 @@
 """One segmentation from file to files: what `segment` does once and `demo` for each flow.
 
-Existing outputs are refused before anything is computed. Each file is written completely or not at all. From then on a
-report says how the case ended, also when it failed.
+Existing outputs are refused before anything is computed. The files of a run appear all at once or not at all. A report
+says how the case ended, also when it failed; a failed run leaves an earlier result as it was.
 """
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
+from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.outcome import shortcoming
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, OutputError
+from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
-from accelsurf.report import canvas, document, object_files, outputs
-from accelsurf.report.file_entries import describe_input, describe_output
+from accelsurf.report import canvas, document, object_files, outputs, result_sets
+from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.grid.geometry import Geometry
     from accelsurf.grid.volume import Volume
+    from accelsurf.io.file_set import FileSet
     from accelsurf.segmentation.result import Result
 
 T = TypeVar("T")
@@ -61,7 +63,14 @@ class Place:
     @property
     def report_path(self) -> Path:
         """Where the report goes."""
-        return self.folder / f"{self.name}_report.json"
+        return self.folder / result_sets.report_name(self.name)
+
+    def beside_result(self, config: RunConfig | None) -> Place:
+        """Where the files of a failed run go: here, or where a result stands beside it, under other names."""
+        planned = self.paths(config or RunConfig()).values()
+        if result_sets.result_stands(self.folder, self.name, planned):
+            return replace(self, name=self.name + result_sets.FAILED)
+        return self
 
     def label_format(self, config: RunConfig) -> str:
         """The format of the label map."""
@@ -132,6 +141,8 @@ class Finished:
     log : Log
     code : int
         0 for a good result, or the exit code of what is wrong with it.
+    error : AccelsurfError or None
+        What is wrong with it.
     """
 
     place: Place
@@ -139,10 +150,11 @@ class Finished:
     result: Result
     log: Log
     code: int
+    error: AccelsurfError | None = None
 
 
 def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = False) -> Finished:
-    """Run a case and write its outputs; what is wrong with its result is printed.
+    """Run a case and write its outputs, all at once; what is wrong with its result is printed.
 
     Parameters
     ----------
@@ -156,32 +168,61 @@ def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = F
     Raises
     ------
     AccelsurfError
-        When there is no result; the report has been written then.
+        When there is no result; the report has been written then, and an earlier result is as it was.
     """
     log = Log()
-    outputs.refuse_existing(place.paths(config), place.overwrite)
-    try:
-        result = _compute(place, config, watcher, log)
-        names = place.names(config, result.geometry.slice_axis is not None)
-        title = outputs.outcome_title(place.name, result)
-        # The picture shows the surface, which is extracted here.
-        content = log.timed("mesh", lambda: outputs.preview_content(result, title))
-        for kind, path in outputs.write_result(result, place.folder, names, content, log.seconds):
-            log.outputs.append(describe_output(path, kind))
-        error, warnings = shortcoming(place.name, result, strict)
-        log.warnings += warnings
-    except BaseException as failure:
-        report_failure(place, config, failure, log)
-        raise
-    interrupted = result.stop.reason == "interrupted"
-    code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
-    status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
-    _write_report(place, config, log, status, code, error, result)
+    with outputs.opened_set(place.folder, place.name) as files:
+        outputs.refuse_existing(place.paths(config), place.overwrite)
+        try:
+            result = _compute(place, config, watcher, log)
+            with watcher.writing():
+                finished = _write(place, config, result, log, files, strict, watcher)
+        except BaseException as failure:
+            if not files.committed:
+                files.discard()
+                log.outputs.clear()
+                _write_failure(place, config, failure, log, files)
+            raise
+    _warn(log, finished.error)
+    return finished
+
+
+def _write(
+    place: Place, config: RunConfig, result: Result, log: Log, files: FileSet, strict: bool, watcher: Watcher
+) -> Finished:
+    """Write the outputs of a result; those of a failed run beside a result that stands."""
+    title = outputs.outcome_title(place.name, result)
+    # The picture shows the surface, which is extracted here.
+    content = log.timed("mesh", lambda: outputs.preview_content(result, title))
+    error, warnings = shortcoming(place.name, result, strict)
+    log.warnings += warnings
+    target = place if error is None else place.beside_result(config)
+    names = target.names(config, result.geometry.slice_axis is not None)
+    with outputs.naming_final(files):
+        written = outputs.write_result(result, files.drafts, names, content, log.seconds)
+        log.outputs += describe_drafts(files, {path.name: kind for kind, path in written})
+        interrupted = result.stop.reason == "interrupted"
+        code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
+        code = watcher.exit_code(code)
+        status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
+        _write_report(target, config, log, status, code, error, result, files)
+        _commit(target, files, error is not None)
+    watcher.outcome = f"the {'result so far' if interrupted else 'result'} is written: {target.report_path.absolute()}"
+    return Finished(target, config, result, log, code, error)
+
+
+def _commit(target: Place, files: FileSet, failed: bool) -> None:
+    """Put the drafts in place, and take away what the earlier run wrote and this one does not."""
+    written = [path.name for path in files.drafts.iterdir()]
+    gone = result_sets.outdated(files.folder, target.name, written, failed)
+    files.commit(last=target.report_path.name, remove=gone)
+
+
+def _warn(log: Log, error: AccelsurfError | None) -> None:
     for warning in log.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        say(f"warning: {warning}")
     if error is not None:
-        print(f"error: {error.message}\nhint: {error.hint}", file=sys.stderr)
-    return Finished(place, config, result, log, code)
+        say(f"error: {error.message}\nhint: {error.hint}")
 
 
 def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
@@ -213,35 +254,39 @@ def evolve(name: str, volume: Volume, channels: list[Volume], config: RunConfig,
         return segment(volume, channels=channels, config=config, on_step=watcher.on_step)
 
 
-def report_failure(place: Place, config: RunConfig | None, error: BaseException, log: Log | None = None) -> None:
-    """Write the report of a run without a result; print a warning when that fails too.
-
-    The report of an earlier result is replaced only where outputs may be.
+def report_failure(place: Place, error: BaseException) -> None:
+    """Write the report of a run that could not begin; print a warning when that fails too.
 
     Parameters
     ----------
     place : Place
-    config : RunConfig or None
-        None when the settings were not valid.
     error : BaseException
-    log : Log, optional
-        The data until then.
     """
-    log = log or Log()
-    if os.path.lexists(place.report_path) and not (place.overwrite or outputs.is_failure_report(place.report_path)):
-        return
-    stopped = isinstance(error, KeyboardInterrupt)
-    code = INTERRUPTED if stopped else error.exit_code if isinstance(error, AccelsurfError) else 1
-    code = 3 if isinstance(error, MemoryError) else code
     try:
-        outputs.make_writable(place.folder)
-        if log.checksum is None and place.source.is_file():
-            from accelsurf.io import sha256
-
-            log.checksum = sha256(place.source)
-        _write_report(place, config, log, "interrupted" if stopped else "failed", code, error, None)
+        with outputs.opened_set(place.folder, place.name) as files:
+            _write_failure(place, None, error, Log(), files)
     except AccelsurfError as second:
-        print(f"warning: the report could not be written: {second.message}", file=sys.stderr)
+        say(f"warning: the report could not be written: {second.message}")
+
+
+def _write_failure(
+    place: Place, config: RunConfig | None, error: BaseException, log: Log, files: FileSet
+) -> None:
+    """Write the report of a run without a result, beside a result that stands; a warning when that fails too."""
+    stopped = isinstance(error, KeyboardInterrupt)
+    code = error.exit_code if isinstance(error, AccelsurfError) else 3 if isinstance(error, MemoryError) else 1
+    code = Interrupts.current().exit_code(INTERRUPTED if stopped else code)
+    target = place.beside_result(config)
+    try:
+        if target is not place and result_sets.result_stands(target.folder, target.name, ()):
+            raise OutputError(f"{target.report_path}: is the report of a result")  # of an image that is called so
+        if log.checksum is None and place.source.is_file() and not stopped:
+            log.checksum = sha256(place.source)
+        with outputs.naming_final(files):
+            _write_report(target, config, log, "interrupted" if stopped else "failed", code, error, None, files)
+            _commit(target, files, failed=True)
+    except AccelsurfError as second:
+        say(f"warning: the report could not be written: {second.message}")
 
 
 def _write_report(
@@ -252,6 +297,7 @@ def _write_report(
     code: int,
     error: BaseException | None,
     result: Result | None,
+    files: FileSet,
 ) -> None:
     log.seconds["total"] = time.perf_counter() - log.began
     own = set(result.warnings) if result is not None else set()
@@ -267,4 +313,4 @@ def _write_report(
         outputs=log.outputs,
         warnings=[warning for warning in log.warnings if warning not in own],
     )
-    write_bytes(place.report_path, (document.to_json(contents) + "\n").encode())
+    write_bytes(files.drafts / place.report_path.name, (document.to_json(contents) + "\n").encode())

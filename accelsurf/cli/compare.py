@@ -28,6 +28,7 @@ from accelsurf.settings.run_config import RunConfig
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.grid.volume import Volume
+    from accelsurf.io.file_set import FileSet
     from accelsurf.segmentation.result import Result
 
 
@@ -66,21 +67,26 @@ def compare(
     from accelsurf.cli.progress import Watcher
     from accelsurf.io.channels import read as read_channels
     from accelsurf.report.file_entries import describe_input
-    from accelsurf.report.outputs import refuse_existing
+    from accelsurf.report.outputs import opened_set, refuse_existing
 
     display = display or Display()
     source, folder = required(input, "INPUT"), required(output, "-o DIR, the output folder,")
     configs = {name: run_config(settings, config, flow=name) for name in _names(flows)}
     paths = {"comparison": folder / "compare.json", "picture": folder / "compare.png"}
-    refuse_existing(paths, overwrite)
-    volume, *channels = read_channels(source)
-    truth = io.read_labels(reference) if reference is not None else None
-    if truth is not None:
-        check_reference(truth, volume)
-    results = _evolve_each(volume, channels, configs, Watcher(display))
-    facts: dict[str, Any] = {"input": describe_input(source, geometry=volume.geometry, checksum=io.sha256(source))}
-    facts["reference"] = describe_input(reference, checksum=io.sha256(reference)) if reference is not None else None
-    return conclude(results, paths, facts, truth, source.name, display.quiet)
+    with opened_set(folder, "compare") as files:
+        refuse_existing(paths, overwrite)
+        volume, *channels = read_channels(source)
+        truth = io.read_labels(reference) if reference is not None else None
+        if truth is not None:
+            check_reference(truth, volume)
+        watcher = Watcher(display)
+        results = _evolve_each(volume, channels, configs, watcher)
+        facts: dict[str, Any] = {"input": describe_input(source, geometry=volume.geometry, checksum=io.sha256(source))}
+        facts["reference"] = describe_input(reference, checksum=io.sha256(reference)) if reference is not None else None
+        with watcher.writing():
+            code = conclude(results, files, paths, facts, truth, source.name, display.quiet)
+        watcher.outcome = f"the comparison so far is written: {paths['comparison'].absolute()}"
+    return code
 
 
 def _evolve_each(
@@ -114,6 +120,7 @@ def check_reference(truth: Volume, volume: Volume) -> None:
 
 def conclude(
     results: Mapping[str, Result],
+    files: FileSet,
     paths: Mapping[str, Path],
     facts: Mapping[str, Any],
     truth: Volume | None,
@@ -125,6 +132,8 @@ def conclude(
     Parameters
     ----------
     results : mapping of str to Result
+    files : FileSet
+        That the two files are put in place by.
     paths : mapping of str to Path
         ``comparison`` and ``picture``.
     facts : mapping
@@ -143,8 +152,8 @@ def conclude(
     from accelsurf.cli.progress import table
     from accelsurf.io.files import write_bytes
     from accelsurf.report import document, preview
-    from accelsurf.report.file_entries import describe_output
-    from accelsurf.report.outputs import preview_content
+    from accelsurf.report.file_entries import describe_drafts
+    from accelsurf.report.outputs import naming_final, preview_content
 
     runs = [_describe_run(name, result, truth) for name, result in results.items()]
     lines = [_table_line(run, result) for run, result in zip(runs, results.values(), strict=True)]
@@ -154,11 +163,14 @@ def conclude(
         heading = f"{result.stop.reason}, {result.stop.steps} steps{dice}"
         contents[result.config.flow] = preview_content(result, heading, truth.array if truth is not None else None)
     code = INTERRUPTED if any(one.stop.reason == "interrupted" for one in results.values()) else 0
-    write_bytes(paths["picture"], preview.comparison_png(contents, title))
-    comparison = {**_heading(code, next(iter(results.values())).config), **facts, "runs": runs}
-    comparison["agreement_dice"] = _agreement_of_runs(results)
-    comparison["outputs"] = [describe_output(paths["picture"], "picture")]
-    write_bytes(paths["comparison"], (document.to_json(comparison) + "\n").encode())
+    picture, report = paths["picture"].name, paths["comparison"].name
+    with naming_final(files):
+        write_bytes(files.drafts / picture, preview.comparison_png(contents, title))
+        comparison = {**_heading(code, next(iter(results.values())).config), **facts, "runs": runs}
+        comparison["agreement_dice"] = _agreement_of_runs(results)
+        comparison["outputs"] = describe_drafts(files, {picture: "picture"})
+        write_bytes(files.drafts / report, (document.to_json(comparison) + "\n").encode())
+        files.commit(last=report)
     if not quiet:
         print(table(("flow", "steps", "seconds", "energy", "Dice", "stop"), lines))
         print()

@@ -42,7 +42,7 @@ def demo(
     from accelsurf.cli.progress import Watcher
     from accelsurf.phantoms import recipes
     from accelsurf.report.file_entries import describe_input
-    from accelsurf.report.outputs import refuse_existing
+    from accelsurf.report.outputs import naming_final, opened_set, refuse_existing
     from accelsurf.settings.run_config import RunConfig
 
     display = display or Display()
@@ -61,8 +61,10 @@ def demo(
     if not display.quiet:
         print(f"A cube of side {recipe.side:g} mm in noise as strong as its contrast; start: {START}", flush=True)
     phantom = recipes.make(recipe)
-    io.write(phantom.image, image)
-    io.write_labels(phantom.truth, labels)
+    with opened_set(output, "cube") as files, naming_final(files):
+        io.write(phantom.image, files.drafts / image.name)
+        io.write_labels(phantom.truth, files.drafts / labels.name)
+        files.commit()
     watcher = Watcher(display)
     results, code = {}, 0
     for flow, place in places.items():
@@ -70,12 +72,11 @@ def demo(
         results[place.name], code = done.result, max(code, done.code)
         if watcher.interrupted:
             break
-    facts = {
-        "input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image)),
-        "reference": describe_input(labels, checksum=io.sha256(labels)),
-    }
+    facts = {"input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image))}
+    facts["reference"] = describe_input(labels, checksum=io.sha256(labels))
     title = "A cube in noise: gradient descent and accelerated flow"
-    conclude(results, paths, facts, phantom.truth, title, display.quiet)
+    with opened_set(output, "demo") as files, watcher.writing():
+        conclude(results, files, paths, facts, phantom.truth, title, display.quiet)
     if not display.quiet:
         print(f"\nAll files are in {output.absolute()} ({time.perf_counter() - began:.0f} s)")
     return code

@@ -30,8 +30,11 @@ def evaluate(
     """
     from accelsurf import io
     from accelsurf.analysis import metrics
+    from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.report.document import to_json
 
+    for path in (pred, ref):
+        finish_killed_runs(path.parent)
     found = metrics.evaluate(io.read_labels(pred), io.read_labels(ref)).to_dict()
     if as_json:
         print(to_json({"pred": str(pred.absolute()), "ref": str(ref.absolute()), **found}))

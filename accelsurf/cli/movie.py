@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from accelsurf.cli import INTERRUPTED
 from accelsurf.cli.options import FILES, Display, Output, Overwrite, RunSettings, required, run_config
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
@@ -118,9 +117,10 @@ def movie(
             what = _draw(run, scene, target, None if preview else movie_settings, watcher)
     finally:
         scene.close()
+    watcher.outcome = f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}"
     if not display.quiet and run.stop is not None:
         print(f"{image.name}: {_ending(run.stop, run.has_ids)}\n  {what}  {target.absolute()}")
-    return INTERRUPTED if watcher.interrupted else 0
+    return watcher.exit_code(0)
 
 
 def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
@@ -138,10 +138,12 @@ def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
 
 def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, RunConfig]:
     """Image and settings of the run; those in the report if the source is a folder of results."""
+    from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.viewer.frontends import movie_file
 
     if not source.is_dir():
         return source, run_config(settings, config)
+    finish_killed_runs(source)
     given = [f.name for f in fields(settings) if getattr(settings, f.name) is not None] if settings else []
     if given or config is not None:
         name = "config" if config is not None else given[0].replace("_", "-")

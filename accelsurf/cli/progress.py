@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from types import FrameType
 from typing import TYPE_CHECKING
 
+from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.options import Display
 from accelsurf.report.document import to_json
 from accelsurf.settings.trace_columns import row_values
@@ -35,7 +34,7 @@ class Watcher:
         kind = display.progress or ("bar" if sys.stderr.isatty() and not display.quiet else "none")
         self._show_json = kind == "json"
         self._bar = _Bar() if kind == "bar" else None
-        self.interrupted = False
+        self._interrupts = Interrupts.current()
 
     @contextmanager
     def watch(self, label: str, max_steps: int) -> Iterator[Watcher]:
@@ -51,20 +50,36 @@ class Watcher:
         if self._bar is not None:
             self._bar.start(label, max_steps)
         self._label = label
-        previous = signal.signal(signal.SIGINT, self._ask_to_stop)
         try:
-            yield self
+            with self._interrupts.patience("finishing this step and writing the result"):
+                yield self
         finally:
-            signal.signal(signal.SIGINT, previous)
             if self._bar is not None:
                 self._bar.stop()
 
-    def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
-        if self.interrupted:
-            raise KeyboardInterrupt
-        self.interrupted = True
-        hint = "finishing this step and writing the result (press again to quit without it)"
-        print(f"interrupted: {hint}", file=sys.stderr)
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """While files are written, a first Ctrl-C lets them be finished, a second one removes them."""
+        with self._interrupts.patience("finishing the files"):
+            yield
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C was pressed."""
+        return self._interrupts.count > 0
+
+    @property
+    def outcome(self) -> str:
+        """What is on the disk, for the last line after Ctrl-C."""
+        return self._interrupts.outcome
+
+    @outcome.setter
+    def outcome(self, text: str) -> None:
+        self._interrupts.outcome = text
+
+    def exit_code(self, code: int) -> int:
+        """The exit code of the command, as far as it is known: that of Ctrl-C after it was pressed."""
+        return self._interrupts.exit_code(code)
 
     def on_step(self, record: StepRecord, object_id: int | None = None) -> bool:
         """Show one step, of the object ``object_id`` if there are several.
@@ -80,6 +95,7 @@ class Watcher:
             which = {} if object_id is None else {"object": object_id}
             line = {"event": "step", "run": self._label, **which, **row_values(record)}
             print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
+        self._interrupts.check()
         return self.interrupted
 
 

@@ -58,12 +58,12 @@ def segment(
     try:
         run = run_config(settings, config)
     except UsageError as error:
-        report_failure(place, None, error)
+        report_failure(place, error)
         raise
     done = run_case(place, run, Watcher(display), strict)
     result, log = done.result, done.log
     if not display.quiet:
-        lines = summary_lines(place.name, result, log.outputs, place.report_path, log.seconds["total"])
+        lines = summary_lines(place.name, result, log.outputs, done.place.report_path, log.seconds["total"])
         print("\n".join(lines))
     if profile:
         from accelsurf.cli import profile as stages

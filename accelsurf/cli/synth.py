@@ -37,8 +37,8 @@ def synth(
     from accelsurf.phantoms import recipes
     from accelsurf.report.document import to_json
     from accelsurf.report.environment import versions
-    from accelsurf.report.file_entries import describe_output
-    from accelsurf.report.outputs import refuse_existing
+    from accelsurf.report.file_entries import describe_drafts
+    from accelsurf.report.outputs import naming_final, opened_set, refuse_existing
 
     folder = required(output, "-o DIR, the output folder,")
     used = recipes.load_recipe(recipe)
@@ -49,19 +49,22 @@ def synth(
         "labels": folder / f"{used.name}_truth.nii.gz",
         "facts": folder / f"{used.name}.json",
     }
-    refuse_existing(paths, overwrite)
-    phantom = recipes.make(used)
-    io.write(phantom.image, paths["image"])
-    io.write_labels(phantom.truth, paths["labels"])
-    facts = {
-        "recipe": used.model_dump(mode="json"),
-        "volume_mm3": phantom.volume_mm3,
-        "area_mm2": phantom.area_mm2,
-        "truth_voxels": int(phantom.truth.array.sum()),
-        "versions": versions(),
-        "outputs": [describe_output(paths[kind], kind) for kind in ("image", "labels")],
-    }
-    write_bytes(paths["facts"], (to_json(facts) + "\n").encode())
+    with opened_set(folder, used.name) as files:
+        refuse_existing(paths, overwrite)
+        phantom = recipes.make(used)
+        with naming_final(files):
+            io.write(phantom.image, files.drafts / paths["image"].name)
+            io.write_labels(phantom.truth, files.drafts / paths["labels"].name)
+            facts = {
+                "recipe": used.model_dump(mode="json"),
+                "volume_mm3": phantom.volume_mm3,
+                "area_mm2": phantom.area_mm2,
+                "truth_voxels": int(phantom.truth.array.sum()),
+                "versions": versions(),
+                "outputs": describe_drafts(files, {paths[kind].name: kind for kind in ("image", "labels")}),
+            }
+            write_bytes(files.drafts / paths["facts"].name, (to_json(facts) + "\n").encode())
+            files.commit(last=paths["facts"].name)
     for kind, path in paths.items():
         print(f"{kind:6} {path.absolute()}")
     return 0

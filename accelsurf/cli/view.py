@@ -78,6 +78,7 @@ def view(
     made = run_config(settings, config)
     page = _front_end(page)
     from accelsurf import io
+    from accelsurf.cli.interrupts import default_handling
     from accelsurf.io import channels
 
     volume, *more = channels.read(source)
@@ -85,7 +86,8 @@ def view(
     from accelsurf.viewer.core.session import Session
 
     name = io.split_name(source)[0]
-    with Session(volume, made, name=name, source=source, checkpoint_mb=keep, channels=more) as session:
+    opened = Session(volume, made, name=name, source=source, checkpoint_mb=keep, channels=more)
+    with default_handling(), opened as session:  # Ctrl-C is the documented way to end a page
         session.ready.result()
         if page.browser:
             _serve(session, truth, result, theme, overwrite, page)

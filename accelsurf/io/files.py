@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
+from accelsurf.io.file_set import FileSet, opened
+
+SPACE_HINT = "is there space on the disk?"
+_BLOCK = 1 << 20  # bytes that are compared at once
 
 
 @contextmanager
@@ -43,19 +46,21 @@ def _itk_reason(error: RuntimeError) -> str:
 
 
 @contextmanager
-def staging(path: Path) -> Iterator[Path]:
-    """A temporary folder beside the target, gone afterwards whatever happens.
+def staging(path: Path) -> Iterator[FileSet]:
+    """Drafts of one file, or of one and what belongs to it, gone afterwards whatever happens; see `FileSet.commit`.
 
-    A folder rather than a temporary name: inside it files have their final names, which an .mhd header repeats.
+    They have their final names in a folder of their own, because an .mhd header repeats the name of its data.
+
+    Raises
+    ------
+    OutputError
+        When nothing can be written there, or the work inside raises what a full disk makes Python or ITK raise.
     """
     try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:100]}.", dir=path.parent))
-        try:
-            yield folder
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+        with opened(path.parent, path.name, unique=True) as files:
+            yield files
     except OSError as error:
         raise OutputError(
             f"{path}: cannot be written ({error.strerror or error})",
@@ -68,17 +73,59 @@ def staging(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name in the same folder, then rename it.
+    """Write a file under a temporary name, read it back, compare, and rename it.
 
     Raises
     ------
     OutputError
         When the file cannot be written.
     """
-    with staging(path) as folder:
-        draft = folder / path.name
+    with staging(path) as files:
+        draft = files.drafts / path.name
         draft.write_bytes(content)
-        os.replace(draft, path)
+        check_bytes(draft, content)
+        files.commit()
+
+
+def check_bytes(draft: Path, content: bytes) -> None:
+    """Refuse a draft that does not hold what was meant to be in it.
+
+    Raises
+    ------
+    OutputError
+        With what differs.
+    """
+    size = draft.stat().st_size
+    if size != len(content):
+        raise OutputError(incomplete(draft, f"{size} of {len(content)} bytes arrived"), SPACE_HINT)
+    meant = memoryview(content)
+    with draft.open("rb") as file:
+        for begin in range(0, len(content), _BLOCK):
+            if file.read(_BLOCK) != meant[begin : begin + _BLOCK]:
+                raise OutputError(incomplete(draft, "other bytes are read than were written"), SPACE_HINT)
+
+
+def reserve(path: Path, size: int) -> None:
+    """Make a file of a size, so that a full disk is an error before a library writes and prints messages of its own.
+
+    Raises
+    ------
+    OSError
+        When there is no space, or a file may not be that large.
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return
+    with path.open("wb") as file:
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):  # not known to this file system
+                raise
+
+
+def incomplete(draft: Path, reason: str) -> str:
+    """The message about a draft that is not what was meant."""
+    return f"{draft.name}: cannot be written ({reason})"
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

@@ -8,17 +8,18 @@ written appears whole or not at all, on exactly the grid it was read with.
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import InputError, UsageError
+from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers
-from accelsurf.io.files import naming, staging
+from accelsurf.io.files import SPACE_HINT, naming, staging
 from accelsurf.io.headers import split_name
 from accelsurf.io.memory import available_memory
 from accelsurf.settings.file_formats import ImageFormat, image_format, image_suffixes
@@ -107,13 +108,12 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
         raise UsageError(f"{path}: unknown file type, one of {', '.join(image_suffixes())} expected")
     volume = volume.with_array(_storable(volume.array))
     _check_writable(volume.array, form, suffix)
-    with staging(path) as folder:
-        target = folder / (stem + suffix)  # in lower case, as ITK insists on
+    with staging(path) as files:
+        target = files.drafts / (stem + suffix)  # in lower case, as ITK insists on
         load(form.write)(volume, target)
-        for file in folder.iterdir():  # the data file of an .mhd first: a header never names what is not there
-            if file != target:
-                os.replace(file, path.parent / file.name)
-        os.replace(target, path)
+        _check_draft(volume, target, path.name)
+        target.rename(files.drafts / path.name)
+        files.commit(last=path.name)  # of .mhd the data file first: a header never names what is not there
 
 
 def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
@@ -157,6 +157,28 @@ def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
 def label_type(largest: int) -> np.dtype[Any]:
     """Smallest unsigned type that holds labels up to ``largest``."""
     return np.dtype(np.uint8 if largest <= 255 else np.uint16 if largest <= 65535 else np.uint32)
+
+
+def _check_draft(volume: Volume, draft: Path, name: str) -> None:
+    """Read a draft back, and refuse one that does not hold the volume: ITK's writers say nothing of a full disk.
+
+    Raises
+    ------
+    OutputError
+        With what differs.
+    """
+    try:
+        found = read(draft, memory_bytes=sys.maxsize)
+        difference = stored_grid(volume.geometry, split_name(draft)[1]).difference(found.geometry)
+        same = found.array.dtype == volume.array.dtype and np.array_equal(
+            found.array, volume.array, equal_nan=volume.array.dtype.kind == "f"
+        )
+    except InputError as error:
+        reason = error.message.removeprefix(f"{draft}: ")
+        raise OutputError(f"{name}: cannot be written (what was written is damaged: {reason})", SPACE_HINT) from error
+    if difference or not same:
+        what = difference or "other voxels are read than were written"
+        raise OutputError(f"{name}: cannot be written ({what})", SPACE_HINT)
 
 
 def _storable(array: NDArray[Any]) -> NDArray[Any]:

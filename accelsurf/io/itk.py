@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,7 +62,8 @@ def save(volume: Volume, path: Path, itk_name: str, compress: bool) -> None:
     writer.SetImageIO(itk_name)
     writer.SetFileName(str(path))
     writer.SetUseCompression(compress)
-    with _quiet():
+    # Its libraries print about a full disk and go on: what they wrote is read back, and told in one line.
+    with _quiet(), _without_stderr():
         writer.Execute(image)
 
 
@@ -116,3 +118,21 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         sitk.ProcessObject.SetGlobalWarningDisplay(before)
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Let what compiled code prints to standard error vanish for a moment."""
+    try:
+        before = os.dup(2)
+    except OSError:  # it is closed
+        yield
+        return
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    os.close(null)
+    try:
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ from accelsurf.io import sha256
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
+    from accelsurf.io.file_set import FileSet
 
 
 def describe_input(
@@ -43,8 +45,8 @@ def describe_input(
     return {"path": str(Path(path).absolute()), "sha256": checksum, **grid}
 
 
-def describe_output(path: str | Path, kind: str) -> dict[str, str]:
-    """Return the report's entry about a file that was written.
+def describe_output(path: str | Path, kind: str, draft: Path | None = None) -> dict[str, str]:
+    """Return the report's entry about a file that is written.
 
     Parameters
     ----------
@@ -52,5 +54,20 @@ def describe_output(path: str | Path, kind: str) -> dict[str, str]:
         The file.
     kind : str
         What it is: labels, surface, contour, trace, preview, sdf, ...
+    draft : Path, optional
+        Where its content is until all files of the run are complete.
     """
-    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(path)}
+    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(draft or path)}
+
+
+def describe_drafts(files: FileSet, kinds: Mapping[str, str]) -> list[dict[str, str]]:
+    """Return the report's entries about all drafts of a set, those with a kind first.
+
+    Parameters
+    ----------
+    files : FileSet
+    kinds : mapping of str to str
+        Kind by name; a file that belongs to another one, such as the voxels of an .mhd header, has none: it is "data".
+    """
+    names = [*kinds, *sorted(path.name for path in files.drafts.iterdir() if path.name not in kinds)]
+    return [describe_output(files.folder / name, kinds.get(name, "data"), files.drafts / name) for name in names]

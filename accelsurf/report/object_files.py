@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-
-from accelsurf.errors import OutputError
 
 #: Kinds of outputs of which each object has its own.
 EACH = ("surface", "contour")
@@ -37,21 +35,3 @@ def existing(folder: Path, names: Mapping[str, str]) -> list[Path]:
     known = re.compile("|".join(rf"{re.escape(stem)}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in parts))
     files = folder.iterdir() if folder.is_dir() else ()
     return sorted(path for path in files if known.fullmatch(path.name))
-
-
-def remove_old(folder: Path, names: Mapping[str, str], written: Collection[Path]) -> None:
-    """Remove files of objects that this run does not have, as they do not belong to the new label map.
-
-    Raises
-    ------
-    OutputError
-        When one cannot be removed.
-    """
-    for path in existing(folder, names):
-        if path not in written:
-            try:
-                path.unlink()
-            except OSError as error:
-                raise OutputError(
-                    f"{path}: cannot be removed ({error.strerror or error})", "choose another folder with -o"
-                ) from None

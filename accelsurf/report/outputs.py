@@ -1,25 +1,27 @@
 """The files of a run: which it writes for its image (a mesh for a volume, contours for an image of one slice), and how
-they are written, each completely or not at all.
+they are written, each completely.
 """
 
 from __future__ import annotations
 
 import functools
-import json
 import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from accelsurf import io
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.io.file_set import FileSet, opened
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import object_files, preview, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.preview_content import PreviewContent
+from accelsurf.report.result_sets import is_failure_report
 from accelsurf.settings.file_formats import (
     DEFAULT_IMAGE_FORMAT,
     IMAGE_FORMATS,
@@ -135,14 +137,6 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
         make_writable(folder)
 
 
-def is_failure_report(path: Path) -> bool:
-    """Whether a file is the report of a run that failed."""
-    try:
-        return bool(json.loads(path.read_text(encoding="utf-8"))["status"] == "failed")
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
 def make_writable(folder: Path) -> None:
     """Make a folder, and check that a file can be written there.
 
@@ -158,6 +152,47 @@ def make_writable(folder: Path) -> None:
     except OSError as error:
         reason = error.strerror or str(error)
         raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
+
+
+@contextmanager
+def opened_set(folder: Path, name: str) -> Iterator[FileSet]:
+    """Make a folder, and prepare the files of a run in it; see `accelsurf.io.file_set.opened`.
+
+    Raises
+    ------
+    OutputError
+        When nothing can be written there, or another run is writing files of this name.
+    """
+    make_writable(folder)
+    with ExitStack() as stack:
+        try:
+            files = stack.enter_context(opened(folder, name))
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
+        yield files
+
+
+@contextmanager
+def naming_final(files: FileSet) -> Iterator[None]:
+    """Name in errors the files as they would be called, not their drafts.
+
+    Raises
+    ------
+    OutputError
+        Instead of one that names a draft, and of what a full disk makes Python raise.
+    """
+    try:
+        yield
+    except OutputError as error:
+        message, hint = (text.replace(str(files.drafts), str(files.folder)) for text in (error.message, error.hint))
+        raise OutputError(message, hint) from error
+    except OSError as error:
+        name = Path(error.filename).name if isinstance(error.filename, str) else ""
+        raise OutputError(
+            f"{files.folder / name}: cannot be written ({error.strerror or error})",
+            f"may {files.folder} be written to, is there space on the disk, is a file of it open in another program?",
+        ) from error
 
 
 def write_result(
@@ -200,8 +235,6 @@ def write_result(
         write(folder / name)
         seconds["write"] = seconds.get("write", 0.0) + time.perf_counter() - began
         yield kind, folder / name
-    if result.has_ids:
-        object_files.remove_old(folder, names, [folder / name for _, name, _ in writers])
 
 
 def _has_surface(result: Result) -> bool:

@@ -44,5 +44,5 @@ REPORT_KEYS = {
     "seconds": "wall time of load, start, evolve, mesh, write, total",
     "peak_rss_mb": "largest memory of the process, MB (10^6 bytes)",
     "warnings": "of the run and of the files",
-    "outputs": "files that were written: path, kind, SHA-256",
+    "outputs": "files that were written: path, kind, SHA-256; kind `data` is the data file of an .mhd header",
 }

@@ -304,6 +304,47 @@ def test_a_failure_does_not_replace_the_report_of_a_result(scans, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("words", "code"),
+    [(("--cfl", "-1"), 2), (("--start", "label:absent.nii.gz"), 3), (("--smoothness", "1000"), 5), (("--strict",), 4)],
+)
+def test_a_failing_run_leaves_a_good_result(words, code, scans, tmp_path, capsys):
+    good = ("segment", scans / "ball.nii.gz", "-o", tmp_path, "--overwrite", "--max-steps", 2)
+    assert run(*good, *START) == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert run(*good, *START, *words, *(("--max-steps", 50) if code == 5 else ())) == code
+    assert {name: (tmp_path / name).read_bytes() for name in before} == before
+    others = {path.name for path in tmp_path.iterdir()} - set(before)
+    assert "ball_failed_report.json" in others and all(name.startswith("ball_failed_") for name in others)
+    failed = report_of(tmp_path, "ball_failed")
+    assert (failed["status"], failed["exit_code"]) == ("failed", code)
+    assert {"ball_failed_report.json", *(os.path.basename(one["path"]) for one in failed["outputs"])} == others
+    assert run(*good, *START) == 0
+    assert {path.name for path in tmp_path.iterdir()} == set(before)
+
+
+def test_overwrite_takes_away_what_the_earlier_run_wrote_and_nothing_else(scans, tmp_path):
+    words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1, "--overwrite")
+    assert run(*words, "--mesh", "ply,obj", "--format", "mhd", "--save-sdf") == 0
+    assert (tmp_path / "ball_seg.zraw").exists()
+    assert {one["kind"] for one in report_of(tmp_path)["outputs"]} >= {"labels", "data", "sdf"}
+    (tmp_path / "ball_notes.txt").write_text("mine")
+    (tmp_path / "ball_surface.obj").write_text("changed by hand")
+    assert run(*words, "--mesh", "stl") == 0
+    names = {"seg.nii.gz", "surface.stl", "report.json", "trace.csv", "preview.png", "notes.txt", "surface.obj"}
+    assert {path.name for path in tmp_path.iterdir()} == {f"ball_{name}" for name in names}
+    assert (tmp_path / "ball_surface.obj").read_text() == "changed by hand"
+
+
+def test_two_runs_with_one_output(scans, tmp_path, capsys):
+    from accelsurf.io.file_set import opened
+
+    with opened(tmp_path, "ball"):
+        assert run("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1) == 7
+        assert "another run is writing there now" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
     "start",
     ["ball:500,0,0,5", "ball:0,0,0", "ball:0,0,0,-5", "cone:1,2,3", "label:absent.nii.gz", "threshold:50,60", ""],
 )
@@ -362,12 +403,12 @@ def test_write_that_fails_half_way_is_reported(scans, tmp_path, capsys, monkeypa
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(preview, "preview_png", full)
-    with pytest.raises(OSError, match="No space"):
-        run("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1, "--debug")
+    assert run("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1) == 7
+    assert "cannot be written (No space left on device)" in capsys.readouterr().err
     document = report_of(tmp_path)
-    assert document["status"] == "failed" and document["error"]["type"] == "OSError"
-    assert [output["kind"] for output in document["outputs"]] == ["labels", "surface", "trace"]
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+    assert (document["status"], document["exit_code"]) == ("failed", 7)
+    assert document["error"]["type"] == "OutputError" and document["outputs"] == []
+    assert [path.name for path in tmp_path.iterdir()] == ["ball_report.json"]  # labels of half a run are of none
 
 
 # ---------------------------------------------------------------------------------------------- other commands
@@ -523,6 +564,20 @@ def test_ctrl_c_writes_what_was_reached(tmp_path):
     assert document["stop"]["reason"] == "interrupted" and document["error"] is None
     assert {output["kind"] for output in document["outputs"]} == {"labels", "surface", "trace", "preview"}
     assert io.read_labels(tmp_path / "out" / "ball_seg.nii.gz").array.any()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full")
+def test_streams_that_cannot_be_written():
+    def shell(words):
+        line = f"'{sys.executable}' -m accelsurf {words}"
+        return subprocess.run(["sh", "-c", line], capture_output=True, text=True)
+
+    full = shell("info >/dev/full")
+    assert full.returncode == 7
+    assert full.stderr.splitlines()[0] == "error: standard output: cannot be written (No space left on device)"
+    for words, code in (("info >&-", 0), ("info 2>&-", 0), ("segmen >&- 2>&-", 2), ("segmen 2>/dev/full", 2)):
+        ended = shell(words)
+        assert ended.returncode == code and "Traceback" not in ended.stderr and "error" not in ended.stdout, words
 
 
 def test_closed_stdout_is_no_error():

@@ -7,10 +7,14 @@ from pathlib import Path
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
+from accelsurf.io.files import reserve
 from accelsurf.io.formats import itk_volumes, nifti, nifti_grid
 from accelsurf.io.formats.deflate import gzip_file
 from accelsurf.io.memory import check_memory
 from accelsurf.io.metadata import WARNING_KEY
+
+#: Bytes before the voxels of a file that ITK writes.
+_MAX_HEADER_BYTES = 352
 
 
 def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
@@ -54,6 +58,7 @@ def read_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[V
 
 def write(volume: Volume, path: Path) -> None:
     """Write NIfTI-1, with the numbers and codes that placed the volume when it was read."""
+    reserve(path, volume.array.nbytes + _MAX_HEADER_BYTES)
     itk.save(volume, path, nifti.ITK_NAME, compress=False)
     if (fields := volume.metadata.get(nifti_grid.METADATA_KEY)) is not None:
         itk_volumes.restore_grid(path, volume, nifti.ITK_NAME, lambda file: nifti_grid.put_grid(file, fields))

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
+from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, file_entries, object_files, outputs
+from accelsurf.report import document, file_entries, object_files, outputs, result_sets
 from accelsurf.segmentation.api import Result, result_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -23,7 +24,9 @@ RUN_FILE = "run.toml"
 def save(
     run: Run, folder: Path, name: str, source: Path | None, what: Collection[str], replaceable: Collection[Path] | None
 ) -> list[Path]:
-    """Write the present result of a run into a folder.
+    """Write the present result of a run into a folder, all files at once.
+
+    Where a report of such a run stands, all files that it lists are written too: they show the same state then.
 
     Parameters
     ----------
@@ -61,22 +64,44 @@ def save(
     suffix = "" if source is None else io.split_name(source)[1]
     labels = outputs.label_format(config, suffix)
     outputs.check(config, labels, run.volume.geometry)
-    all_names = outputs.names(config, labels, run.volume.geometry.slice_axis is not None).items()
-    names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
-    paths = _result_paths(result, folder, names)
-    paths |= {"run": folder / RUN_FILE} if "run" in what else {}
-    paths |= {"report": folder / f"{name}_report.json"} if "report" in what else {}
-    _check_paths(paths, replaceable)
-    written = []
+    with outputs.opened_set(folder, name) as files:
+        what = _all_beside_report(folder / result_sets.report_name(name), what)
+        all_names = outputs.names(config, labels, run.volume.geometry.slice_axis is not None).items()
+        names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
+        paths = _result_paths(result, folder, names)
+        paths |= {"run": folder / RUN_FILE} if "run" in what else {}
+        paths |= {"report": folder / result_sets.report_name(name)} if "report" in what else {}
+        _check_paths(paths, replaceable)
+        with outputs.naming_final(files):
+            return _write(files, paths, names, name, source, result)
+
+
+def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
+    """What is saved: where a report stands, also all that it lists, so that files of one name show one state."""
+    if result_sets.load_report(report) is None or result_sets.is_failure_report(report):
+        return set(what)
+    listed = result_sets.kinds_of_outputs(report)
+    return {*what, "report", *(_kind(kind) for kind in listed)} & set(KINDS)
+
+
+def _write(
+    files: FileSet, paths: Mapping[str, Path], names: Mapping[str, str], name: str, source: Path | None, result: Result
+) -> list[Path]:
+    """Write all files at once; return them, the configuration first and the report last."""
+    kinds = {}
     if "run" in paths:
-        write_bytes(paths["run"], _toml(config, result, source).encode())
-        written.append(("run", paths["run"]))
+        write_bytes(files.drafts / RUN_FILE, _toml(result.config, result, source).encode())
+        kinds[RUN_FILE] = "run"
     content = outputs.preview_content(result, outputs.outcome_title(name, result))
-    written += list(outputs.write_result(result, folder, names, content))
+    kinds |= {path.name: kind for kind, path in outputs.write_result(result, files.drafts, names, content)}
+    last = None
     if "report" in paths:
-        _write_report(paths["report"], config, source, result, written)
-        written.append(("report", paths["report"]))
-    return [path for _, path in written]
+        last = paths["report"].name
+        _write_report(files, last, kinds, source, result)
+        kinds[last] = "report"
+    written = [path.name for path in files.drafts.iterdir()]
+    files.commit(last=last, remove=result_sets.outdated(files.folder, name, written, failed=False))
+    return [files.folder / written for written in kinds]
 
 
 def _result_paths(result: Result, folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
@@ -95,24 +120,25 @@ def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -
 
 
 def _write_report(
-    path: Path, config: RunConfig, source: Path | None, result: Result, written: Collection[tuple[str, Path]]
+    files: FileSet, report: str, kinds: Mapping[str, str], source: Path | None, result: Result
 ) -> None:
-    """Write the report that names the files ``written`` before it, (kind, path) each."""
+    """Write the report that names the drafts of these ``kinds``."""
     contents = document.build(
         status="ok",
         exit_code=0,
         argv=sys.argv,
-        config=config,
+        config=result.config,
         source=None if source is None else file_entries.describe_input(source, geometry=result.geometry),
         result=result,
-        outputs=[file_entries.describe_output(path, kind) for kind, path in written],
+        outputs=file_entries.describe_drafts(files, kinds),
     )
-    write_bytes(path, (document.to_json(contents) + "\n").encode())
+    write_bytes(files.drafts / report, (document.to_json(contents) + "\n").encode())
 
 
 def _kind(output: str) -> str:
     """The one of `KINDS` that an output belongs to."""
-    kinds = {"labels": "labels", "sdf": "labels", "objects": "report", "trace": "trace", "preview": "picture"}
+    kinds = {"labels": "labels", "data": "labels", "sdf": "labels", "objects": "report", "trace": "trace"}
+    kinds |= {"preview": "picture", "run": "run"}
     return kinds.get(output, "mesh")
 
 

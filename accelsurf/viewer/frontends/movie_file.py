@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,8 @@ from PIL import Image, features
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.evolution.records import StepRecord
-from accelsurf.io.files import staging
+from accelsurf.io.files import SPACE_HINT, staging
+from accelsurf.report import result_sets
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
@@ -149,11 +149,35 @@ def write(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
     """
     check_target(path, movie.size)
     encode = _mp4 if path.suffix.lower() == ".mp4" else _animation
-    with staging(path) as folder:
-        draft = folder / path.name
+    with staging(path) as files:
+        draft = files.drafts / path.name
         count = encode(draft, frames, movie)
-        os.replace(draft, path)
+        _check_draft(draft, count)
+        files.commit()
     return count
+
+
+def _check_draft(draft: Path, count: int) -> None:
+    """Refuse a movie that does not hold all its frames: encoders may say nothing of a full disk.
+
+    Raises
+    ------
+    OutputError
+        With the number that it holds.
+    """
+    try:
+        if draft.suffix.lower() == ".mp4":
+            found, _ = _ffmpeg().count_frames_and_secs(str(draft))
+        else:
+            with Image.open(draft) as movie:
+                # Frames that are alike are joined: the last one must be whole.
+                found = count
+                movie.seek(getattr(movie, "n_frames", 1) - 1)
+                movie.load()
+    except (OSError, EOFError, SyntaxError, ValueError, RuntimeError) as error:
+        raise OutputError(f"{draft.name}: cannot be written (it is damaged: {error})", SPACE_HINT) from error
+    if found != count:
+        raise OutputError(f"{draft.name}: cannot be written ({found} of {count} frames arrived)", SPACE_HINT)
 
 
 def _mp4(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
@@ -221,7 +245,7 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         When there is no report or more than one, it is not of a run that can be repeated, or the image is missing or
         has changed.
     """
-    reports = sorted(folder.glob("*_report.json"))
+    reports = [path for path in sorted(folder.glob("*_report.json")) if not _is_failure_beside(path)]
     if len(reports) != 1:
         found = "no report (NAME_report.json)" if not reports else f"{len(reports)} reports"
         raise InputError(f"{folder}: {found} there, expected one", "give the image and its settings instead")
@@ -242,3 +266,8 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
     if checksum is not None and io.sha256(image) != checksum:
         raise InputError(f"{image}: has changed, it is not the image of {path.name} any more", "run segment again")
     return image, RunConfig(**settings)
+
+
+def _is_failure_beside(path: Path) -> bool:
+    """Whether a report is that of a failed run beside a result."""
+    return path.name.endswith(result_sets.report_name(result_sets.FAILED)) and result_sets.is_failure_report(path)

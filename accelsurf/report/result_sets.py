@@ -1,0 +1,120 @@
+"""The files of an earlier run, by its report: which of them a new run replaces, and which it may not touch."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Any
+
+from accelsurf.errors import AccelsurfError
+from accelsurf.io import sha256
+
+#: What the names of a failed run's files have after the name of the case, where a result stands already.
+FAILED = "_failed"
+
+
+def report_name(name: str) -> str:
+    """Return the name of the report of a case.
+
+    Examples
+    --------
+    >>> report_name("scan"), report_name("scan" + FAILED)
+    ('scan_report.json', 'scan_failed_report.json')
+    """
+    return f"{name}_report.json"
+
+
+def load_report(path: Path) -> dict[str, Any] | None:
+    """Return the report in a file; None where there is none, or where it is none of accelsurf."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) and "status" in document and "outputs" in document else None
+
+
+def is_failure_report(path: Path) -> bool:
+    """Whether a file is the report of a run that failed, or that was ended before it had a result."""
+    document = load_report(path)
+    return document is not None and (document["status"] == "failed" or not document["outputs"])
+
+
+def kinds_of_outputs(report: Path) -> set[str]:
+    """Return the kinds of the files that a report lists."""
+    document = load_report(report)
+    listed = document["outputs"] if document is not None else ()
+    return {str(entry.get("kind")) for entry in listed if isinstance(entry, dict)}
+
+
+def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
+    """Return the names of the files beside a report that are still as it lists them.
+
+    A file that somebody has changed since is not the run's any more, and does not go with it.
+
+    Parameters
+    ----------
+    report : Path
+    besides : collection of str
+        Names to leave out: those are replaced anyway.
+    """
+    document = load_report(report)
+    found = []
+    for name, checksum in _entries(document["outputs"] if document is not None else ()):
+        path = report.parent / name
+        try:
+            if name not in besides and path.is_file() and sha256(path) == checksum:
+                found.append(name)
+        except AccelsurfError:
+            continue
+    return found
+
+
+def result_stands(folder: Path, name: str, planned: Iterable[Path]) -> bool:
+    """Whether a folder has files of a case that a failed run must not replace: any but those of an earlier failure.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Of the case.
+    planned : iterable of Path
+        All files that a run of the case may write.
+    """
+    report = folder / report_name(name)
+    document = load_report(report) if is_failure_report(report) else None
+    own = {report.name, *(name for name, _ in _entries(document["outputs"]))} if document is not None else set()
+    there = [path for path in {*planned, report} if os.path.lexists(path)]
+    return any(path.name not in own for path in there)
+
+
+def outdated(folder: Path, name: str, written: Collection[str], failed: bool) -> list[str]:
+    """Return the names of the files that go when those of a new run come.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        First part of the new files' names.
+    written : collection of str
+        The new files.
+    failed : bool
+        Whether the new run failed. Of a run that did not, the files of a failed one before it go too.
+    """
+    reports = [folder / report_name(name)] if load_report(folder / report_name(name)) is not None else []
+    if not failed and is_failure_report(folder / report_name(name + FAILED)):
+        reports.append(folder / report_name(name + FAILED))
+    gone = [one for report in reports for one in (*unchanged_outputs(report, written), report.name)]
+    return [one for one in gone if one not in written]
+
+
+def _entries(outputs: Any) -> list[tuple[str, str]]:
+    """Name and checksum of each file; a report may have been moved with its folder, so the folder does not count."""
+    found = []
+    for entry in outputs if isinstance(outputs, list) else ():
+        if isinstance(entry, dict) and isinstance(entry.get("path"), str) and isinstance(entry.get("sha256"), str):
+            name = entry["path"].replace("\\", "/").rpartition("/")[2]
+            if name not in ("", ".", ".."):
+                found.append((name, entry["sha256"]))
+    return found

@@ -1,0 +1,295 @@
+"""Runs that are killed, interrupted or out of space at seeded moments, and whether their files still belong together.
+
+Each trial runs ``accelsurf segment --overwrite`` on a small image, into a folder with an earlier result. The settings
+change from run to run, so that old and new files differ, and so do their names.
+
+* kill: SIGKILL at a random moment of the whole run, or of the part in which files are written.
+* interrupt: SIGINT, once or twice, or SIGTERM at such a moment.
+* disk: no file may grow beyond a random size, as on a full disk.
+
+After each the files must be those that one report names, by their checksums: all old or all new. Whatever is hidden
+must go with the next run. ``python -m benchmarks.kills --help`` lists the options; the table in
+docs/how-to/files-of-a-run.md says what is promised.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from accelsurf import io
+from accelsurf.errors import AccelsurfError
+from accelsurf.io.file_set import recover
+from accelsurf.phantoms import recipes
+
+NAME = "ball"
+FORMATS = ("nii.gz", "nii", "nrrd", "mha", "mhd", "tif")
+MESHES = ("ply", "stl", "obj,vtp")
+#: Exit code of a run that could not write.
+CANNOT_WRITE = 7
+SMALLEST, LARGEST = 60, 400_000  # bytes, of the limits of a file's size
+#: A signal that comes within this time of the end may be too late to change anything.
+TOO_LATE_SECONDS = 0.05
+
+
+@dataclass
+class Bench:
+    """A folder with an image and with results, in which runs are disturbed.
+
+    Attributes
+    ----------
+    folder : Path
+    random : random.Random
+    seconds : float
+        Duration of an undisturbed run.
+    writing : float
+        The part of it from the first draft on.
+    """
+
+    folder: Path
+    random: random.Random
+    seconds: float = 0.0
+    writing: float = 0.0
+    runs: int = 0
+
+    @property
+    def results(self) -> Path:
+        return self.folder / "out"
+
+    @classmethod
+    def prepared(cls, folder: Path, seed: int) -> Bench:
+        """With an image and a first result."""
+        recipe = recipes.Recipe(kind="ball", shape=(24, 22, 20), radius=7, noise=0.1)
+        io.write(recipes.make(recipe).image, folder / f"{NAME}.nii.gz")
+        bench = cls(folder, random.Random(seed))
+        bench.finish()  # compiles what is not compiled yet
+        began = time.perf_counter()
+        program = bench.start()
+        bench.wait_for_drafts(program)
+        first = time.perf_counter()
+        program.communicate(timeout=600)
+        bench.seconds, bench.writing = time.perf_counter() - began, time.perf_counter() - first
+        return bench
+
+    def words(self) -> list[str]:
+        """A command line that differs from the one before."""
+        self.runs += 1
+        form, mesh = FORMATS[self.runs % len(FORMATS)], MESHES[self.runs % len(MESHES)]
+        words = ["segment", str(self.folder / f"{NAME}.nii.gz"), "-o", str(self.results), "--overwrite"]
+        words += ["--start", "ball:0,0,0,4", "--max-steps", str(2 + self.runs % 5), "--format", form, "--mesh", mesh]
+        return [*words, "--save-sdf"] if self.runs % 2 else words
+
+    def start(self, limit: int | None = None) -> subprocess.Popen[str]:
+        """Start a run; with a limit no file can have more bytes."""
+
+        def limited() -> None:
+            if limit is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+        return subprocess.Popen(
+            [sys.executable, "-m", "accelsurf", *self.words()],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limited,
+        )
+
+    def finish(self) -> None:
+        """Run undisturbed."""
+        program = self.start()
+        _, error = program.communicate(timeout=600)
+        if program.returncode != 0:
+            raise RuntimeError(f"an undisturbed run ended with {program.returncode}: {error}")
+
+    def hidden(self) -> list[Path]:
+        """What is left of runs."""
+        return sorted(self.results.glob(".*"))
+
+    def wait_for_drafts(self, program: subprocess.Popen[str]) -> None:
+        """Wait until a run writes its first file, or ends."""
+        while program.poll() is None and not any(self.results.glob(".*/new/*")):
+            time.sleep(0.002)
+
+    def wait(self, program: subprocess.Popen[str]) -> str:
+        """Wait for a random moment, in every second trial one at which files are written; describe it."""
+        if self.random.random() < 0.5:
+            moment = self.random.uniform(0.0, self.seconds)
+            time.sleep(moment)
+            return f"{moment:.3f} s after the start"
+        self.wait_for_drafts(program)
+        moment = self.random.uniform(0.0, self.writing)
+        time.sleep(moment)
+        return f"{moment:.3f} s after the first draft"
+
+    def report(self) -> bytes:
+        """The report, or nothing."""
+        path = self.results / f"{NAME}_report.json"
+        return path.read_bytes() if path.exists() else b""
+
+
+def fault_of(folder: Path, name: str = NAME) -> str:
+    """What is wrong with the files of a case: empty when they are those of its report, all of them and readable."""
+    try:
+        report = json.loads((folder / f"{name}_report.json").read_bytes())
+    except FileNotFoundError:
+        return "there is no report"
+    except ValueError:
+        return "broken: the report is no JSON"
+    listed = {f"{name}_report.json"}
+    for entry in report["outputs"]:
+        path = folder / Path(entry["path"]).name
+        listed.add(path.name)
+        if not path.exists():
+            return f"mixed: {path.name} is missing"
+        if hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
+            return f"mixed: {path.name} is not the one of the report"
+        if entry["kind"] in ("labels", "sdf"):
+            try:
+                io.read(path)
+            except AccelsurfError as error:
+                return f"broken: {error}"
+    failed = folder / f"{name}_failed_report.json"
+    others = {path.name for path in folder.iterdir() if path.name.startswith(f"{name}_")} - listed - {failed.name}
+    return f"mixed: {', '.join(sorted(others))} beside the report" if others else ""
+
+
+@dataclass
+class Outcome:
+    """Counts of one kind of trials.
+
+    Attributes
+    ----------
+    runs : int
+    counts : dict of str to int
+        How often what was the case.
+    faults : list of str
+    """
+
+    runs: int = 0
+    counts: dict[str, int] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+
+    def count(self, what: str) -> None:
+        self.counts[what] = self.counts.get(what, 0) + 1
+
+    def as_json(self) -> dict[str, Any]:
+        return {"runs": self.runs, **dict(sorted(self.counts.items())), "faults": self.faults}
+
+
+def kill(bench: Bench, outcome: Outcome) -> None:
+    """One run that is killed."""
+    outcome.runs += 1
+    before, program = bench.report(), bench.start()
+    moment = bench.wait(program)
+    program.kill()
+    program.communicate()
+    if any((hidden / "journal.json").exists() for hidden in bench.hidden()):
+        outcome.count("killed between two renames, finished by the next reader")
+        recover(bench.results)
+    if fault := fault_of(bench.results):
+        outcome.faults.append(f"kill {moment}: {fault}")
+    outcome.count("old files" if bench.report() == before else "new files")
+
+
+def interrupt(bench: Bench, outcome: Outcome) -> None:
+    """One run with Ctrl-C, pressed once or twice, or with SIGTERM."""
+    outcome.runs += 1
+    before, program = bench.report(), bench.start()
+    how = bench.random.choice(("SIGINT", "SIGINT", "SIGINT twice", "SIGTERM"))
+    number = signal.Signals[how.split()[0]]
+    moment = f"by {how} {bench.wait(program)}"
+    alive = program.poll() is None
+    program.send_signal(number)
+    if how == "SIGINT twice":
+        time.sleep(bench.random.uniform(0.0, 0.2))
+        program.send_signal(number)
+    sent = time.perf_counter()
+    _, error = program.communicate(timeout=600)
+    late = time.perf_counter() - sent < TOO_LATE_SECONDS
+    if program.returncode == 0 and (late or not alive):
+        outcome.count("ended before the signal")
+    elif program.returncode in (-number, 1) and "accelsurf" not in error:  # Python itself was starting
+        outcome.count("before the first line of the program")
+    elif program.returncode != 128 + number or "interrupted" not in error or "Traceback" in error:
+        outcome.faults.append(f"interrupt {moment}: exit {program.returncode}, {error.strip()[-300:]!r}")
+    if fault := fault_of(bench.results) or ", ".join(map(str, bench.hidden())):
+        outcome.faults.append(f"interrupt {moment}: {fault}")
+    outcome.count("old files" if bench.report() == before else "new files")
+
+
+def fill_disk(bench: Bench, outcome: Outcome) -> None:
+    """One run in which no file may be larger than a random size."""
+    outcome.runs += 1
+    limit = round(math.exp(bench.random.uniform(math.log(SMALLEST), math.log(LARGEST))))
+    before, program = bench.report(), bench.start(limit)
+    _, error = program.communicate(timeout=600)
+    replaced = bench.report() != before
+    outcome.count(f"exit {program.returncode}")
+    if program.returncode != (0 if replaced else CANNOT_WRITE) or "Traceback" in error:
+        said = error.strip()[-300:]
+        outcome.faults.append(f"limit {limit}: exit {program.returncode}, replaced {replaced}, {said!r}")
+    if fault := fault_of(bench.results) or ", ".join(map(str, bench.hidden())):
+        outcome.faults.append(f"limit {limit}: {fault}")
+
+
+KINDS = {"kills": kill, "interrupts": interrupt, "full disks": fill_disk}
+
+
+def run_trials(bench: Bench, counts: dict[str, int], every: int = 5) -> dict[str, Any]:
+    """Run trials; after ``every`` so many, and at the end, a run that is not disturbed must leave nothing hidden.
+
+    Parameters
+    ----------
+    bench : Bench
+    counts : dict of str to int
+        How many of each of `KINDS`.
+    every : int, optional
+    """
+    found: dict[str, Any] = {}
+    for kind, count in counts.items():
+        outcome = Outcome()
+        for number in range(1, count + 1):
+            KINDS[kind](bench, outcome)
+            if number % every == 0 or number == count:
+                bench.finish()
+                if left := bench.hidden() or list(bench.results.glob("*_failed*")):
+                    outcome.faults.append(f"left after the next run: {', '.join(map(str, left))}")
+                if fault := fault_of(bench.results):
+                    outcome.faults.append(f"after the next run: {fault}")
+            if number % 10 == 0:
+                print(f"{kind}: {number} of {count}, {len(outcome.faults)} faults", file=sys.stderr, flush=True)
+        found[kind] = outcome.as_json()
+    return found
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="scripts/kills", description="Kill runs, and check their files.")
+    parser.add_argument("--runs", type=int, default=200, help="runs that are killed, default 200")
+    parser.add_argument("--interrupts", type=int, default=40, help="runs with Ctrl-C, default 40")
+    parser.add_argument("--disks", type=int, default=50, help="runs on a full disk, default 50")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments and sizes, default 0")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "kills.json")
+    given = parser.parse_args(argv)
+    counts = {"kills": given.runs, "interrupts": given.interrupts, "full disks": given.disks}
+    with tempfile.TemporaryDirectory(prefix="accelsurf-kills-") as folder:
+        bench = Bench.prepared(Path(folder), given.seed)
+        found = {"seed": given.seed, "seconds_of_a_run": round(bench.seconds, 2), **run_trials(bench, counts)}
+    given.output.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    print(json.dumps(found, indent=2))
+    return 1 if any(found[kind]["faults"] for kind in counts) else 0
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+    sys.exit(main())

@@ -1,0 +1,30 @@
+"""A few trials of `benchmarks.kills`; the command has many."""
+
+import pytest
+
+from benchmarks import kills
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    return kills.Bench.prepared(tmp_path_factory.mktemp("kills"), seed=1)
+
+
+@pytest.mark.parametrize(("kind", "count"), [("kills", 2), ("interrupts", 2), ("full disks", 1)])
+def test_no_run_leaves_files_that_do_not_belong_together(kind, count, bench):
+    found = kills.run_trials(bench, {kind: count})[kind]
+    assert found["runs"] == count and found["faults"] == []
+
+
+def test_files_that_do_not_belong_together_are_seen(bench):
+    path = bench.results / "ball_trace.csv"
+    good = path.read_bytes()
+    assert kills.fault_of(bench.results) == ""
+    path.write_bytes(good + b"1")
+    assert kills.fault_of(bench.results) == "mixed: ball_trace.csv is not the one of the report"
+    path.unlink()
+    assert kills.fault_of(bench.results) == "mixed: ball_trace.csv is missing"
+    path.write_bytes(good)
+    (bench.results / "ball_surface.xyz").write_bytes(b"")
+    assert kills.fault_of(bench.results) == "mixed: ball_surface.xyz beside the report"
+    (bench.results / "ball_surface.xyz").unlink()
