@@ -18,6 +18,18 @@ MAX_DEPARTURE = 2.0
 
 
 @kernel
+def continue_weights(beyond, w, o):
+    """Weights, as of `axis_weights`, at the end of an axis for a point ``beyond`` voxels off it: linear up to the face.
+
+    What has a slope at the border, as the part of a velocity along the border's normal has, keeps it to where the
+    volume ends, half a voxel off; further out it is held.
+    """
+    off = min(max(beyond, -0.5), 0.5)
+    for i in range(4):
+        w[o + i] += off * w[o + 4 + i]
+
+
+@kernel
 def band_vector_at(values, slot, grid, position, w, out):
     """Interpolate band fields ``values`` (n, m) at ``position`` (index coordinates) into ``out`` (m,).
 
@@ -27,9 +39,13 @@ def band_vector_at(values, slot, grid, position, w, out):
     n, m = values.shape
     for c in range(m):
         out[c] = 0.0
-    bz, mz, _ = axis_weights(position[0], grid.nz, w, 0)
-    by, my, _ = axis_weights(position[1], grid.ny, w, 8)
-    bx, mx, _ = axis_weights(position[2], grid.nx, w, 16)
+    bz, mz, ez = axis_weights(position[0], grid.nz, w, 0)
+    by, my, ey = axis_weights(position[1], grid.ny, w, 8)
+    bx, mx, ex = axis_weights(position[2], grid.nx, w, 16)
+    if ez != 0.0 or ey != 0.0 or ex != 0.0:
+        continue_weights(ez, w, 0)
+        continue_weights(ey, w, 8)
+        continue_weights(ex, w, 16)
     for i in range(mz):
         for j in range(my):
             at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
