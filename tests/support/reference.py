@@ -103,11 +103,22 @@ def has_stencil(present, position):
 
 
 def band_vector(values, present, position):
-    """(vector, found): (z, y, x, m) ``values`` at ``position``, cubic where the stencil is ``present``, else linear."""
-    clamped = np.clip(position, 0, np.array(present.shape) - 1.0)
+    """(vector, found): (z, y, x, m) ``values`` at ``position``, cubic where the stencil is ``present``, else linear.
+
+    The cubic one goes straight on beyond the border up to its faces.
+    """
     parts = np.moveaxis(np.asarray(values, float), -1, 0)
     if has_stencil(present, position):
-        return np.array([interpolate(part, clamped)[0][0] for part in parts]), True
+        out = np.asarray(values, float)
+        for p, n in zip(position, present.shape, strict=True):
+            base, weights, _, beyond = axis_weights(np.array([p], float), n)
+            line = out[base[0] : base[0] + weights.shape[1]]
+            out = np.tensordot(weights[0], line, 1)
+            # Straight on to the face, half a voxel off the last voxel centre.
+            if n > 1:
+                end, next_ = (line[0], line[1]) if beyond[0] < 0 else (line[-1], line[-2])
+                out = out + min(abs(beyond[0]), 0.5) * (end - next_)
+        return out, True
     found = [known_linear(part, present, position) for part in parts]
     return np.array([value for value, _ in found]), found[0][1]
 
