@@ -115,8 +115,8 @@ def measure_band(start, stop, psi, grid, band, within, out):
                 )
                 variation[s] = curvature[s]
                 if is_at_border(iz, iy, ix, grid) and voxels <= within:
-                    mean, gauss = mirrored_curvatures(psi, band.cells[s], iz, iy, ix, grid)
-                    variation[s] = curvature_at_foot(mean, gauss, d, most)
+                    mirrored, _ = mirrored_curvatures(psi, band.cells[s], iz, iy, ix, grid)
+                    variation[s] = min(max(curvature[s] + mirrored - mean, -most), most)
         block_curvatures(count, grid, rows, shape)
         for i in range(count):
             s = which[i]

@@ -94,8 +94,8 @@ def only_area(flow: str, dim: int, r0: float, t_end: float) -> Case:
 @pytest.mark.parametrize("flow", FLOWS)
 def test_a_half_circle_at_the_border_shrinks_as_the_whole_one(flow: str) -> None:
     """Before, the contact line felt no force: 3.3 h off at n = 64, 6.7 h at 128."""
-    case = only_area(flow, 2, 0.35, 1.5)
-    errors = [radial_error(case, flow, slice_of(n), (2.0 if flow == "gradient" else 0.25) / n) for n in (32, 64)]
+    case = only_area(flow, 2, 0.35, 1.2)
+    errors = [radial_error(case, flow, slice_of(n), (2.0 if flow == "gradient" else 0.4) / n) for n in (32, 64)]
     print(f"\nhalf circle, {flow}: {errors[0]:.4f} h, {errors[1]:.4f} h")
     assert errors[1] < errors[0] < 0.01
 
@@ -110,8 +110,8 @@ def test_the_closed_form_of_the_half_circle_under_descent() -> None:
 def test_a_half_disc_comes_to_rest_at_the_border(flow: str) -> None:
     """F = 5 (r - 0.3) and the area: at rest where F + alpha/r = 0. Before: 5 h off at n = 32, 10 h at 64."""
     alpha = 0.03
-    case = Case("disc", 0.36, lambda r: 5 * (r - 0.3) + alpha / r, alpha, 3.0, 2, flowable=flow == "flowable-mass")
-    errors = [radial_error(case, flow, slice_of(n), 0.25 / n) for n in (32, 64)]
+    case = Case("disc", 0.36, lambda r: 5 * (r - 0.3) + alpha / r, alpha, 1.5, 2, flowable=flow == "flowable-mass")
+    errors = [radial_error(case, flow, slice_of(n), 0.4 / n) for n in (32, 64)]
     print(f"\nhalf disc, {flow}: {errors[0]:.4f} h, {errors[1]:.4f} h")
     assert errors[1] < errors[0] < 0.03
 
@@ -126,7 +126,7 @@ def test_a_capillary_wave_that_ends_at_the_border(flow: str) -> None:
         y, x = on.points[1], on.points[2]
         surface = LevelSet(y - a0 * np.cos(math.pi * x), on.spacing, 4.0)
         worst = 0.0
-        for t, _ in steps(surface, RegionField(0 * y, alpha), FLOWS[flow](), 0.25 * h, 2.2):
+        for t, _ in steps(surface, RegionField(0 * y, alpha), FLOWS[flow](), 0.4 * h, 1.6):
             found = points_within(surface, on)
             want = a0 * 2 * j1(omega * t) / (omega * t) * np.cos(math.pi * found[:, 2])
             worst = max(worst, float(np.abs(found[:, 1] - want).max()))
@@ -139,11 +139,11 @@ def test_a_capillary_wave_that_ends_at_the_border(flow: str) -> None:
 FACES: list[Triple] = [(0, 0.5, 0.5), (1, 0.5, 0.5), (0.5, 0, 0.5), (0.5, 1, 0.5), (0.5, 0.5, 0), (0.5, 0.5, 1)]
 
 
-def ball_on(at: Triple, spacing: Triple, flow: str, n: int = 16, t_end: float = 1.0) -> float:
+def ball_on(at: Triple, spacing: Triple, flow: str, n: int = 16, t_end: float = 0.8) -> float:
     """`radial_error` of a part of a ball of radius 0.5 that shrinks by its area, the volume 1 mm long from its face."""
     shape = tuple(round((1.3 if part == 0.5 else 0.8) * n / h) for h, part in zip(spacing, at, strict=True))
     on = box((shape[0], shape[1], shape[2]), (spacing[0] / n, spacing[1] / n, spacing[2] / n), at)
-    return radial_error(only_area(flow, 3, 0.5, t_end), flow, on, (1.0 if flow == "gradient" else 0.25) / n)
+    return radial_error(only_area(flow, 3, 0.5, t_end), flow, on, (1.0 if flow == "gradient" else 0.4) / n)
 
 
 @pytest.mark.parametrize("at", FACES)
@@ -169,7 +169,7 @@ def test_parts_of_a_ball_with_unequal_spacing(at: Triple) -> None:
 MIRRORED: dict[str, tuple[Callable[[], Flow], float]] = {
     "gradient": (Gradient, 0.002),
     "smoothed gradient": (lambda: Gradient(diffusion=0.02), 0.01),
-    "sobolev": (lambda: Sobolev(0.1), 0.01),
+    "sobolev": (lambda: Sobolev(0.1), 0.02),
     "heavy-ball": (HeavyBall, 0.002),
     "constant-density": (lambda: ConstantDensity(diffusion=0.0), 0.005),
     "constant-density, diffusion": (lambda: ConstantDensity(diffusion=None), 0.03),
@@ -247,7 +247,7 @@ def tilted(n: int, slope: float, c: float = 0.0) -> tuple[Box, LevelSet]:
     return on, LevelSet(normal[0] * on.points[1] + normal[1] * on.points[2] - c, on.spacing)
 
 
-@pytest.mark.parametrize("angle", [-20.0, -5.0, 5.0, 20.0, 40.0])
+@pytest.mark.parametrize("angle", [-40.0, -20.0, -5.0, 5.0, 20.0, 40.0])
 def test_the_force_on_the_contact_line_is_the_derivative_of_the_area(angle: float) -> None:
     """A straight front at an angle: sum (variation x area) is what the shift of the contact line takes from its area.
 
@@ -265,7 +265,8 @@ def test_the_force_on_the_contact_line_is_the_derivative_of_the_area(angle: floa
     assert np.abs(curvature[near & surface.front(0.75)]).max() < 0.01 and np.abs(curvature[near]).max() < 0.1 * n
     # N points inward: N . n_border = sin a at x = 0, where the border's normal is -x.
     got = float((variation * area)[near].sum()) * n
-    assert got == pytest.approx(slope, rel=0.1, abs=0.005)
+    print(f"\n{angle} degrees: {got / slope:.3f}")
+    assert got == pytest.approx(slope, rel=0.05)
 
 
 def test_edges_of_an_image_have_the_same_condition() -> None:
