@@ -66,5 +66,6 @@ class Energy(ABC):
         front : ndarray (n,) of bool
             Band cells that need a force; the others do not count.
         curvature : ndarray (n,), float32
-            H at the front, 1/mm, positive on a sphere.
+            H at the front, 1/mm, positive on a sphere: the first variation of the area within the volume, see
+            `LevelSet.area_variation`. At the volume's border it differs from the flow's curvature.
         """

@@ -243,7 +243,7 @@ class Evolution:
             state.budget.record_loss(flow.zero_momentum(area))
         front = surface.front(flow.stencil_width(surface))
         curvature = surface.curvature(front)
-        force = self.energy.force(surface, front, curvature)
+        force = self.energy.force(surface, front, surface.area_variation(front, curvature))
         plan = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self.limits)
         if not plan.dt > 0:
             return self._end(("converged", "no force acts on the surface"), columns, began)

@@ -33,8 +33,11 @@ def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
     return min(largest_diffusion(surface) / dt, MIXING * surface.smallest_spacing * speed)
 
 
-def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float) -> None:
+def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float, component: int = -1) -> None:
     """Diffuse an extended field (n,) along the surface in place, by ``amount`` = D dt (mm2).
+
+    No flux passes the volume's border: the field is mirrored there. A vector's ``component`` along an axis (0, 1, 2)
+    changes its sign in the mirror of the two borders across that axis.
 
     Runge-Kutta-Legendre of first order (Meyer, Balsara, Aslam 2012): s explicit stages make (s^2 + s)/2
     times the amount of one, each a Laplacian and an extension; as few as ``amount`` needs, at most `MAX_STAGES`.
@@ -46,14 +49,19 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     share = 2.0 / (s * s + s) * amount
     older, old = field, field
     on = np.flatnonzero(front).astype(np.int32)
-    table = np.empty((on.size, 6), np.int32)
+    table, at_wall = np.empty((on.size, 6), np.int32), np.empty(on.size, np.bool_)
     parallel = surface.workers.parallel
-    parallel(motion.neighbour_slots, on.size, surface.dense.slot, surface.grid, surface.band.cells, on, table)
+    where = surface.dense.slot, surface.grid, surface.band.cells
+    parallel(motion.neighbour_slots, on.size, *where, on, component, (table, at_wall))
+    walls = on[at_wall]
+    # A value of the other sign beyond the wall, instead of the same: 2 less of it.
+    to_wall = 2.0 / surface.grid[3 + component] ** 2 if walls.size else 0.0
     for j in range(1, s + 1):
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
         new = np.empty_like(field)
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
         parallel(motion.diffusion_stage, on.size, on, table, surface.grid, (old, older), weights, new)
+        new[walls] -= np.float32(mu * share * to_wall) * old[walls]
         surface.extend_outwards(new, front)
         older, old = old, new
     field[:] = old

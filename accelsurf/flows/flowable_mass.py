@@ -237,7 +237,7 @@ class FlowableMass(Accelerated):
         for c in range(3):
             component = np.ascontiguousarray(tangential[:, c])
             if component.any():
-                diffuse(now.surface, front, component, diffusion * dm)
+                diffuse(now.surface, front, component, diffusion * dm, c)
                 tangential[:, c] = component
         tangential -= (tangential * normal).sum(axis=1)[:, None] * normal
         return along[:, None] * normal + tangential, diffusion

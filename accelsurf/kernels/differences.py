@@ -47,28 +47,81 @@ def mixed_difference(psi, cell, at, stride, h):
 
 
 @kernel
+def axis_derivatives(psi, cell, i, n, stride, h):
+    """First and second derivative along an axis: centred, at the border those of the parabola through three voxels."""
+    down, up, second = axis_differences(psi, cell, i, n, stride, h)
+    if n > 2 and i == 0:
+        second = ((psi[cell + 2 * stride] - psi[cell + stride]) / h - up) / h
+        return up - 0.5 * h * second, second
+    if n > 2 and i == n - 1:
+        second = (down - (psi[cell - stride] - psi[cell - 2 * stride]) / h) / h
+        return down + 0.5 * h * second, second
+    return 0.5 * (down + up), second
+
+
+@kernel
 def gradient(psi, cell, iz, iy, ix, grid):
-    """Centred gradient (z, y, x) at a cell."""
-    az, bz, _ = axis_differences(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
-    ay, by, _ = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
-    ax, bx, _ = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
-    return 0.5 * (az + bz), 0.5 * (ay + by), 0.5 * (ax + bx)
+    """Gradient (z, y, x) at a cell, of second order up to the border."""
+    pz, _ = axis_derivatives(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
+    py, _ = axis_derivatives(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+    px, _ = axis_derivatives(psi, cell, ix, grid.nx, 1, grid.hx)
+    return pz, py, px
 
 
 @kernel
 def curvatures(psi, cell, iz, iy, ix, grid):
     """Of the level through a cell: (H, K), the sum and the product of the principal curvatures (1/mm, 1/mm2).
 
-    H = div(g/|g|), K = g . adj(D2 psi) g / |g|^4; both positive on a sphere with psi negative inside.
+    H = div(g/|g|), K = g . adj(D2 psi) g / |g|^4; both positive on a sphere with psi negative inside. At the border
+    psi is continued as a parabola: the curvature is that of the surface, whatever its angle with the border.
     """
     plane = grid.ny * grid.nx
-    az, bz, pzz = axis_differences(psi, cell, iz, grid.nz, plane, grid.hz)
-    ay, by, pyy = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
-    ax, bx, pxx = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
-    pz, py, px = 0.5 * (az + bz), 0.5 * (ay + by), 0.5 * (ax + bx)
+    pz, pzz = axis_derivatives(psi, cell, iz, grid.nz, plane, grid.hz)
+    py, pyy = axis_derivatives(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+    px, pxx = axis_derivatives(psi, cell, ix, grid.nx, 1, grid.hx)
     pzy = mixed_difference(psi, cell, (iz, grid.nz, iy, grid.ny), (plane, grid.nx), (grid.hz, grid.hy))
     pzx = mixed_difference(psi, cell, (iz, grid.nz, ix, grid.nx), (plane, 1), (grid.hz, grid.hx))
     pyx = mixed_difference(psi, cell, (iy, grid.ny, ix, grid.nx), (grid.nx, 1), (grid.hy, grid.hx))
+    return level_curvatures((pz, py, px), (pzz, pyy, pxx), (pzy, pzx, pyx))
+
+
+@kernel
+def is_at_border(iz, iy, ix, grid):
+    """Whether a cell has a face on the volume's border; an axis with one slice has none."""
+    z, y, x = grid.nz - 1, grid.ny - 1, grid.nx - 1
+    return (z > 0 and (iz == 0 or iz == z)) or (y > 0 and (iy == 0 or iy == y)) or (x > 0 and (ix == 0 or ix == x))
+
+
+@kernel
+def mirrored_curvatures(psi, cell, iz, iy, ix, grid):
+    """As `curvatures`, with psi mirrored at the faces of the border, half a voxel beyond the outermost voxel centres.
+
+    The voxel beyond the border has the value of the border's own. So H is div(n) with no n through the border: where
+    the surface meets it at another angle than the right one, H has the area's force on the contact line, n . n_border
+    per length, spread over the border's voxels.
+    """
+    plane = grid.ny * grid.nx
+    z0, z1 = plane if iz > 0 else 0, plane if iz < grid.nz - 1 else 0
+    y0, y1 = grid.nx if iy > 0 else 0, grid.nx if iy < grid.ny - 1 else 0
+    x0, x1 = 1 if ix > 0 else 0, 1 if ix < grid.nx - 1 else 0
+    hz, hy, hx = grid.hz, grid.hy, grid.hx
+    az, bz = (psi[cell] - psi[cell - z0]) / hz, (psi[cell + z1] - psi[cell]) / hz
+    ay, by = (psi[cell] - psi[cell - y0]) / hy, (psi[cell + y1] - psi[cell]) / hy
+    ax, bx = (psi[cell] - psi[cell - x0]) / hx, (psi[cell + x1] - psi[cell]) / hx
+    pzy = (psi[cell + z1 + y1] - psi[cell - z0 + y1]) - (psi[cell + z1 - y0] - psi[cell - z0 - y0])
+    pzx = (psi[cell + z1 + x1] - psi[cell - z0 + x1]) - (psi[cell + z1 - x0] - psi[cell - z0 - x0])
+    pyx = (psi[cell + y1 + x1] - psi[cell - y0 + x1]) - (psi[cell + y1 - x0] - psi[cell - y0 - x0])
+    slope = 0.5 * (az + bz), 0.5 * (ay + by), 0.5 * (ax + bx)
+    mixed = 0.25 * pzy / (hz * hy), 0.25 * pzx / (hz * hx), 0.25 * pyx / (hy * hx)
+    return level_curvatures(slope, ((bz - az) / hz, (by - ay) / hy, (bx - ax) / hx), mixed)
+
+
+@kernel
+def level_curvatures(slope, second, mixed):
+    """(H, K) from the gradient (z, y, x), the second derivatives zz, yy, xx and the mixed ones zy, zx, yx."""
+    pz, py, px = slope
+    pzz, pyy, pxx = second
+    pzy, pzx, pyx = mixed
     g2 = pz * pz + py * py + px * px
     if g2 < 1e-8:
         return 0.0, 0.0

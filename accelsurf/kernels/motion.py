@@ -96,11 +96,14 @@ def kick(start, stop, beta, gain, curvature, front, rates):
 
 
 @kernel(stage=Stage.DIFFUSION)
-def neighbour_slots(start, stop, slot, grid, cells, on, table):
-    """Slots of the 6-neighbours (m, 6) of the cells of the slots ``on`` (m,): for `diffusion_stage`.
+def neighbour_slots(start, stop, slot, grid, cells, on, across, out):
+    """Slots of the 6-neighbours of the cells of the slots ``on`` (m,): for `diffusion_stage`.
 
-    A neighbour that is not in the band or beyond the border is the cell itself, so that no flux passes.
+    ``out`` = (table (m, 6) int32, at_wall (m,) bool). A neighbour that is not in the band or beyond the border is the
+    cell itself, so that no flux passes. ``at_wall`` marks the cells with a face on the border across axis ``across``
+    (-1: none).
     """
+    table, at_wall = out
     near = np.empty(6, np.int64)
     for row in range(start, stop):
         s = on[row]
@@ -109,6 +112,7 @@ def neighbour_slots(start, stop, slot, grid, cells, on, table):
         for side in range(6):
             other = slot[near[side]] if near[side] >= 0 else -1
             table[row, side] = other if other >= 0 else s
+        at_wall[row] = across >= 0 and (near[2 * across] < 0) != (near[2 * across + 1] < 0)
 
 
 @kernel(stage=Stage.DIFFUSION)

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.differences import curvature_at_foot, curvatures, gradient, mean_above_centre
+from accelsurf.kernels.differences import (
+    curvature_at_foot,
+    curvatures,
+    gradient,
+    is_at_border,
+    mean_above_centre,
+    mirrored_curvatures,
+)
 from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
 from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.stencils import block_curvatures, gather_block
@@ -79,11 +86,12 @@ def measure_band(start, stop, psi, grid, band, within, out):
         mm.
     within : float
         Distance from the surface, voxels, up to which curvature is measured.
-    out : (ndarray (n,), ndarray (n,), ndarray (n,))
-        Written, fraction, area and curvature: share of the voxel inside; surface in it, mm2; H of the surface at its
-        foot, 1/mm, limited to what the grid resolves, 2/min(h), and 0 further than ``within`` off.
+    out : (ndarray (n,), ndarray (n,), ndarray (n,), ndarray (n,))
+        Written, fraction, area, curvature and variation: share of the voxel inside; surface in it, mm2; H of the
+        surface at its foot, 1/mm, limited to what the grid resolves, 2/min(h), and 0 further than ``within`` off; the
+        same with psi mirrored at the border, the first variation of the area in the volume.
     """
-    fraction, area, curvature = out
+    fraction, area, curvature, variation = out
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
     most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
     rows = np.empty((19, BATCH), np.float32)
@@ -98,7 +106,7 @@ def measure_band(start, stop, psi, grid, band, within, out):
             d = band.psi[s]
             voxels = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid)
             if abs(d) > diagonal and voxels > max(within, AREA_WIDTH):
-                fraction[s], area[s], curvature[s] = 1.0 if d < 0.0 else 0.0, 0.0, 0.0
+                fraction[s], area[s], curvature[s], variation[s] = 1.0 if d < 0.0 else 0.0, 0.0, 0.0, 0.0
                 continue
             # Stored here until the area takes its place.
             area[s] = voxels
@@ -111,11 +119,16 @@ def measure_band(start, stop, psi, grid, band, within, out):
                 mean, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
                 level = (gz, gy, gx, mean, gauss, mean_above_centre(psi, band.cells[s], iz, iy, ix, grid))
                 fraction[s], area[s], curvature[s] = measures(grid, d, voxels, level, within, diagonal, most)
+                variation[s] = curvature[s]
+                if is_at_border(iz, iy, ix, grid) and voxels <= within:
+                    mirrored, _ = mirrored_curvatures(psi, band.cells[s], iz, iy, ix, grid)
+                    variation[s] = min(max(curvature[s] + mirrored - mean, -most), most)
         block_curvatures(count, grid, rows, shape)
         for i in range(count):
             s = which[i]
             level = (shape[0, i], shape[1, i], shape[2, i], shape[3, i], shape[4, i], shape[5, i])
             fraction[s], area[s], curvature[s] = measures(grid, band.psi[s], area[s], level, within, diagonal, most)
+            variation[s] = curvature[s]
 
 
 @kernel

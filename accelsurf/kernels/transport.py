@@ -18,18 +18,38 @@ MAX_DEPARTURE = 2.0
 
 
 @kernel
+def continue_weights(beyond, count, w, o):
+    """Continue the ``count`` weights of an axis, as of `axis_weights`, to a point ``beyond`` voxels off its end.
+
+    Linear up to the border's face, where the volume ends, half a voxel off, and held further out: the part of a
+    velocity that goes through the border may be 0 on the face and has a slope there.
+    """
+    if count > 1 and beyond < 0.0:
+        off = max(beyond, -0.5)
+        w[o] -= off
+        w[o + 1] += off
+    elif count > 1 and beyond > 0.0:
+        off = min(beyond, 0.5)
+        w[o + count - 1] += off
+        w[o + count - 2] -= off
+
+
+@kernel
 def band_vector_at(values, slot, grid, position, w, out):
     """Interpolate band fields ``values`` (n, m) at ``position`` (index coordinates) into ``out`` (m,).
 
-    Cubic where all nodes are in the band, else linear over those of the eight surrounding cells that are.
-    Returns False when none of these is.
+    Cubic where all nodes are in the band, beyond the border as `continue_weights` has it; else linear over those of the
+    eight surrounding cells that are in it. Returns False when none of these is.
     """
     n, m = values.shape
     for c in range(m):
         out[c] = 0.0
-    bz, mz, _ = axis_weights(position[0], grid.nz, w, 0)
-    by, my, _ = axis_weights(position[1], grid.ny, w, 8)
-    bx, mx, _ = axis_weights(position[2], grid.nx, w, 16)
+    bz, mz, ez = axis_weights(position[0], grid.nz, w, 0)
+    by, my, ey = axis_weights(position[1], grid.ny, w, 8)
+    bx, mx, ex = axis_weights(position[2], grid.nx, w, 16)
+    continue_weights(ez, mz, w, 0)
+    continue_weights(ey, my, w, 8)
+    continue_weights(ex, mx, w, 16)
     for i in range(mz):
         for j in range(my):
             at = ((bz + i) * grid.ny + by + j) * grid.nx + bx

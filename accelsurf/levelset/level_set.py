@@ -40,12 +40,14 @@ class BandChange(NamedTuple):
 class Measures(NamedTuple):
     """What was measured on the band, see `LevelSet.fraction_and_area` and `LevelSet.curvature`.
 
-    ``fraction`` and ``area`` (n,); ``curvature`` (n,), where it could be measured, as ``resolved`` (n,) says.
+    ``fraction`` and ``area`` (n,); ``curvature`` and ``variation`` (n,), where they could be measured, as ``resolved``
+    (n,) says.
     """
 
     fraction: np.ndarray
     area: np.ndarray
     curvature: np.ndarray
+    variation: np.ndarray
     resolved: np.ndarray
 
 
@@ -174,10 +176,25 @@ class LevelSet:
 
     def curvature(self, front: np.ndarray) -> np.ndarray:
         """Sum of the principal curvatures (1/mm) of the surface at the closest point of every front cell, (n,)."""
+        return self._extended_to(front, self._measures().curvature)
+
+    def area_variation(self, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """First variation of the area within the volume, per area (1/mm), at every front cell's closest point, (n,).
+
+        dA = -int (variation x d) dA for a motion d inward. It is the ``curvature``, from `curvature`, but at the
+        border: there it also has the force on the contact line that turns the surface to a right angle.
+        """
         measures = self._measures()
-        out = measures.curvature.copy()
-        off = np.flatnonzero(front & ~measures.resolved)
-        extension_table(self, measures.resolved, off).extend(self.workers, out)
+        if np.array_equal(measures.variation, measures.curvature):
+            return curvature
+        return self._extended_to(front, measures.variation)
+
+    def _extended_to(self, front: np.ndarray, measured: np.ndarray) -> np.ndarray:
+        """A measure of the band on the ``front`` (n,), where it could not be measured from nearer cells."""
+        resolved = self._measures().resolved
+        out = measured.copy()
+        off = np.flatnonzero(front & ~resolved)
+        extension_table(self, resolved, off).extend(self.workers, out)
         out[~front] = 0.0
         return out
 
@@ -193,13 +210,14 @@ class LevelSet:
     def _measures(self) -> Measures:
         """Return the measures of the present band: computed once, cached until psi changes."""
         if self._measured is None:
-            fraction, area, curvature = np.empty(self.size), np.empty(self.size), np.empty(self.size, np.float32)
+            fraction, area = np.empty(self.size), np.empty(self.size)
+            curvature, variation = np.empty(self.size, np.float32), np.empty(self.size, np.float32)
             # A stencil needs psi sqrt(2) voxels further off, and beyond the band psi is no distance.
             within = min(self.half_width - 1.42 * self._slant, FRONT_WIDTH)
-            out = fraction, area, curvature
+            out = fraction, area, curvature, variation
             self.workers.parallel(region.measure_band, self.size, self.dense.psi, self.grid, self.band, within, out)
             area *= self._thickness
-            self._measured = Measures(fraction, area, curvature, self.front(within))
+            self._measured = Measures(*out, self.front(within))
         return self._measured
 
     def volume(self, fraction: np.ndarray) -> float:

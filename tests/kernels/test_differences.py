@@ -34,6 +34,49 @@ def test_gradient_and_curvatures_as_the_reference(shape):
             assert gauss == pytest.approx(k[cell].prod(), abs=1e-9 * size**2)
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_mirrored_curvatures_as_the_reference(shape):
+    """And those of the voxel in the volume that is mirrored at all its borders."""
+    psi = (2 * reference.smooth_noise(shape, 1)).astype(np.float64)
+    grid = reference.grid_of(shape, SPACING)
+    slope, _ = reference.derivatives(psi, SPACING, mirrored=True)
+    k = reference.principal_curvatures(psi, SPACING, mirrored=True)
+    width = [(1, 1) if n > 1 else (0, 0) for n in shape]
+    whole, more = np.pad(psi, width, mode="symmetric"), [w for w, _ in width]
+    around = reference.grid_of(whole.shape, SPACING)
+    for cell in np.ndindex(*shape):
+        mean, gauss = differences.mirrored_curvatures(psi.ravel(), int(np.ravel_multi_index(cell, shape)), *cell, grid)
+        there = tuple(np.add(cell, more))
+        same = differences.curvatures(whole.ravel(), int(np.ravel_multi_index(there, whole.shape)), *there, around)
+        np.testing.assert_allclose((mean, gauss), same, atol=1e-9 * (np.abs(same).max() + 1))
+        if np.linalg.norm(slope[cell]) > 0.02:
+            size = np.abs(k[cell]).max() + 1
+            assert mean == pytest.approx(k[cell].sum(), abs=1e-9 * size)
+            assert gauss == pytest.approx(k[cell].prod(), abs=1e-9 * size**2)
+
+
+@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (3, 4, 5)])
+def test_gradient_and_pure_second_derivatives_are_exact_on_quadratics_up_to_the_border(shape):
+    z, y, x = reference.coordinates(shape, SPACING, (1.0, 2.0, 1.5))
+    psi = (0.5 * z**2 - y**2 + 2 * x**2 + z - 2 * y).ravel()
+    wanted = np.stack([z + 1, -2 * y - 2, 4 * x], axis=-1) * (np.array(shape) > 1)
+    grid, strides = reference.grid_of(shape, SPACING), (shape[1] * shape[2], shape[2], 1)
+    for cell in np.ndindex(*shape):
+        raveled = int(np.ravel_multi_index(cell, shape))
+        np.testing.assert_allclose(differences.gradient(psi, raveled, *cell, grid), wanted[cell], atol=1e-9)
+        for a, second in enumerate((1.0, -2.0, 4.0)):
+            _, got = differences.axis_derivatives(psi, raveled, cell[a], shape[a], strides[a], SPACING[a])
+            assert got == pytest.approx(second if shape[a] > 1 else 0, abs=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(1, 4, 6), (3, 4, 5), (2, 5, 1)])
+def test_which_cells_lie_at_the_border(shape):
+    grid = reference.grid_of(shape, SPACING)
+    for cell in np.ndindex(*shape):
+        want = any(n > 1 and i in (0, n - 1) for i, n in zip(cell, shape, strict=True))
+        assert differences.is_at_border(*cell, grid) == want
+
+
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (3, 4, 5)])
 def test_second_derivatives_are_exact_on_quadratics_inside_and_gone_at_the_border(shape):
     """axis_differences and mixed_difference one by one."""

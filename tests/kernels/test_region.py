@@ -81,14 +81,24 @@ def test_smeared_area_beside_the_surface_takes_its_normal_from_the_gradient():
     assert region.smeared_area(0.011 / per_mm, 0.011, *n, 0.0, grid) == pytest.approx(want, rel=1e-3)
 
 
+def unwritten(n):
+    """Arrays for the four measures of `measure_band`, filled with NaN."""
+    return tuple(np.full(n, np.nan, kind) for kind in (np.float64, np.float64, np.float32, np.float32))
+
+
+def all_measured(psi, spacing, foot, within):
+    """(part, area, bend, variation) by `measure_band` of a whole band."""
+    dense, band = reference.whole_band(psi, foot)
+    out = unwritten(band.cells.size)
+    grid = reference.grid_of(np.shape(psi), spacing)
+    region.measure_band(0, band.cells.size, dense.psi, grid, band, within, out)
+    assert all(np.isfinite(one).all() for one in out)
+    return out
+
+
 def measured(psi, spacing, foot, within):
     """(part, area, bend) by `measure_band` of a whole band."""
-    dense, band = reference.whole_band(psi, foot)
-    n = band.cells.size
-    part, area, bend = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
-    region.measure_band(0, n, dense.psi, reference.grid_of(np.shape(psi), spacing), band, within, (part, area, bend))
-    assert np.isfinite(part).all() and np.isfinite(area).all() and np.isfinite(bend).all()
-    return part, area, bend
+    return all_measured(psi, spacing, foot, within)[:3]
 
 
 def down_the_gradient(psi, spacing):
@@ -104,20 +114,37 @@ MEASURED = [(7, 9, 8), (1, 9, 12), (3, 4, 5), (2, 5, 6), (5, 1, 6)]
 
 @pytest.mark.parametrize("within", [1.0, 2.0, 9.0])
 @pytest.mark.parametrize("shape", MEASURED)
-def test_measured_curvature_as_the_reference(shape, within):
+def test_measured_curvature_and_variation_as_the_reference(shape, within):
+    """The variation differs by what the level's H does when psi is mirrored at the border."""
     psi = (0.8 * reference.smooth_noise(shape, 2, 2.0)).astype(np.float32)
     foot, gradient = down_the_gradient(psi, SPACING)
-    _, _, bend = measured(psi, SPACING, foot, within)
+    _, _, bend, variation = all_measured(psi, SPACING, foot, within)
     want = reference.surface_curvature(psi, SPACING).ravel()
+    k = reference.principal_curvatures(psi, SPACING).reshape(-1, 2)
+    mirrored = reference.principal_curvatures(psi, SPACING, mirrored=True).reshape(-1, 2)
+    mirrored_slope = np.linalg.norm(reference.derivatives(psi, SPACING, mirrored=True)[0].reshape(-1, 3), axis=1)
     voxels = np.linalg.norm(foot.astype(np.float32).astype(float) / SPACING, axis=1)
     near, steep = voxels <= within, np.linalg.norm(gradient, axis=1) > 0.1
     assert (near & steep).sum() > 8
     # The reference divides by 1 - d k of each curvature, which is ill conditioned beside the centre of curvature.
-    factors = 1 - psi.ravel()[:, None] * reference.principal_curvatures(psi, SPACING).reshape(-1, 2)
-    tame = near & steep & (np.abs(factors.prod(axis=1) - 0.2) > 1e-3)
+    factors = 1 - psi.ravel()[:, None] * k
+    tame, most = near & steep & (np.abs(factors.prod(axis=1) - 0.2) > 1e-3), np.float32(2 / min(SPACING))
     np.testing.assert_allclose(bend[tame], want[tame], rtol=2e-3, atol=2e-4)
-    assert not bend[~near].any()
-    assert np.abs(bend).max() <= np.float32(2 / min(SPACING))
+    on = tame & (mirrored_slope > 0.1)
+    moved = np.clip(want + mirrored.sum(axis=1) - k.sum(axis=1), -most, most)
+    np.testing.assert_allclose(variation[on], moved[on], rtol=2e-3, atol=2e-3)
+    assert not bend[~near].any() and not variation[~near].any()
+    assert np.abs(bend).max() <= most and np.abs(variation).max() <= most
+
+
+@pytest.mark.parametrize("shape", MEASURED)
+def test_the_area_s_variation_is_the_curvature_but_at_the_border(shape):
+    psi = (0.8 * reference.smooth_noise(shape, 2, 2.0)).astype(np.float32)
+    foot, _ = down_the_gradient(psi, SPACING)
+    _, _, bend, variation = (one.reshape(shape) for one in all_measured(psi, SPACING, foot, 9.0))
+    inside = tuple(slice(1, -1) if n > 1 else slice(None) for n in shape)
+    np.testing.assert_array_equal(variation[inside], bend[inside])
+    assert (variation != bend).any()
 
 
 def test_measured_curvature_of_a_ball_is_that_at_the_foot():
@@ -236,9 +263,9 @@ def test_measures_write_nothing_outside_their_range(start, stop):
     foot, _ = down_the_gradient(psi, SPACING)
     dense, band = reference.whole_band(psi, foot)
     n, grid = psi.size, reference.grid_of(psi.shape, SPACING)
-    part, area, bend = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
-    region.measure_band(start, stop, dense.psi, grid, band, 2.0, (part, area, bend))
-    for out in (part, area, bend):
+    written = unwritten(n)
+    region.measure_band(start, stop, dense.psi, grid, band, 2.0, written)
+    for out in written:
         assert np.isfinite(out[start:stop]).all() and np.isnan(out[:start]).all() and np.isnan(out[stop:]).all()
 
 
@@ -247,8 +274,7 @@ def test_measures_are_the_same_bytes_however_the_range_is_cut():
     foot, _ = down_the_gradient(psi, SPACING)
     dense, band = reference.whole_band(psi, foot)
     n, grid = psi.size, reference.grid_of(psi.shape, SPACING)
-    whole = measured(psi, SPACING, foot, 1.0)
-    parts = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan, np.float32)
+    whole, parts = all_measured(psi, SPACING, foot, 1.0), unwritten(n)
     for start, stop in itertools.pairwise([0, 1, 8, 130, 300, 301, 557, n]):
         region.measure_band(start, stop, dense.psi, grid, band, 1.0, parts)
     for one, other in zip(whole, parts, strict=True):

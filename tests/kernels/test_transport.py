@@ -65,7 +65,7 @@ def indices(shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("columns", [1, 3, 4])
-def test_vectors_are_cubic_in_a_complete_band_and_held_at_the_border(shape, columns):
+def test_vectors_are_cubic_in_a_complete_band_and_continued_to_the_faces_of_the_border(shape, columns):
     present, dense, values, slot = vectors_of(shape, 1, columns)
     grid, got = reference.grid_of(shape, SPACING), np.full(columns, np.nan)
     for p in positions(shape, 2):
@@ -441,8 +441,9 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
     out = np.full((n, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
     transport.advect_fields(0, n, np.arange(n, dtype=np.int32), grid, band, (velocity, dt), values, out)
-    # Clamped to the border.
-    at = np.clip(indices(shape) + (foot - dt * uniform) / h, 0, last) * h
+    # Clamped to the faces of the border.
+    face = np.where(last > 0, 0.5, 0.0)
+    at = np.clip(indices(shape) + (foot - dt * uniform) / h, -face, last + face) * h
     np.testing.assert_allclose(out, at @ slopes.T + 1, atol=5e-5)
 
 

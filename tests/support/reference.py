@@ -103,11 +103,22 @@ def has_stencil(present, position):
 
 
 def band_vector(values, present, position):
-    """(vector, found): (z, y, x, m) ``values`` at ``position``, cubic where the stencil is ``present``, else linear."""
-    clamped = np.clip(position, 0, np.array(present.shape) - 1.0)
+    """(vector, found): (z, y, x, m) ``values`` at ``position``, cubic where the stencil is ``present``, else linear.
+
+    The cubic one goes straight on beyond the border up to its faces.
+    """
     parts = np.moveaxis(np.asarray(values, float), -1, 0)
     if has_stencil(present, position):
-        return np.array([interpolate(part, clamped)[0][0] for part in parts]), True
+        out = np.asarray(values, float)
+        for p, n in zip(position, present.shape, strict=True):
+            base, weights, _, beyond = axis_weights(np.array([p], float), n)
+            line = out[base[0] : base[0] + weights.shape[1]]
+            out = np.tensordot(weights[0], line, 1)
+            # Straight on to the face, half a voxel off the last voxel centre.
+            if n > 1:
+                end, next_ = (line[0], line[1]) if beyond[0] < 0 else (line[-1], line[-2])
+                out = out + min(abs(beyond[0]), 0.5) * (end - next_)
+        return out, True
     found = [known_linear(part, present, position) for part in parts]
     return np.array([value for value, _ in found]), found[0][1]
 
@@ -323,22 +334,32 @@ def front_cells(psi):
 # ------------------------------------------------------------------------------------------------------ differences
 
 
-def padded(psi):
-    """One voxel more on each side, continued straight (a single slice is repeated)."""
+def padded(psi, border):
+    """One voxel more on each side: continued ``straight``, as a ``parabola`` or ``mirrored`` at the border's faces."""
     out = np.asarray(psi, float)
     for a in range(3):
-        first, last = np.take(out, [0], axis=a), np.take(out, [-1], axis=a)
-        if out.shape[a] > 1:
-            first, last = 2 * first - np.take(out, [1], axis=a), 2 * last - np.take(out, [-2], axis=a)
-        out = np.concatenate([first, out, last], axis=a)
+        ends = []
+        for order in (1, -1):
+            one, two, three = (np.take(out, [order * i - (order < 0)], axis=a, mode="wrap") for i in range(3))
+            if border == "mirrored" or out.shape[a] == 1:
+                ends.append(one)
+            elif border == "straight" or out.shape[a] == 2:
+                ends.append(2 * one - two)
+            else:
+                ends.append(3 * one - 3 * two + three)
+        out = np.concatenate([ends[0], out, ends[1]], axis=a)
     return out
 
 
-def derivatives(psi, spacing):
-    """Gradient (..., 3) and matrix of second derivatives (..., 3, 3), centred."""
-    wide = padded(psi)
+def derivatives(psi, spacing, mirrored=False):
+    """Gradient (..., 3) and matrix of second derivatives (..., 3, 3), centred; ``mirrored`` at the border or continued.
 
-    def shifted(*steps):
+    Continued as a parabola, but for the mixed derivatives straight.
+    """
+    wide = padded(psi, "mirrored" if mirrored else "parabola")
+    across = wide if mirrored else padded(psi, "straight")
+
+    def shifted(*steps, wide=wide):
         return wide[tuple(slice(1 + s, n - 1 + s) for s, n in zip(steps, wide.shape, strict=True))]
 
     unit = np.eye(3, dtype=int)
@@ -349,14 +370,15 @@ def derivatives(psi, spacing):
         if a == b:
             second[..., a, a] = (shifted(*ea) - 2 * shifted(0, 0, 0) + shifted(*-ea)) / spacing[a] ** 2
         else:
-            sum_ = shifted(*ea + eb) - shifted(*ea - eb) - shifted(*eb - ea) + shifted(*-ea - eb)
+            sum_ = shifted(*ea + eb, wide=across) + shifted(*-ea - eb, wide=across)
+            sum_ = sum_ - shifted(*ea - eb, wide=across) - shifted(*eb - ea, wide=across)
             second[..., a, b] = sum_ / (4 * spacing[a] * spacing[b])
     return np.stack(first, axis=-1), second
 
 
-def principal_curvatures(psi, spacing):
+def principal_curvatures(psi, spacing, mirrored=False):
     """Principal curvatures (..., 2) of the levels: eigenvalues of the second derivatives in the tangent plane."""
-    gradient, second = derivatives(psi, spacing)
+    gradient, second = derivatives(psi, spacing, mirrored)
     norm = np.linalg.norm(gradient, axis=-1)
     # A Householder matrix whose columns are the normal and two tangents.
     normal = gradient / np.maximum(norm, 1e-12)[..., None]
@@ -367,9 +389,9 @@ def principal_curvatures(psi, spacing):
     return np.linalg.eigvalsh(shape_operator) / np.maximum(norm, 1e-12)[..., None]
 
 
-def surface_curvature(psi, spacing):
+def surface_curvature(psi, spacing, mirrored=False):
     """Sum of the principal curvatures of the surface that lies psi off each voxel: each is k/(1 - psi k)."""
-    k = principal_curvatures(psi, spacing)
+    k = principal_curvatures(psi, spacing, mirrored)
     bend = 1 - np.asarray(psi, float)[..., None] * k
     most = 2 / min(spacing)
     moved = np.where(bend.prod(axis=-1) > 0.2, (k / np.where(bend == 0, 1, bend)).sum(axis=-1), k.sum(axis=-1))
