@@ -88,13 +88,15 @@ def finer(values: np.ndarray, n: int) -> np.ndarray:
 
 
 class Geometry(NamedTuple):
-    """At each point: unit tangent T and inward normal N (n, 2), |X_p|, length or area per parameter J, curvature H."""
+    """At each point: unit tangent T and inward normal N (n, 2), |X_p|, length or area per parameter J, curvature H,
+    and the part of it in the plane of the curve."""
 
     tangent: np.ndarray
     normal: np.ndarray
     stretch: np.ndarray
     measure: np.ndarray
     curvature: np.ndarray
+    bend: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -130,9 +132,9 @@ class Curve:
         normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
         curvature = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / stretch**3
         if not self.revolved:
-            return Geometry(tangent, normal, stretch, stretch, curvature)
+            return Geometry(tangent, normal, stretch, stretch, curvature, curvature)
         r = self.points[:, 0]
-        return Geometry(tangent, normal, stretch, stretch * np.abs(r), curvature - normal[:, 0] / r)
+        return Geometry(tangent, normal, stretch, stretch * np.abs(r), curvature - normal[:, 0] / r, curvature)
 
     def refined(self, n: int = 4096) -> Curve:
         """The same curve by ``n`` points."""
