@@ -104,14 +104,19 @@ class Misfit(NamedTuple):
     density: float
 
 
+def psi_at(surface: LevelSet, on: Lattice, frame: Frame, curve: Curve) -> np.ndarray:
+    """psi (m,), mm, at the points of a reference: how far inside the surface they lie, or outside (> 0)."""
+    axes = [np.unique(on.points[axis]) for axis in range(3)]
+    wide = [axis for axis in range(3) if len(axes[axis]) > 1]
+    psi = RegularGridInterpolator([axes[axis] for axis in wide], np.squeeze(surface.psi).astype(float), "cubic")
+    return np.asarray(psi(frame.outwards(curve.points, curve.revolved)[:, wide]))
+
+
 def compare(surface: LevelSet, on: Lattice, frame: Frame, curve: Curve, density: np.ndarray | None = None) -> Misfit:
     """Compare the zero level of psi with the reference, both ways."""
     found = frame.inwards(surface_points(surface, on), curve.revolved)
     here = nearest(curve, found)
-    axes = [np.unique(on.points[axis]) for axis in range(3)]
-    wide = [axis for axis in range(3) if len(axes[axis]) > 1]
-    psi = RegularGridInterpolator([axes[axis] for axis in wide], np.squeeze(surface.psi).astype(float), "cubic")
-    there = psi(frame.outwards(curve.points, curve.revolved)[:, wide])
+    there = psi_at(surface, on, frame, curve)
     off = 0.0
     if density is not None:
         near = surface.front(1.0)
