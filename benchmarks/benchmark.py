@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.figures.common import _plain as plain
+from benchmarks.figures.common import plain
 from benchmarks.peers import render
 from benchmarks.peers.measure import MissingError, Options, machine, set_threads
 

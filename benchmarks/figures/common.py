@@ -113,15 +113,16 @@ def write(output: Path, name: str, facts: dict[str, Any]) -> None:
         **facts,
     }
     path = output / f"{name}.json"
-    path.write_text(json.dumps(_plain(document), indent=1) + "\n")
+    path.write_text(json.dumps(plain(document), indent=1) + "\n")
     print(f"written: {path}")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value as JSON takes it: floats of six digits, null where they are not finite, no arrays."""
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items() if not isinstance(v, np.ndarray)}
+        return {str(k): plain(v) for k, v in value.items() if not isinstance(v, np.ndarray)}
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value if not isinstance(v, np.ndarray)]
+        return [plain(v) for v in value if not isinstance(v, np.ndarray)]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.figures.common import COLOURS, PROCESSES, write
 from benchmarks.figures.planar import save
-from tests import exact
+from tests.support import exact
 from tests.support.follow import STEP, WIDTH, Misfit, follow, lattice, order
 
 SIZES = (32, 48, 64)
