@@ -32,7 +32,9 @@ CUBIC = recipes.Recipe(
     contrast=50, antialias=True, blur=0.7, bias=0.1, noise=8, seed=3,
 )  # fmt: skip
 UNEQUAL = CUBIC.model_copy(update={"shape": (47, 38, 31), "spacing": (1.0, 0.8, 1.6)})
-CORD, BRAIN = ("mri_cord_iso", np.s_[0:51, 0:54, 6:57]), ("mri_brain_oblique", np.s_[30:101, 40:129, 35:106])
+#: Parts of real scans, as `docs/explanation/real-scans.md` names their sources.
+CORD, NUCLEI = ("mri_cord_iso", np.s_[0:51, 0:54, 6:57]), ("fluo_nuclei1136", np.s_[20:71, 15:70, 18:75])
+BRAIN = ("mri_brain_oblique", np.s_[30:101, 40:129, 35:106])
 #: Start of the phantoms, world mm, and how much they are smoothed.
 BALL: dict[str, Any] = {"start": "ball:-7,-3,2,5", "presmooth": 0.8}
 #: Name -> the scan; settings. ``start`` of the scans in files: voxel (z, y, x) and radius, mm, of a ball.
@@ -54,8 +56,18 @@ CASES: dict[str, tuple[Any, dict[str, Any]]] = {
     "region of interest, 2 levels": (CUBIC, {**BALL, "levels": 2, "roi": "-20,-17,-18,21,16,19"}),
     "mask, 2 levels": (CUBIC, {**BALL, "levels": 2, "mask": True}),
     "two objects, 2 levels": (CUBIC, {"levels": 2, "objects": True, "presmooth": 0.8}),
-    "cord, 2 levels": (CORD, {"start": (25, 27, 25, 4.0), "levels": 2, "presmooth": 1.0}),
-    "brain, 3 levels": (BRAIN, {"start": (35, 45, 35, 12.0), "levels": 3, "presmooth": 1.0, "energy": "threshold:90,"}),
+    "cord, 2 levels": (CORD, {"start": (25, 27, 25, 4.0), "levels": 2, "presmooth": 2.0}),
+    "nucleus, 2 levels": (NUCLEI, {"start": (22, 12, 44, 1.0), "levels": 2, "presmooth": 0.3}),
+    "nucleus, local-region": (
+        NUCLEI,
+        {"start": (22, 12, 44, 1.0), "levels": 2, "presmooth": 0.3, "energy": "local-region"},
+    ),
+    # Thin, folded structures in noise: rounding decides at single places where a run has many ends to choose from.
+    "cord, little smoothing": (CORD, {"start": (25, 27, 25, 4.0), "levels": 2, "presmooth": 1.0}),
+    "folds of a brain": (
+        BRAIN,
+        {"start": (33.3, 47.2, 36.4, 22.0), "levels": 2, "presmooth": 2.0, "energy": "threshold:90,"},
+    ),
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -103,8 +104,8 @@ def grow_region(
     spread = max(SEED_DEVIATIONS * deviation, MIN_RANGE_FRACTION * float(high - low), 1e-30)
     cost = 1.0 + ((values[box].astype(np.float64) - middle) / spread) ** 2
     march = MCP_Geometric(cost, sampling=geometry.spacing)
-    seeds = np.stack(np.mgrid[voxel], axis=-1).reshape(-1, 3) - [s.start for s in box]
-    length, _ = march.find_costs(seeds.tolist())
+    ranges = (range(v.start - s.start, v.stop - s.start) for v, s in zip(voxel, box, strict=True))
+    length, _ = march.find_costs([list(seed) for seed in product(*ranges)])
     out[box] = length <= radius
     return out
 

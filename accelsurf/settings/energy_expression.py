@@ -106,13 +106,13 @@ def _item(text: str, item: str, sign: float) -> Term:
     weight = 1.0
     if star:
         if not _NUMBER.fullmatch(factor.strip()):
-            raise _error(text, f"a number before the * in {shown(item)!r}")
+            raise _error(text, f"a number before the * in '{shown(item)}'")
         weight, item = float(factor), rest.strip()
     name, colon, values = item.partition(":")
     name = name.strip()
     if name not in TERMS:
         near = " with a blank on either side of + and -" if re.search(r"[+\s]", name) else ""
-        wanted = f"{', '.join(list(TERMS)[:-1])} or {list(TERMS)[-1]}{near} in place of {shown(name)}"
+        wanted = f"{', '.join(list(TERMS)[:-1])} or {list(TERMS)[-1]}{near} in place of '{shown(name)}'"
         raise _error(text, wanted, did_you_mean(name, TERMS))
     if colon and not values.strip():
         raise _error(text, f"values after the colon of {name}, of {_known(name)}")
@@ -138,7 +138,7 @@ def _settings(text: str, name: str, values: str) -> dict[str, Value]:
             key, value = (list(known)[place] if place < len(known) else ""), part
         key, value = key.strip(), value.strip()
         if key not in known:
-            wanted = f"one of {_known(name)} in place of {shown(part.strip())}"
+            wanted = f"one of {_known(name)} in place of '{shown(part.strip())}'"
             raise _error(text, wanted, did_you_mean(key if equals else part, known))
         if key in found:
             raise _error(text, f"{key} of {name} once")
@@ -150,7 +150,7 @@ def _value(text: str, what: str, kind: Number | Word, value: str) -> Value:
     if value in kind.words:
         return value
     if isinstance(kind, Word):
-        raise _error(text, f"{kind.expected} for {what}, not {shown(value)}", did_you_mean(value, kind.words))
+        raise _error(text, f"{kind.expected} for {what}, not '{shown(value)}'", did_you_mean(value, kind.words))
     percent = kind.percent and value.endswith("%")
     half = kind.percent and value.startswith(HALF)
     digits = value.removesuffix("%") if percent else value.removeprefix(HALF) if half else value
@@ -158,5 +158,5 @@ def _value(text: str, what: str, kind: Number | Word, value: str) -> Value:
     low, high = (0.0, 100.0) if percent else (kind.low, kind.high)
     if not (low < number < high or (number == low and kind.low_too) or number == high) or not math.isfinite(number):
         guess = did_you_mean(value, kind.words)
-        raise _error(text, f"{kind.expected} for {what}, not {shown(value) if value else 'nothing'}", guess)
+        raise _error(text, f"{kind.expected} for {what}, not '{shown(value or 'nothing')}'", guess)
     return value if percent or half else number
