@@ -53,7 +53,7 @@ class Level(NamedTuple):
     spacing: tuple[float, float, float]
     first: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def part(self, corner: Corner, shape: Sequence[int]) -> Level:
+    def on_box(self, corner: Corner, shape: Sequence[int]) -> Level:
         """A box of this grid, from voxel ``corner`` on."""
         nz, ny, nx = shape
         z, y, x = (f + c * width for f, c, width in zip(self.first, corner, self.factors, strict=True))

@@ -168,9 +168,9 @@ class EvolvingObject:
             self._begin_from_start(before.state.on_next_grid(with_fields=False))
             return
         self._starts.release()
-        mine = coarse.part(self.corner, before.surface.shape)
+        mine = coarse.on_box(self.corner, before.surface.shape)
         self.corner, shape = finer_box(self.corner, before.surface.shape, coarse, self.grid)
-        theirs = self.grid.part(self.corner, shape)
+        theirs = self.grid.on_box(self.corner, shape)
         surface, fields = prolong_surface(before.surface, before.flow, mine, theirs, self._setup.half_width)
         self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
 

@@ -30,7 +30,7 @@ class StartPyramid:
             corner, psi = self._starts[-1]
             at, shape = coarser_box(corner, psi.shape, coarse, fine)
             corner, psi = _widened(corner, psi, touched_box(at, shape, coarse, fine), far)
-            self._starts.append((at, restrict(psi, fine.part(corner, psi.shape), coarse.part(at, shape))))
+            self._starts.append((at, restrict(psi, fine.on_box(corner, psi.shape), coarse.on_box(at, shape))))
 
     @property
     def level(self) -> int:
@@ -115,6 +115,6 @@ def to_finest(
     for number in range(level, 0, -1):
         coarse, fine = grids[number], grids[number - 1]
         at, shape = finer_box(corner, psi.shape, coarse, fine)
-        psi = prolong(psi, coarse.part(corner, psi.shape), fine.part(at, shape))
+        psi = prolong(psi, coarse.on_box(corner, psi.shape), fine.on_box(at, shape))
         corner = at
     return corner, psi

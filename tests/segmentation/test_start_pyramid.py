@@ -17,8 +17,8 @@ def test_a_box_has_the_blocks_of_the_whole_grid(shape):
         if shape[2] > 1:
             corner, size = (*corner[:2], 5), (*size[:2], 6)
         box = touched_box(corner, size, coarse, fine)
-        part = fine.part([s.start for s in box], [s.stop - s.start for s in box])
-        small = restrict(np.ascontiguousarray(image[box]), part, coarse.part(corner, size))
+        part = fine.on_box([s.start for s in box], [s.stop - s.start for s in box])
+        small = restrict(np.ascontiguousarray(image[box]), part, coarse.on_box(corner, size))
         there = tuple(slice(c, c + n) for c, n in zip(corner, size, strict=True))
         np.testing.assert_array_equal(small, whole[there])
 
