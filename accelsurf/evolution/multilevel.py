@@ -49,7 +49,7 @@ def prolong_surface(
     flow : Flow
         With its fields on the band of ``old``.
     coarse, fine : Level
-        Grids whose first voxels lie at the same corner.
+        Those grids: whole levels, or the same box of both.
     half_width : float
         Of the new band, voxels.
 

@@ -1,22 +1,22 @@
 """A pyramid of grids: shapes and spacings, restriction by block means, prolongation of psi by cubic interpolation.
 
-Level 0 is the image's own grid. A voxel of a coarser level is a block of its voxels; its centre is the block's. A
-block that reaches beyond the last voxel is filled with the last one's value, as the image is continued beyond its
-border everywhere else, so that odd sizes shift nothing. Positions are (z, y, x) in mm along the grid's axes, the first
-voxel of level 0 at 0.
+Level 0 is the image's own grid. All grids have the same centre, so that nothing depends on the direction of an axis. A
+voxel of a coarser level is a block of two voxels along each axis that is halved. Along an axis of odd size the blocks
+are centred on every other voxel and take half of its neighbours; the first and the last reach half a voxel beyond the
+border, where the array is continued linearly. Positions are (z, y, x) in voxels of level 0; its first voxel is at 0.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import bounding_box
+from accelsurf.grid.boxes import Corner, bounding_box
 from accelsurf.grid.slabs import slabs
 
 #: An axis is halved together with the finest if its spacing is at most so many times larger: voxels become more cubic.
@@ -27,22 +27,42 @@ MIN_VOXELS = 8
 AUTO_MIN_VOXELS, AUTO_MIN_DEPTH = 24, 2.0
 #: Catmull-Rom weights of four neighbours at a quarter of the way from the second to the third.
 QUARTER_WEIGHTS = (-0.0703125, 0.8671875, 0.2265625, -0.0234375)
+#: The same half-way between the second and the third: of the outer two, of the inner two.
+HALF_WEIGHTS = (-0.0625, 0.5625)
 
 
 class Level(NamedTuple):
-    """A grid of the pyramid: its ``number``, 0 being the image's; ``factors``, the voxels of level 0 per block along
-    each axis; ``shape``; and ``spacing`` (hz, hy, hx), mm.
+    """A grid of the pyramid, or a box of one.
+
+    Attributes
+    ----------
+    number : int
+        0 is the image's own grid.
+    factors : (int, int, int)
+        Voxels of level 0 per voxel, along each axis.
+    shape : (nz, ny, nx)
+    spacing : (hz, hy, hx)
+        mm.
+    first : (float, float, float)
+        Centre of the first voxel, in voxels of level 0.
     """
 
     number: int
     factors: tuple[int, int, int]
     shape: tuple[int, int, int]
     spacing: tuple[float, float, float]
+    first: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def first_centre(self, finest: Level) -> NDArray[np.float64]:
-        """Position of the first voxel's centre; ``finest`` is level 0."""
-        return 0.5 * (np.array(self.factors) - 1.0) * np.array(finest.spacing)
+    def on_box(self, corner: Corner, shape: Sequence[int]) -> Level:
+        """A box of this grid, from voxel ``corner`` on."""
+        nz, ny, nx = shape
+        z, y, x = (f + c * width for f, c, width in zip(self.first, corner, self.factors, strict=True))
+        return self._replace(shape=(nz, ny, nx), first=(z, y, x))
 
+    def places_in(self, coarse: Level) -> NDArray[np.float64]:
+        """Rows (3,) of factors and of additions that take an index of this grid to one of a coarser grid."""
+        widths = np.array(coarse.factors, float)
+        return np.stack([self.factors / widths, (np.array(self.first) - coarse.first) / widths])
 
 
 def levels(
@@ -79,37 +99,90 @@ def levels(
         last = made[-1]
         finest = min(last.spacing[axis] for axis in axes)
         halved = [axis for axis in axes if last.spacing[axis] <= MAX_SPACING_RATIO * finest]
-        factors = [f * 2 if axis in halved else f for axis, f in enumerate(last.factors)]
-        counts = [-(-n // f) for n, f in zip(shape, factors, strict=True)]
-        if min(counts[axis] for axis in halved) < min_voxels:
+        if min(-(-last.shape[axis] // 2) for axis in halved) < min_voxels:
             break
-        widths = [h * f for h, f in zip(spacing, factors, strict=True)]
-        # mypy does not see that these lists have three items.
-        made.append(Level(len(made), tuple(factors), tuple(counts), tuple(widths)))  # type: ignore[arg-type]
+        made.append(_halved_level(last, halved, spacing))
     return made
+
+
+def _halved_level(fine: Level, halved: Sequence[int], spacing: Sequence[float]) -> Level:
+    """The next coarser level; ``spacing`` of level 0."""
+    factors, counts, first = list(fine.factors), list(fine.shape), list(fine.first)
+    for axis in halved:
+        if counts[axis] % 2 == 0:
+            first[axis] += 0.5 * factors[axis]
+        factors[axis], counts[axis] = 2 * factors[axis], -(-counts[axis] // 2)
+    widths = [h * f for h, f in zip(spacing, factors, strict=True)]
+    # mypy does not see that these lists have three items.
+    return Level(fine.number + 1, tuple(factors), tuple(counts), tuple(widths), tuple(first))  # type: ignore[arg-type]
 
 
 def restrict(array: NDArray[np.float32], fine: Level, coarse: Level) -> NDArray[np.float32]:
     """Return the means over blocks of an array on ``fine``, on the next level ``coarse``.
 
+    Constant and linear arrays keep their values at the centres of the blocks, at the border too.
+
+    Parameters
+    ----------
+    array : ndarray (nz, ny, nx), float32
+    fine, coarse : Level
+        Grids of two levels, or boxes of them.
+
     Examples
     --------
-    >>> image = np.arange(5, dtype=np.float32).reshape(1, 1, 5)
-    >>> restrict(image, Level(0, (1, 1, 1), (1, 1, 5), (1, 1, 1)), Level(1, (1, 1, 2), (1, 1, 3), (1, 1, 2)))
-    array([[[0.5, 2.5, 4. ]]], dtype=float32)
+    >>> fine, coarse = levels((1, 1, 5), (1.0, 1.0, 1.0), min_voxels=2)[:2]
+    >>> restrict(np.array([[[0, 1, 2, 3, 8]]], np.float32), fine, coarse)
+    array([[[0., 2., 8.]]], dtype=float32)
     """
     for axis in _halved(fine, coarse):
-        n = array.shape[axis]
-        even, odd = _along(array, axis, slice(0, n, 2)), _along(array, axis, slice(1, n, 2))
-        means = np.multiply(even, np.float32(0.5))
-        # The last block of an odd number of voxels is the last voxel twice.
-        full = _along(means, axis, slice(0, n // 2))
-        full += np.float32(0.5) * odd
-        if n % 2:
-            last = _along(means, axis, slice(n // 2, None))
-            last += last.copy()
-        array = means
+        array = _block_means(array, axis, _offset(fine, coarse, axis), coarse.shape[axis])
     return np.ascontiguousarray(array)
+
+
+def _block_means(array: NDArray[np.float32], axis: int, offset: float, count: int) -> NDArray[np.float32]:
+    """The means over ``count`` blocks along an axis; the first is centred at index ``offset`` of the array."""
+    n = array.shape[axis]
+    low, high = _touched(offset, 0)[0], _touched(offset, count - 1)[1]
+    # Blocks beyond the ends are made apart: the array would have to be copied with the voxels added.
+    begin, end = -(min(low, 0) // 2), count + min(n - high, 0) // 2
+    pieces = [(0, begin), (begin, end), (end, count)] if begin < end else [(0, count)]
+    parts = []
+    for start, stop in pieces:
+        if start < stop:
+            low, high = _touched(offset, start)[0], _touched(offset, stop - 1)[1]
+            part = _along(array, axis, slice(max(low, 0), min(high, n)))
+            parts.append(_pairs(_continued(part, axis, max(-low, 0), max(high - n, 0)), axis, offset))
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
+
+
+def _touched(offset: float, block: int) -> tuple[int, int]:
+    """The first voxel that a block touches, and the one after the last."""
+    return math.ceil(offset - 1.0) + 2 * block, math.floor(offset + 1.0) + 2 * block + 1
+
+
+def _pairs(array: NDArray[np.float32], axis: int, offset: float) -> NDArray[np.float32]:
+    """The means over blocks that begin with the first voxel: of two, or of a voxel and half of its neighbours."""
+    n = array.shape[axis]
+    if offset % 1.0:
+        means = _along(array, axis, slice(0, n, 2)) + _along(array, axis, slice(1, n, 2))
+    else:
+        # Neighbours are added first: the sum is the same, bit by bit, from either side.
+        means = _along(array, axis, slice(0, n - 1, 2)) + _along(array, axis, slice(2, n, 2))
+        means *= np.float32(0.5)
+        means += _along(array, axis, slice(1, n, 2))
+    means *= np.float32(0.5)
+    return means
+
+
+def _continued(array: NDArray[np.float32], axis: int, before: int, after: int) -> NDArray[np.float32]:
+    """The array with more voxels along an axis: its values and their slope at the ends go on there."""
+    if not before and not after:
+        return array
+    first, last = _along(array, axis, slice(0, 1)), _along(array, axis, slice(-1, None))
+    second, before_last = _along(array, axis, slice(1, 2)), _along(array, axis, slice(-2, -1))
+    low = [first + np.float32(i) * (first - second) for i in range(before, 0, -1)]
+    high = [last + np.float32(i) * (last - before_last) for i in range(1, after + 1)]
+    return np.concatenate([*low, array, *high], axis=axis)
 
 
 def prolong(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.float32]:
@@ -118,6 +191,12 @@ def prolong(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.
     Near the surface psi is a distance, which is smooth but for its ridges; where it is +-gamma it stays so. Beyond the
     border it is extrapolated linearly, so that a surface that runs into the border keeps its direction.
 
+    Parameters
+    ----------
+    psi : ndarray (nz, ny, nx), float32
+    coarse, fine : Level
+        Grids of two levels, or boxes of them: the first voxel of ``fine`` lies in the first of ``coarse``.
+
     Examples
     --------
     >>> fine, coarse = levels((1, 1, 16), (1.0, 1.0, 1.0))
@@ -125,43 +204,46 @@ def prolong(psi: NDArray[np.float32], coarse: Level, fine: Level) -> NDArray[np.
     >>> float(prolong(psi, coarse, fine)[0, 0, 0]), float(prolong(psi, coarse, fine)[0, 0, 15])
     (-7.0, 8.0)
     """
-    halved = _halved(fine, coarse)
+    halved = {axis: _offset(fine, coarse, axis) for axis in _halved(fine, coarse)}
     if 0 not in halved:
         return _prolong(psi, halved, fine)
     # By slabs of planes: otherwise three copies of the whole array would be needed.
-    padded = _padded(psi, 0)
+    padded, offset = _continued(psi, 0, 2, 2), halved.pop(0)
     out = np.empty(fine.shape, np.float32)
     for planes in slabs(fine.shape, multiple=2):
-        values = _between(padded[planes.start // 2 : (planes.stop + 1) // 2 + 4], 0, planes.stop - planes.start)
-        out[planes] = _prolong(values, [axis for axis in halved if axis > 0], fine)
+        part = padded[planes.start // 2 : (planes.stop + 1) // 2 + 4]
+        out[planes] = _prolong(_between(part, 0, offset, planes.stop - planes.start), halved, fine)
     return out
 
 
-def _prolong(psi: NDArray[np.float32], axes: Sequence[int], fine: Level) -> NDArray[np.float32]:
-    for axis in axes:
-        psi = _between(_padded(psi, axis), axis, fine.shape[axis])
+def _prolong(psi: NDArray[np.float32], offsets: Mapping[int, float], fine: Level) -> NDArray[np.float32]:
+    for axis, offset in offsets.items():
+        psi = _between(_continued(psi, axis, 2, 2), axis, offset, fine.shape[axis])
     return psi
 
 
-def _padded(psi: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """Extrapolate linearly by two voxels to both sides."""
-    first, second = _along(psi, axis, slice(0, 1)), _along(psi, axis, slice(1, 2))
-    last, before = _along(psi, axis, slice(-1, None)), _along(psi, axis, slice(-2, -1))
-    low, high = first - second, last - before
-    return np.concatenate((first + 2 * low, first + low, psi, last + high, last + 2 * high), axis=axis)
+def _between(padded: NDArray[np.float32], axis: int, offset: float, n: int) -> NDArray[np.float32]:
+    """Return ``n`` values along an axis of an array padded by two; its first voxel lies at ``offset`` among them.
 
-
-def _between(padded: NDArray[np.float32], axis: int, n: int) -> NDArray[np.float32]:
-    """Return the ``n`` values at a quarter to either side of the voxels of a padded array."""
+    ``offset`` 0: at the voxels and half-way between them; 0.5: at a quarter to either side of them.
+    """
     shape = list(padded.shape)
     shape[axis] = n
     out = np.zeros(shape, np.float32)
     for parity in (0, 1):
         half = _along(out, axis, slice(parity, n, 2))
         count = half.shape[axis]
-        for j, weight in enumerate(QUARTER_WEIGHTS):
-            begin = 3 - j if parity == 0 else 1 + j
-            half += np.float32(weight) * _along(padded, axis, slice(begin, begin + count))
+        if not offset and parity == 0:
+            half[...] = _along(padded, axis, slice(2, 2 + count))
+            continue
+        nodes = [_along(padded, axis, slice(begin, begin + count)) for begin in range(parity, parity + 4)]
+        if not offset:
+            half += np.float32(HALF_WEIGHTS[0]) * (nodes[0] + nodes[3])
+            half += np.float32(HALF_WEIGHTS[1]) * (nodes[1] + nodes[2])
+            continue
+        # In the same order from either side.
+        for weight, node in zip(QUARTER_WEIGHTS, nodes if parity else nodes[::-1], strict=True):
+            half += np.float32(weight) * node
     return out
 
 
@@ -200,6 +282,11 @@ def count_resolved_levels(grids: Sequence[Level], psi: NDArray[np.float32]) -> i
 
 def _halved(fine: Level, coarse: Level) -> list[int]:
     return [axis for axis in range(3) if coarse.factors[axis] != fine.factors[axis]]
+
+
+def _offset(fine: Level, coarse: Level, axis: int) -> float:
+    """Index on ``fine`` of the centre of the first voxel of ``coarse``, along an axis: a multiple of a half."""
+    return (coarse.first[axis] - fine.first[axis]) / fine.factors[axis]
 
 
 def _along(array: NDArray[np.float32], axis: int, where: slice) -> NDArray[np.float32]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,10 @@ def gaussian_mm(
     image: NDArray[np.float32],
     spacing: Sequence[float],
     sigma: float,
-    border: Literal["nearest", "reflect"] = "nearest",
 ) -> NDArray[np.float32]:
     """Smooth an image by a Gaussian, along each axis of more than one voxel.
+
+    Beyond its border the image is mirrored: what leaves it there comes back, so its mean stays.
 
     Parameters
     ----------
@@ -25,8 +25,6 @@ def gaussian_mm(
         (hz, hy, hx), mm.
     sigma : float
         Standard deviation, mm.
-    border : {"nearest", "reflect"}, optional
-        How the image continues beyond its border: with the border's values, or mirrored.
 
     Returns
     -------
@@ -41,4 +39,4 @@ def gaussian_mm(
     array([[[0.   , 0.106, 0.787, 0.106, 0.   ]]], dtype=float32)
     """
     widths = [sigma / h if n > 1 else 0.0 for n, h in zip(image.shape, spacing, strict=True)]
-    return np.asarray(ndimage.gaussian_filter(image, widths, output=np.float32, mode=border))
+    return np.asarray(ndimage.gaussian_filter(image, widths, output=np.float32, mode="reflect"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,12 +12,15 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 from skimage.graph import MCP_Geometric
 
-from accelsurf.grid.boxes import widened
+from accelsurf.grid.boxes import Box, widened
 from accelsurf.grid.geometry import Geometry
 
 #: A path through a voxel counts twice its length when the value differs from the seed's by this many standard
 #: deviations of the seed's neighbours, but at least by this fraction of the range of the image's middle 99 percent.
 SEED_DEVIATIONS, MIN_RANGE_FRACTION = 3.0, 0.1
+
+#: A place is half-way between two voxels if it is so up to this fraction of one: world coordinates are rounded.
+TIE = 1e-6
 
 
 def otsu_level(values: NDArray[Any]) -> float:
@@ -88,10 +93,9 @@ def grow_region(
         Empty when the seed is outside.
     """
     out = np.zeros(values.shape, np.bool_)
-    z, y, x = (int(np.floor(c + 0.5)) for c in centre)
-    if any(not 0 <= i < n for i, n in zip((z, y, x), values.shape, strict=True)):
+    voxel = nearest_voxels(centre)
+    if any(s.start < 0 or s.stop > n for s, n in zip(voxel, values.shape, strict=True)):
         return out
-    voxel = (slice(z, z + 1), slice(y, y + 1), slice(x, x + 1))
     box = widened(voxel, values.shape, [int(np.ceil(radius / h)) + 1 for h in geometry.spacing])
     near = values[widened(voxel, values.shape, (1, 1, 1))].astype(np.float64)
     middle = float(np.median(near))
@@ -100,6 +104,19 @@ def grow_region(
     spread = max(SEED_DEVIATIONS * deviation, MIN_RANGE_FRACTION * float(high - low), 1e-30)
     cost = 1.0 + ((values[box].astype(np.float64) - middle) / spread) ** 2
     march = MCP_Geometric(cost, sampling=geometry.spacing)
-    length, _ = march.find_costs([[i - s.start for i, s in zip((z, y, x), box, strict=True)]])
+    ranges = (range(v.start - s.start, v.stop - s.start) for v, s in zip(voxel, box, strict=True))
+    length, _ = march.find_costs([list(seed) for seed in product(*ranges)])
     out[box] = length <= radius
     return out
+
+
+def nearest_voxels(centre: Sequence[float]) -> Box:
+    """The voxel nearest to a place, in voxels; half-way between two it is both, from whichever side one counts.
+
+    Examples
+    --------
+    >>> nearest_voxels((3.0, 4.4, 5.5))
+    (slice(3, 4, None), slice(4, 5, None), slice(5, 7, None))
+    """
+    z, y, x = (slice(int(np.ceil(c - 0.5 - TIE)), int(np.floor(c + 0.5 + TIE)) + 1) for c in centre)
+    return z, y, x

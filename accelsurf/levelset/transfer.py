@@ -32,8 +32,7 @@ def transfer_fields(
         return []
     out = np.empty((len(fields), new.size), np.float32)
     values = np.stack([np.asarray(field, np.float32) for field in fields])
-    ratio = np.array([f / c for c, f in zip(coarse.factors, fine.factors, strict=True)])
-    place = np.stack([ratio, 0.5 * (ratio - 1.0)])
+    place = fine.places_in(coarse)
     on, missing = (slot, Grid(*coarse.shape, *coarse.spacing)), np.array(fill_values, np.float32)
     new.workers.parallel(transport.fields_between, new.size, on, new.band, new.grid, place, (values, missing), out)
     return list(out)

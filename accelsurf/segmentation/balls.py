@@ -22,7 +22,7 @@ class BallEdit(NamedTuple):
 
     def on_level(self, grid: Level) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Its centre as index of a level's grid, and its radius in voxels of it along each axis."""
-        middle = (np.array(self.centre) + 0.5) / grid.factors - 0.5
+        middle = (np.array(self.centre) - grid.first) / grid.factors
         return middle, self.radius / np.array(grid.spacing)
 
     def extent(self, grid: Level) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -168,8 +168,9 @@ class EvolvingObject:
             self._begin_from_start(before.state.on_next_grid(with_fields=False))
             return
         self._starts.release()
+        mine = coarse.on_box(self.corner, before.surface.shape)
         self.corner, shape = finer_box(self.corner, before.surface.shape, coarse, self.grid)
-        mine, theirs = coarse._replace(shape=before.surface.shape), self.grid._replace(shape=shape)
+        theirs = self.grid.on_box(self.corner, shape)
         surface, fields = prolong_surface(before.surface, before.flow, mine, theirs, self._setup.half_width)
         self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
 

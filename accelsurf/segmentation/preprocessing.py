@@ -21,6 +21,7 @@ from accelsurf.segmentation.image_context import ImageContext, Mask, Scale
 from accelsurf.segmentation.region_of_interest import cropped, region_of_interest
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.wording import shown
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
@@ -218,9 +219,9 @@ def _start_within(
         where = "the mask" if config.roi is None else "the mask and the region of interest"
     inside = psi < 0
     if not inside.any():
-        raise InputError(f"start {what}: nothing of it lies in {where}", "start within it")
+        raise InputError(f"start {shown(what)}: nothing of it lies in {where}", "start within it")
     if inside.all():
-        raise InputError(f"start {what}: it covers all of {where}", "leave some background outside")
+        raise InputError(f"start {shown(what)}: it covers all of {where}", "leave some background outside")
     return np.ascontiguousarray(psi)
 
 
@@ -293,7 +294,7 @@ def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
     """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
     image = volume.as_float32()
     if sigma > 0:
-        image = gaussian_mm(image, volume.geometry.spacing, sigma, border="reflect")
+        image = gaussian_mm(image, volume.geometry.spacing, sigma)
     return image
 
 

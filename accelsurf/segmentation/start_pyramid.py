@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Corner
+from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.pyramid import Level, prolong, restrict
 from accelsurf.initialization.object_starts import ObjectStart
 
@@ -19,21 +19,18 @@ class StartPyramid:
     ----------
     start : ObjectStart
     grids : sequence of Level
-        Finest first. On several levels the start is put on a box of whole blocks of the coarsest.
+        Finest first. On each the start lies on the box of all blocks that it touches; beyond what is known of it, it
+        is far outside.
     """
 
     def __init__(self, start: ObjectStart, grids: Sequence[Level]) -> None:
-        corner, psi = start.corner, start.psi
-        if len(grids) > 1:
-            corner, psi = _aligned(corner, psi, grids)
-        self._starts = [(corner, psi)]
+        self._starts = [(start.corner, start.psi)]
+        far = float(np.abs(start.psi[np.isfinite(start.psi)]).max())
         for fine, coarse in zip(grids, grids[1:], strict=False):
             corner, psi = self._starts[-1]
-            ratio = ratio_of(coarse, fine)
-            nz, ny, nx = (-(-n // r) for n, r in zip(psi.shape, ratio, strict=True))
-            z, y, x = (c // r for c, r in zip(corner, ratio, strict=True))
-            small, blocks = fine._replace(shape=shape_of(psi)), coarse._replace(shape=(nz, ny, nx))
-            self._starts.append(((z, y, x), restrict(psi, small, blocks)))
+            at, shape = coarser_box(corner, psi.shape, coarse, fine)
+            corner, psi = _widened(corner, psi, touched_box(at, shape, coarse, fine), far)
+            self._starts.append((at, restrict(psi, fine.on_box(corner, psi.shape), coarse.on_box(at, shape))))
 
     @property
     def level(self) -> int:
@@ -61,18 +58,12 @@ class StartPyramid:
         self._starts[-1] = ((0, 0, 0), np.zeros((0, 0, 0), np.float32))
 
 
-def _aligned(
-    corner: Corner, psi: NDArray[np.float32], grids: Sequence[Level]
+def _widened(
+    corner: Corner, psi: NDArray[np.float32], box: Box, value: float
 ) -> tuple[Corner, NDArray[np.float32]]:
-    """A start on a box of whole blocks of the coarsest level; beyond the known values it is far outside."""
-    blocks, whole = grids[-1].factors, grids[0].shape
-    low = [c // f * f for c, f in zip(corner, blocks, strict=True)]
-    high = [min(-(-(c + n) // f) * f, w) for c, n, f, w in zip(corner, psi.shape, blocks, whole, strict=True)]
-    if low == list(corner) and [b - a for a, b in zip(low, high, strict=True)] == list(psi.shape):
-        return corner, psi
-    pad = [(c - a, b - c - n) for a, b, c, n in zip(low, high, corner, psi.shape, strict=True)]
-    far = float(np.abs(psi[np.isfinite(psi)]).max())
-    return (low[0], low[1], low[2]), np.pad(psi, pad, constant_values=far)
+    """The same on a larger box, with ``value`` beyond what is known."""
+    pad = [(c - s.start, s.stop - c - n) for c, n, s in zip(corner, psi.shape, box, strict=True)]
+    return corner_of(box), psi if not np.any(pad) else np.pad(psi, pad, constant_values=value)
 
 
 def ratio_of(coarse: Level, fine: Level) -> tuple[int, int, int]:
@@ -81,20 +72,38 @@ def ratio_of(coarse: Level, fine: Level) -> tuple[int, int, int]:
     return z, y, x
 
 
-def shape_of(array: NDArray[np.float32]) -> tuple[int, int, int]:
-    """The shape of a volume."""
-    nz, ny, nx = array.shape
-    return nz, ny, nx
+def coarser_box(
+    corner: Corner, shape: tuple[int, ...], coarse: Level, fine: Level
+) -> tuple[Corner, tuple[int, int, int]]:
+    """First voxel and shape, on the next coarser level, of the voxels that a box touches."""
+    at, counts = [], []
+    for c, n, ratio, whole in zip(corner, shape, ratio_of(coarse, fine), fine.shape, strict=True):
+        # A block of an axis of odd size takes half of the voxel after its last as well.
+        at.append(c // ratio)
+        counts.append((c + n - (1 if ratio == 1 or whole % 2 == 0 else 0)) // ratio + 1 - at[-1])
+    return (at[0], at[1], at[2]), (counts[0], counts[1], counts[2])
+
+
+def touched_box(corner: Corner, shape: tuple[int, ...], coarse: Level, fine: Level) -> Box:
+    """The voxels of the next finer level that a box of blocks touches."""
+    ends = []
+    for c, n, ratio, whole in zip(corner, shape, ratio_of(coarse, fine), fine.shape, strict=True):
+        half = 1 if ratio > 1 and whole % 2 else 0
+        ends.append(slice(max(c * ratio - half, 0), min((c + n) * ratio, whole)))
+    return ends[0], ends[1], ends[2]
 
 
 def finer_box(
     corner: Corner, shape: tuple[int, ...], coarse: Level, fine: Level
 ) -> tuple[Corner, tuple[int, int, int]]:
-    """First voxel and shape, on the next finer level, of a box of voxels."""
+    """First voxel and shape, on the next finer level, of a box of voxels.
+
+    Along an axis of odd size it goes from the centre of the first voxel to that of the last.
+    """
     ratio = ratio_of(coarse, fine)
     z, y, x = (c * r for c, r in zip(corner, ratio, strict=True))
     nz, ny, nx = (
-        min(n * r, whole - c) for n, r, whole, c in zip(shape, ratio, fine.shape, (z, y, x), strict=True)
+        n * r - (1 if r > 1 and whole % 2 else 0) for n, r, whole in zip(shape, ratio, fine.shape, strict=True)
     )
     return (z, y, x), (nz, ny, nx)
 
@@ -106,6 +115,6 @@ def to_finest(
     for number in range(level, 0, -1):
         coarse, fine = grids[number], grids[number - 1]
         at, shape = finer_box(corner, psi.shape, coarse, fine)
-        psi = prolong(psi, coarse._replace(shape=shape_of(psi)), fine._replace(shape=shape))
+        psi = prolong(psi, coarse.on_box(corner, psi.shape), fine.on_box(at, shape))
         corner = at
     return corner, psi

@@ -6,8 +6,6 @@ them in one place, `accelsurf.segmentation.run.Run`.
 
 from __future__ import annotations
 
-import difflib
-import json
 import shlex
 from collections.abc import Mapping
 from typing import Any
@@ -17,6 +15,7 @@ from pydantic.fields import FieldInfo
 
 from accelsurf.errors import UsageError
 from accelsurf.settings.entry import entry_of
+from accelsurf.settings.wording import did_you_mean, shown
 
 FORM = 'step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on'
 
@@ -106,22 +105,22 @@ def _edit(value: Any) -> Edit:
         value = value.model_dump()
     table = _words(value) if isinstance(value, str) else value
     if not isinstance(table, Mapping):
-        raise UsageError(f"edit: {_shown(value)} was given, expected a step and what changes before it", FORM)
+        raise UsageError(f"edit: {shown(value)} was given, expected a step and what changes before it", FORM)
     step = table.get("step")
     if isinstance(step, str) and step.isdecimal():
         step = int(step)
     if not isinstance(step, int) or isinstance(step, bool) or step < 0:
-        given = "no step" if step is None else f"step {_shown(step)}"
+        given = "no step" if step is None else f"step {shown(step)}"
         raise UsageError(f"edit: {given} was given, expected a whole number at least 0", FORM)
     for key in ("add", "remove"):
         ball = table.get(key)
         if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
-            raise UsageError(f"edit at step {step}: {key} {_shown(ball)} was given, expected ball:X,Y,Z,R", FORM)
+            raise UsageError(f"edit at step {step}: {key} {shown(ball)} was given, expected ball:X,Y,Z,R", FORM)
     own = table.get("object")
     if isinstance(own, str) and own.isdecimal():
         own = int(own)
     if own is not None and (not isinstance(own, int) or isinstance(own, bool) or own < 1):
-        raise UsageError(f"edit at step {step}: object {_shown(own)} was given, expected an object's id", FORM)
+        raise UsageError(f"edit at step {step}: object {shown(own)} was given, expected an object's id", FORM)
     return Edit(**{**table, "step": step, "object": own})
 
 
@@ -131,7 +130,7 @@ def _words(text: str) -> dict[str, str]:
     except ValueError:
         pairs = [(text, "", "")]
     if not pairs or not all(sign and key and value for key, sign, value in pairs):
-        raise UsageError(f"edit: {text!r} was given, expected words like step=30", FORM)
+        raise UsageError(f"edit: {shown(text)} was given, expected words like step=30", FORM)
     return {key: value for key, _, value in pairs}
 
 
@@ -151,13 +150,7 @@ def refuse_unknown(edit: Edit, known: Mapping[str, FieldInfo]) -> None:
             raise UsageError(
                 f"edit at step {edit.step}: {key} cannot change while a run runs", f"these can: {', '.join(possible)}"
             )
-        near = difflib.get_close_matches(key.replace("-", "_"), [*possible, "add", "remove"], n=1, cutoff=0.5)
-        guess = f"did you mean {near[0]}? " if near else ""
         raise UsageError(
-            f"edit at step {edit.step}: {key}: there is no such setting",
-            f"{guess}Valid are add, remove, {', '.join(possible)}",
+            f"edit at step {edit.step}: {shown(key)}: there is no such setting",
+            f"{did_you_mean(key, [*possible, 'add', 'remove'])}Valid are add, remove, {', '.join(possible)}",
         )
-
-
-def _shown(value: Any) -> str:
-    return value if isinstance(value, str) and value else json.dumps(value, default=str)

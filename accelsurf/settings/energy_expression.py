@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
 from accelsurf.settings.energy_terms import HALF, TERMS, Number, Value, Word, image_terms
+from accelsurf.settings.wording import did_you_mean, shown
 
 EXAMPLE = "local-region:R=8 + 0.3*geodesic + 0.1*area"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -88,15 +89,16 @@ def from_tables(tables: Sequence[Any]) -> str:
         settings = {key: value for key, value in table.items() if key not in ("term", "weight")}
         for key, value in settings.items():
             if not isinstance(value, (int, float, str)) or isinstance(value, bool):
-                raise _error(str(table), f"a number or a word for {key}")
+                raise _error(str(table), f"a number or a word for {shown(key)}")
         values = ",".join(f"{key}={value}" for key, value in settings.items())
         factor = "" if weight == 1 else f"{weight!r}*"
         items.append(f"{factor}{table['term']}" + (f":{values}" if values else ""))
     return " + ".join(items)
 
 
-def _error(text: str, expected: str) -> UsageError:
-    return UsageError(f"energy: {text.strip() or 'nothing'} was given, expected {expected}", f"as in {EXAMPLE!r}")
+def _error(text: str, expected: str, guess: str = "") -> UsageError:
+    given = shown(text.strip()) if text.strip() else "nothing"
+    return UsageError(f"energy: {given} was given, expected {expected}", f"{guess}as in {EXAMPLE!r}")
 
 
 def _item(text: str, item: str, sign: float) -> Term:
@@ -104,13 +106,14 @@ def _item(text: str, item: str, sign: float) -> Term:
     weight = 1.0
     if star:
         if not _NUMBER.fullmatch(factor.strip()):
-            raise _error(text, f"a number before the * in {item!r}")
+            raise _error(text, f"a number before the * in '{shown(item)}'")
         weight, item = float(factor), rest.strip()
     name, colon, values = item.partition(":")
     name = name.strip()
     if name not in TERMS:
         near = " with a blank on either side of + and -" if re.search(r"[+\s]", name) else ""
-        raise _error(text, f"{', '.join(list(TERMS)[:-1])} or {list(TERMS)[-1]}{near} in place of {name!r}")
+        wanted = f"{', '.join(list(TERMS)[:-1])} or {list(TERMS)[-1]}{near} in place of '{shown(name)}'"
+        raise _error(text, wanted, did_you_mean(name, TERMS))
     if colon and not values.strip():
         raise _error(text, f"values after the colon of {name}, of {_known(name)}")
     settings = _settings(text, name, values) if colon else {}
@@ -135,7 +138,8 @@ def _settings(text: str, name: str, values: str) -> dict[str, Value]:
             key, value = (list(known)[place] if place < len(known) else ""), part
         key, value = key.strip(), value.strip()
         if key not in known:
-            raise _error(text, f"one of {_known(name)} in place of {part.strip()!r}")
+            wanted = f"one of {_known(name)} in place of '{shown(part.strip())}'"
+            raise _error(text, wanted, did_you_mean(key if equals else part, known))
         if key in found:
             raise _error(text, f"{key} of {name} once")
         found[key] = _value(text, f"{key} of {name}", known[key], value)
@@ -146,12 +150,13 @@ def _value(text: str, what: str, kind: Number | Word, value: str) -> Value:
     if value in kind.words:
         return value
     if isinstance(kind, Word):
-        raise _error(text, f"{kind.expected} for {what}, not {value!r}")
+        raise _error(text, f"{kind.expected} for {what}, not '{shown(value)}'", did_you_mean(value, kind.words))
     percent = kind.percent and value.endswith("%")
     half = kind.percent and value.startswith(HALF)
     digits = value.removesuffix("%") if percent else value.removeprefix(HALF) if half else value
     number = float(digits) if _NUMBER.fullmatch(digits) else math.nan
     low, high = (0.0, 100.0) if percent else (kind.low, kind.high)
     if not (low < number < high or (number == low and kind.low_too) or number == high) or not math.isfinite(number):
-        raise _error(text, f"{kind.expected} for {what}, not {value or 'nothing'!r}")
+        guess = did_you_mean(value, kind.words)
+        raise _error(text, f"{kind.expected} for {what}, not '{shown(value or 'nothing')}'", guess)
     return value if percent or half else number

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import json
 from typing import Any
 
 from pydantic import ValidationError
@@ -11,6 +9,7 @@ from pydantic import ValidationError
 from accelsurf.errors import UsageError
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.fields import VOXELS, SettingFields
+from accelsurf.settings.wording import did_you_mean, shown
 
 
 def usage_error(error: ValidationError, values: dict[str, Any]) -> UsageError:
@@ -18,15 +17,37 @@ def usage_error(error: ValidationError, values: dict[str, Any]) -> UsageError:
     key = str(error.errors()[0]["loc"][0])
     if key in SettingFields.model_fields:
         return UsageError(*complaint(key, values.get(key)))
-    near = difflib.get_close_matches(key.replace("-", "_"), SettingFields.model_fields, n=1, cutoff=0.5)
-    guess = f"did you mean {near[0]}? " if near else ""
-    return UsageError(f"{key}: there is no such setting", f"{guess}Valid are {', '.join(SettingFields.model_fields)}")
+    guess = did_you_mean(key, SettingFields.model_fields)
+    known = "accelsurf info lists them" if guess else f"valid are {', '.join(SettingFields.model_fields)}"
+    return UsageError(f"{shown(key)}: there is no such setting", guess + known)
 
 
 def complaint(key: str, value: Any) -> tuple[str, str]:
     """Return message and hint for a value that ``key`` does not take."""
-    given = value if isinstance(value, str) and value else json.dumps(value, default=str)
-    return f"{key}: {given} was given, expected {expected(key)}", help_of(key)
+    given = [one.strip() for one in value.split(",")] if isinstance(value, str) else value
+    names = choices(key)
+    wrong = [one for one in given if one not in names] if isinstance(given, (list, tuple)) else [given]
+    guess = did_you_mean(wrong[0], names) if wrong else ""
+    return f"{key}: {shown(value)} was given, expected {expected(key)}", guess + help_of(key)
+
+
+def choices(key: str) -> list[str]:
+    """Names that a field takes, besides numbers and other texts.
+
+    Examples
+    --------
+    >>> choices("diffusion"), choices("cfl")
+    (['auto', 'free'], [])
+    """
+    return _names_in(SettingFields.model_json_schema()["properties"][key])
+
+
+def _names_in(schema: dict[str, Any]) -> list[str]:
+    if "anyOf" in schema:
+        return [name for part in schema["anyOf"] for name in _names_in(part)]
+    if "items" in schema:
+        return _names_in(schema["items"])
+    return [schema["const"]] if "const" in schema else list(schema.get("enum", ()))
 
 
 def expected(key: str) -> str:

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid import pyramid, slabs
+from accelsurf.grid import slabs
 from accelsurf.grid.pyramid import count_resolved_levels, levels, min_component_depth, prolong, restrict
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import transfer_fields
+from tests.support.axis_orders import WAYS, permuted, restored
 
 GRIDS = {
     "cubic": ((48, 48, 48), (1.0, 1.0, 1.0)),
@@ -16,9 +17,13 @@ GRIDS = {
 }
 
 
+def first_centre(level, grids):
+    """Centre of the first voxel, mm, that of the image's first at 0."""
+    return np.array(level.first) * grids[0].spacing
+
+
 def positions(level, grids):
-    first = level.first_centre(grids[0])
-    axes = zip(first, level.spacing, level.shape, strict=True)
+    axes = zip(first_centre(level, grids), level.spacing, level.shape, strict=True)
     return np.meshgrid(*(o + h * np.arange(n) for o, h, n in axes), indexing="ij")
 
 
@@ -52,9 +57,44 @@ def test_means_of_a_linear_image_are_its_values_at_the_centres(grid):
         image = restrict(image, fine, coarse)
         assert image.shape == coarse.shape and image.flags.c_contiguous
         exact = sum((axis + 1) * p for axis, p in enumerate(positions(coarse, grids)))
-        # The last block of an odd axis is filled with the last voxel: it is the image held there that is averaged.
-        inner = tuple(slice(0, n // f) for n, f in zip(grids[0].shape, coarse.factors, strict=True))
-        np.testing.assert_allclose(image[inner], exact[inner], rtol=1e-5, atol=1e-4)
+        # At the border too: an axis of odd size is continued linearly.
+        np.testing.assert_allclose(image, exact, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+def test_all_grids_have_the_same_centre(grid):
+    grids = levels(*GRIDS[grid], min_voxels=2)
+    for level in grids:
+        axes = zip(level.first, level.shape, level.factors, strict=True)
+        assert [first + 0.5 * (n - 1) * width for first, n, width in axes] == [0.5 * (n - 1) for n in grids[0].shape]
+        # No voxel of the image lies outside.
+        assert all(f <= 0.5 * (width - 1) for f, width in zip(level.first, level.factors, strict=True))
+
+
+def test_means_of_a_constant_image_are_that_constant():
+    grids = levels((9, 12, 13), (1.0, 1.0, 1.0), min_voxels=2)
+    image = np.full(grids[0].shape, 3.7, np.float32)
+    for fine, coarse in zip(grids, grids[1:], strict=False):
+        image = restrict(image, fine, coarse)
+        assert (image == np.float32(3.7)).all()
+
+
+@pytest.mark.parametrize("shape", [(16, 17, 18), (9, 9, 9), (1, 14, 15), (19, 1, 8)])
+@pytest.mark.parametrize("way", [WAYS[i] for i in (1, 6, 10, 19, 28, 37, 47)], ids=str)
+def test_levels_are_the_same_in_every_order_and_direction_of_the_axes(shape, way):
+    order, flips = way
+    spacing = (1.0, 1.2, 0.9)
+    fine, coarse = levels(shape, spacing, 2, 2)
+    turned = levels(tuple(shape[i] for i in order), tuple(spacing[i] for i in order), 2, 2)
+    assert turned[1].shape == tuple(coarse.shape[i] for i in order)
+    rng = np.random.default_rng(7)
+    image, psi = (rng.normal(size=level.shape).astype(np.float32) for level in (fine, coarse))
+    for function, array, pair in ((restrict, image, (0, 1)), (prolong, psi, (1, 0))):
+        one = function(array, *((fine, coarse)[i] for i in pair))
+        other = restored(function(permuted(array, way), *(turned[i] for i in pair)), way)
+        np.testing.assert_allclose(other, one, atol=2e-6)
+        if order == (0, 1, 2):
+            assert np.array_equal(other, one)
 
 
 def test_means_do_not_change_the_array_that_they_are_of():
@@ -106,7 +146,7 @@ def test_fields_come_back_to_where_they_were(grid):
     def polar(surface, level):
         """The cosine of the angle with the last axis, constant along the normals of the ball."""
         index = np.stack(np.unravel_index(surface.band.cells, surface.shape), axis=1)
-        place = index * np.array(level.spacing) + level.first_centre(fine) - centre
+        place = index * np.array(level.spacing) + first_centre(level, grids) - centre
         place[:, np.array(surface.shape) == 1] = 0.0
         return (place[:, 2] / np.maximum(np.linalg.norm(place, axis=1), 1e-9)).astype(np.float32)
 
@@ -149,7 +189,7 @@ def test_levels_that_resolve_a_start():
 
 def test_the_weights_of_the_interpolation_reproduce_cubics_far_from_the_border():
     fine, coarse = levels((1, 1, 64), (1.0, 1.0, 1.0), 2)
-    x = pyramid.Level.first_centre(coarse, fine)[2] + 2.0 * np.arange(32)
+    x = coarse.first[2] + 2.0 * np.arange(32)
     psi = (0.01 * x**2 - x).astype(np.float32).reshape(1, 1, 32)
     values = prolong(psi, coarse, fine)[0, 0]
     at = np.arange(64.0)

@@ -6,7 +6,7 @@ from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.initialization import starts
+from accelsurf.initialization import region_growing, starts
 
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 
@@ -255,3 +255,15 @@ def test_meshes_that_are_open_missing_or_damaged(tmp_path):
 def test_bad_words_of_the_new_kinds(text, words):
     with pytest.raises(UsageError, match=words):
         starts.parse(text)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_seed_between_two_voxels_is_the_same_from_either_side(axis):
+    values = np.random.default_rng(3).normal(size=(12, 13, 14))
+    centre = [5.5, 6.5, 6.0]
+    one = region_growing.grow_region(values, Geometry(values.shape, (1.0, 1.2, 0.9)), tuple(centre), 4.0)
+    centre[axis] = values.shape[axis] - 1 - centre[axis]
+    flipped = np.flip(values, axis)
+    other = region_growing.grow_region(flipped, Geometry(values.shape, (1.0, 1.2, 0.9)), tuple(centre), 4.0)
+    assert one.any()
+    np.testing.assert_array_equal(one, np.flip(other, axis))

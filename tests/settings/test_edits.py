@@ -276,7 +276,7 @@ def test_a_ball_lands_where_it_was_put_on_any_grid():
             run.apply_edits()
             where = np.argwhere(run.objects[0].surface.labels - before)
             level = run.grid
-            found = (where.mean(axis=0) + 0.5) * level.factors - 0.5
+            found = where.mean(axis=0) * level.factors + level.first
             assert np.abs(found - centre).max() < 0.5 * max(level.factors)
             volume_mm3 = len(where) * np.prod(level.spacing)
             assert volume_mm3 == pytest.approx(4 / 3 * np.pi * 4**3, rel=0.15 if levels == 1 else 0.4)

@@ -130,7 +130,8 @@ def test_bad_value_is_one_clear_line(key, value, words):
     message = str(caught.value)
     assert message.startswith(f"{key}: ") and " was given, expected " in message and words in message
     assert "\n" not in message
-    assert caught.value.hint == " ".join(help_of(key).split())
+    # Before the help there may be a name that was meant.
+    assert caught.value.hint.endswith(" ".join(help_of(key).split()))
 
 
 def test_text_values_are_read_as_the_command_line_gives_them():
@@ -146,6 +147,20 @@ def test_unknown_key_names_the_nearest(key, near, tmp_path):
     with pytest.raises(UsageError, match="no such setting") as caught:
         RunConfig.from_toml(path)
     assert f"did you mean {near}?" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "near"),
+    [
+        ("flow", "gradent", "gradient"), ("flow", "Constant_Density", "constant-density"), ("levels", "atuo", "auto"),
+        ("mesh", "ply,slt", "stl"), ("mesh", ["ply", "ojb"], "obj"), ("energy", "chan-vse + area", "chan-vese"),
+        ("energy", "local-region:r=8", "R"), ("energy", "likelihood:update=yse", "yes"), ("restart", "of", "off"),
+    ],
+)  # fmt: skip
+def test_a_value_that_is_no_name_tells_the_nearest(key, value, near):
+    with pytest.raises(UsageError) as caught:
+        RunConfig(**{key: value})
+    assert caught.value.hint.startswith(f"did you mean {near}? ")
 
 
 def test_unknown_key_without_a_near_one_lists_all():

@@ -136,12 +136,12 @@ class SurfaceFrame:
         """Where (continuous) indices (z, y, x) of ``psi`` lie in the image, as indices of its voxels, (..., 3)."""
         factors = np.array(self.level.factors, float)
         on_level = np.asarray(self.offset) + self.stride * np.asarray(places, float)
-        return np.asarray(on_level * factors + 0.5 * (factors - 1.0) + np.asarray(self.first))
+        return np.asarray(on_level * factors + np.asarray(self.level.first) + np.asarray(self.first))
 
     def from_image(self, indices: ArrayLike) -> Floats:
         """The inverse of `to_image`."""
         factors = np.array(self.level.factors, float)
-        on_level = (np.asarray(indices, float) - np.asarray(self.first) - 0.5 * (factors - 1.0)) / factors
+        on_level = (np.asarray(indices, float) - np.asarray(self.first) - np.asarray(self.level.first)) / factors
         return np.asarray((on_level - np.asarray(self.offset)) / self.stride)
 
     def middle(self) -> Floats:

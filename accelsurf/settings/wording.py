@@ -1,0 +1,57 @@
+"""Words of messages: what was given, cut to a readable length, and the name that may have been meant."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Iterable
+from typing import Any
+
+#: Largest number of characters of a value that a message repeats.
+MAX_SHOWN = 60
+
+
+def shown(value: Any) -> str:
+    r"""What was given, as a message repeats it: on one line, of `MAX_SHOWN` characters at most.
+
+    Characters that a terminal does not print are written as escapes.
+
+    Examples
+    --------
+    >>> shown("gradent"), shown(""), shown(None), shown(chr(27)), len(shown("x" * 1000))
+    ('gradent', '""', 'null', '\\x1b', 60)
+    """
+    text = value if isinstance(value, str) and value else json.dumps(value, default=str)
+    # Of a long text no more is looked at than can be shown.
+    text = text[: MAX_SHOWN + 1]
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 1] + "…"
+
+
+def nearest(given: Any, names: Iterable[str]) -> str:
+    """The name that comes nearest to what was given; empty if none is like it.
+
+    Examples
+    --------
+    >>> nearest("Gradent", ["gradient", "sobolev"]), nearest("x", ["gradient", "sobolev"])
+    ('gradient', '')
+    """
+    known = list(names)
+    if not isinstance(given, str) or len(given) > MAX_SHOWN:
+        return ""
+    wanted = given.strip().lower().replace("_", "-")
+    by_key = {name.lower().replace("_", "-"): name for name in known}
+    close = difflib.get_close_matches(wanted, by_key, n=1, cutoff=0.6)
+    return by_key[close[0]] if close else ""
+
+
+def did_you_mean(given: Any, names: Iterable[str]) -> str:
+    """A question to put before a hint, with a blank behind it; empty if no name is like what was given.
+
+    Examples
+    --------
+    >>> did_you_mean("gradent", ["gradient", "sobolev"])
+    'did you mean gradient? '
+    """
+    name = nearest(given, names)
+    return f"did you mean {name}? " if name else ""
