@@ -65,11 +65,14 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
 
 @kernel
 def is_near_volume(grid, iz, iy, ix, foot, margin):
-    """Whether a foot lies within ``margin`` voxels of the outermost voxel centres: beyond, psi is only continued."""
-    pz, py, px = iz + foot[0] / grid.hz, iy + foot[1] / grid.hy, ix + foot[2] / grid.hx
-    least, most = -margin, margin - 1.0
-    inside = least <= pz <= grid.nz + most and least <= py <= grid.ny + most
-    return inside and least <= px <= grid.nx + most
+    """Whether a foot lies within ``margin`` voxels of the outermost voxel centres: beyond, psi is only continued.
+
+    Voxels of the smallest spacing: one of a thick slice would be many of a thin one.
+    """
+    least = margin * min(grid.hz, min(grid.hy, grid.hx))
+    z, y, x = iz * grid.hz + foot[0], iy * grid.hy + foot[1], ix * grid.hx + foot[2]
+    inside = -least <= z <= (grid.nz - 1) * grid.hz + least and -least <= y <= (grid.ny - 1) * grid.hy + least
+    return inside and -least <= x <= (grid.nx - 1) * grid.hx + least
 
 
 @kernel
@@ -138,9 +141,34 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
                 neighbours(cell, iz, iy, ix, grid, near)
                 bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
             # Beyond the border psi is only continued, and so is its jump to +-gamma.
-            least = 0.5 if is_near_volume(grid, iz, iy, ix, guess, 0.0) else 0.9
-            state[s] = accept_foot(psi[cell], grid, plane, bound, guess, found, least)
+            within = is_near_volume(grid, iz, iy, ix, guess, 0.0)
+            state[s] = accept_foot(psi[cell], grid, plane, bound, guess, found, 0.5 if within else 0.9)
+            if within and not beside[i] and state[s] == FROZEN:
+                if not is_between_signs(psi, grid, iz, iy, ix, guess):
+                    state[s] = OPEN
             foot[s, 0], foot[s, 1], foot[s, 2] = guess[0], guess[1], guess[2]
+
+
+@kernel
+def is_between_signs(psi, grid, iz, iy, ix, foot):
+    """Whether psi changes its sign among the voxels around a foot.
+
+    Else no voxel is on the other side, and the zero level there is an overshoot of the interpolant, as between thick
+    slices: a surface that the labels do not have. A smooth surface may pass a corner of a cube of voxels and change no
+    sign there: the next voxels count too, along axes as fine as the finest.
+    """
+    fine = 2.0 * min(grid.hz, min(grid.hy, grid.hx))
+    mz, my, mx = 1 if grid.hz < fine else 0, 1 if grid.hy < fine else 0, 1 if grid.hx < fine else 0
+    bz, by, bx = int(iz + foot[0] / grid.hz), int(iy + foot[1] / grid.hy), int(ix + foot[2] / grid.hx)
+    inside = psi[(iz * grid.ny + iy) * grid.nx + ix] < 0.0
+    for more in range(2):
+        for az in range(max(bz - more * mz, 0), min(bz + 2 + more * mz, grid.nz)):
+            for ay in range(max(by - more * my, 0), min(by + 2 + more * my, grid.ny)):
+                row = (az * grid.ny + ay) * grid.nx
+                for ax in range(max(bx - more * mx, 0), min(bx + 2 + more * mx, grid.nx)):
+                    if (psi[row + ax] < 0.0) != inside:
+                        return True
+    return False
 
 
 @kernel
