@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
 
 from accelsurf.energies import Energy
-from accelsurf.evolution.convergence import Reason
+from accelsurf.evolution.records import StopReason
 from accelsurf.flows import Flow
 from accelsurf.levelset import LevelSet, Snapshot
 from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, restore_surface
+
+if TYPE_CHECKING:
+    from accelsurf.evolution.state import LoopState
 
 #: A run goes back when it has found no lower potential in so many steps and the surface has moved away since.
 PATIENCE = 60
@@ -17,6 +22,9 @@ PATIENCE = 60
 MAX_RETURNS, MAX_RETURNS_IF_GONE = 3, 1
 #: By which factor the CFL number of the following steps becomes smaller each time.
 SHORTER = 0.5
+
+#: Why a run ends that has gone back as often as it may.
+NO_LOWER = "in {} steps no lower energy was found; the surface is that of the lowest"
 
 #: What to do at a step: stay with the present surface, go back and continue, or go back and end.
 Decision = Literal["stay", "continue", "end"]
@@ -42,6 +50,12 @@ class LowestState(NamedTuple):
         """The surface, for `LevelSet.distance_from`."""
         return Snapshot(self.surface.cells, self.surface.psi)
 
+    @property
+    def nbytes(self) -> int:
+        """Its memory without the energy's, bytes."""
+        fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
+        return self.surface.nbytes + fields
+
     def is_below(self, potential: float) -> bool:
         """Whether it is lower than ``potential``; lower than one that is not a number, too."""
         return not potential <= self.potential
@@ -59,19 +73,18 @@ def lowest_of(
     """The lowest of ``before`` and the present state; to be called at every step, as the band is kept by reference."""
     if before is None or potential < before.potential:
         return LowestState(potential, step, band_state(surface), flow.state(), energy.state())
-    if before.complete:
-        return before
-    return before._replace(surface=complete_state(before.surface, surface), complete=True)
+    return completed(before, surface)
+
+
+def completed(lowest: LowestState, surface: LevelSet) -> LowestState:
+    """The lowest state with the sides beyond its band, not more than one step later."""
+    if lowest.complete:
+        return lowest
+    return lowest._replace(surface=complete_state(lowest.surface, surface), complete=True)
 
 
 def decide(
-    reason: Reason | None,
-    lowest: LowestState | None,
-    potential: float,
-    surface: LevelSet,
-    steps_since: int,
-    returns: int,
-    tolerance: float,
+    reason: tuple[StopReason, str] | None, state: LoopState, surface: LevelSet, since: int, same: float
 ) -> Decision:
     """Whether to go back to the lowest state.
 
@@ -79,29 +92,27 @@ def decide(
     ----------
     reason : (str, str) or None
         Why the run would end here; None while it goes on.
-    lowest : LowestState or None
-    potential : float
-        Now.
+    state : LoopState
+        With the present potential.
     surface : LevelSet
         Now.
-    steps_since : int
+    since : int
         Steps since the lowest state, or since it was last gone back to.
-    returns : int
-        How often that has been.
-    tolerance : float
-        Mean distance, voxels, up to which two surfaces are the same: the run then just ends at the lower one.
+    same : float
+        Mean distance, voxels, up to which two surfaces count as the same: the run just ends at the lower one.
     """
-    if lowest is None or not lowest.is_below(potential):
+    lowest, returns = state.lowest, state.returns
+    if lowest is None or not lowest.is_below(state.potential):
         return "stay"
     name = None if reason is None else reason[0]
     if name in ("vanished", "filled"):
-        # Without the returns it stays so: what was left was smaller than the grid resolves.
+        # If it happens again, what is left there is smaller than the grid resolves.
         return "continue" if returns < MAX_RETURNS_IF_GONE else "stay"
-    if name == "interrupted" or (name is None and (steps_since == 0 or steps_since % PATIENCE)):
+    if name == "interrupted" or (name is None and (since == 0 or since % PATIENCE)):
         return "stay"
-    if name in ("max-steps", "diverged"):
-        return "continue" if name == "diverged" and returns < MAX_RETURNS else "end"
-    away = surface.distance_from(lowest.snapshot).mean > tolerance
-    if name is None:
-        return "stay" if not away else "continue" if returns < MAX_RETURNS else "end"
-    return "continue" if away and returns < MAX_RETURNS else "end"
+    if name == "max-steps":
+        return "end"
+    again: Decision = "continue" if returns < MAX_RETURNS else "end"
+    if name == "diverged" or surface.distance_from(lowest.snapshot).mean > same:
+        return again
+    return "stay" if name is None else "end"
