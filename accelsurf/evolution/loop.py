@@ -354,7 +354,7 @@ class Evolution:
         if math.isfinite(before):
             state.budget.record_loss(before - state.potential - flow.energy(area))
         state.returns, state.returned_at = state.returns + 1, n
-        state.judged_at, state.snapshot, state.fields = n, None, None
+        state.judged_at, state.snapshot, state.earlier, state.moved, state.fields = n, None, None, math.nan, None
 
     def _limits_now(self) -> StepLimits:
         """The limits of a step, shorter the more often the run has gone back."""

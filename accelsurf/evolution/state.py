@@ -44,6 +44,10 @@ class LoopState:
         The state of lowest potential on this grid and under these settings.
     returns, returned_at : int
         How often the run went back to it here, and the number of the step before which it did last.
+    earlier : Snapshot or None
+        The surface at the check of convergence before ``snapshot``.
+    moved : float
+        Its mean distance from there to ``snapshot``, voxels; NaN if there was none.
     """
 
     history: list[StepRecord] = field(default_factory=list)
@@ -60,6 +64,8 @@ class LoopState:
     lowest: LowestState | None = None
     returns: int = 0
     returned_at: int = 0
+    earlier: Snapshot | None = None
+    moved: float = math.nan
 
     def copy(self) -> LoopState:
         """An independent copy; arrays and records are shared, as nothing writes to them."""

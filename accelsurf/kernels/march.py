@@ -20,6 +20,8 @@ from accelsurf.kernels.stages import Stage
 OPEN, FROZEN, EDGE = 0, 1, 2
 #: A foot may lie this many voxels beyond the border; a surface further out has left the volume.
 MARGIN = 1.0
+#: Slices are thick from this ratio of the spacings on.
+THICK = 4.0
 #: A cell adopts the foot of a neighbour when that is closer by this many voxels.
 MIN_GAIN = 0.02
 #: A cell enters when it is at most this much beyond the band, voxels, by its neighbour's tangent plane.
@@ -67,12 +69,16 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
 def is_near_volume(grid, iz, iy, ix, foot, margin):
     """Whether a foot lies within ``margin`` voxels of the outermost voxel centres: beyond, psi is only continued.
 
-    Voxels of the smallest spacing: one of a thick slice would be many of a thin one.
+    Along axes of `THICK` slices it must not lie beyond at all: a voxel there is many of the others, and psi continued
+    so far has a zero level of its own, which came into the volume far from the object.
     """
-    least = margin * min(grid.hz, min(grid.hy, grid.hx))
-    z, y, x = iz * grid.hz + foot[0], iy * grid.hy + foot[1], ix * grid.hx + foot[2]
-    inside = -least <= z <= (grid.nz - 1) * grid.hz + least and -least <= y <= (grid.ny - 1) * grid.hy + least
-    return inside and -least <= x <= (grid.nx - 1) * grid.hx + least
+    thick = THICK * min(grid.hz, min(grid.hy, grid.hx))
+    mz = margin if grid.hz < thick else 1e-3
+    my = margin if grid.hy < thick else 1e-3
+    mx = margin if grid.hx < thick else 1e-3
+    pz, py, px = iz + foot[0] / grid.hz, iy + foot[1] / grid.hy, ix + foot[2] / grid.hx
+    inside = -mz <= pz <= grid.nz - 1.0 + mz and -my <= py <= grid.ny - 1.0 + my
+    return inside and -mx <= px <= grid.nx - 1.0 + mx
 
 
 @kernel
