@@ -43,6 +43,11 @@ class Energy(ABC):
         """Set the state that `state` returned on this surface. By default the energy starts on it again."""
         self.start(surface)
 
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether more than the energy moves the surface, such as objects beside it; then a rise of U is no error."""
+        return False
+
     @abstractmethod
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """Return U of the present surface.

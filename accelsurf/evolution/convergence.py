@@ -12,6 +12,11 @@ from accelsurf.levelset import LevelSet
 
 #: Mean motion in a step, voxels, below which a surface does not move: details finer than the grid let it oscillate.
 STILL = 0.05
+#: A kinetic energy above this share of w times the decrease of the potential must fall: in the second half of the
+#: window it is at most the share `LEVEL` of that in the first.
+LEVEL_KINETIC, LEVEL = 0.05, 0.7
+#: So many more steps would move a converged surface by little.
+HORIZON = 200
 #: A run has stalled when the last `STALL_STEPS` steps are all shorter than the share `STALLED` of the CFL step, or than
 #: the share `COLLAPSED` of the longest step; steps down to the share `SHORT` are long enough to judge by.
 STALLED, COLLAPSED, STALL_STEPS, SHORT = 1e-3, 1e-6, 10, 0.1
@@ -24,16 +29,19 @@ class StopRule(NamedTuple):
 
     Checked every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a window
     before (oscillation within the window does not count), and no more than the share ``far`` of it lies further away
-    than `levelset.FAR`: a small part may still move while the rest does not. The kinetic energy is below ``kinetic``
-    of w times the decrease of the potential so far, or the last step moved the surface by less than `STILL` voxels: a
-    start at the minimum decreases nothing. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`, the
-    window is longer in proportion.
+    than `levelset.FAR`: a small part may still move while the rest does not. By the trend of the last windows
+    `HORIZON` more steps would move it by at most ``further`` voxels: slow creep goes on, oscillation does not get away.
+    The kinetic energy is below ``kinetic`` of w times the decrease of the potential so far, or the last step moved the
+    surface by less than `STILL` voxels (a start at the minimum decreases nothing) and a kinetic energy above
+    `LEVEL_KINETIC` of it falls. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`, the window is
+    longer in proportion.
     """
 
     window: int = 20
     motion: float = 0.1
     kinetic: float = 0.01
     far: float = 0.01
+    further: float = 0.07
 
     def judge(self, surface: LevelSet, flow: Flow, state: LoopState) -> Reason | None:
         """Whether the surface has converged; ``state`` records the check."""
@@ -43,14 +51,62 @@ class StopRule(NamedTuple):
         asked = sum(record.cfl_dt for record in records) / max(len(records), 1)
         if sum(record.dt for record in records) < SHORT * self.window * asked:
             return None
-        before, state.snapshot, state.judged_at = state.snapshot, surface.snapshot(), len(state.history)
+        earlier, before, moved_before = state.earlier, state.snapshot, state.moved
+        state.earlier, state.snapshot, state.judged_at = before, surface.snapshot(), len(state.history)
         if before is None:
             return None
-        moved, last = surface.distance_from(before), state.history[-1]
-        swings = last.kinetic > self.kinetic * flow.weight * state.gained and last.motion_voxels > STILL
-        if moved.mean > self.motion or moved.far > self.far or swings:
+        moved = surface.distance_from(before)
+        state.moved = moved.mean
+        if moved.mean > self.motion or moved.far > self.far or self._swings(flow, state, records):
             return None
+        if math.isfinite(self.further):
+            twice = math.nan if earlier is None else surface.distance_from(earlier).mean
+            if forecast(moved.mean, moved_before, twice, HORIZON / len(records)) > self.further:
+                return None
         return "converged", f"the surface moved {moved.mean:.3f} voxels in {len(records)} steps"
+
+    def _swings(self, flow: Flow, state: LoopState, records: list[StepRecord]) -> bool:
+        """Whether momentum moves the surface: much kinetic energy while it is not still, or more that does not fall."""
+        last, half = records[-1], len(records) // 2
+        gained = flow.weight * state.gained
+        if last.kinetic <= self.kinetic * gained:
+            return False
+        if last.motion_voxels > STILL:
+            return True
+        early, late = (sum(record.kinetic for record in part) for part in (records[:half], records[-half:]))
+        # At the minimum itself some speed may stay that redistancing undoes: a run that has hardly moved may end.
+        travelled = sum(record.motion_voxels for record in state.history[state.first :]) > Restart().travel
+        return travelled and last.kinetic > LEVEL_KINETIC * gained and late > LEVEL * early
+
+
+def forecast(moved: float, moved_before: float, moved_twice: float, windows: float) -> float:
+    """How far, voxels, a surface will lie from the present one after so many more windows.
+
+    Parameters
+    ----------
+    moved, moved_before : float
+        Distance of the surface from where it lay a window before, and the same a window earlier; NaN if there is none.
+    moved_twice : float
+        Its distance from where it lay two windows before.
+    windows : float
+
+    Notes
+    -----
+    The lower of two bounds. Motion that falls by q from window to window goes on for sum q^(i/2): half as fast, as the
+    slow parts remain. Motion that went to 2^p of itself in two windows is windows^p of it after more: p = 1 for steady
+    creep, 0 for oscillation about one place.
+
+    Examples
+    --------
+    >>> forecast(0.01, 0.5, 0.5, 10) < 0.003, forecast(0.03, 0.03, 0.06, 10), forecast(0.04, 0.04, 0.04, 10)
+    (True, 0.3, 0.04)
+    """
+    if moved <= 0.0:
+        return 0.0
+    ratio = 1.0 if math.isnan(moved_before) else min(moved / max(moved_before, 1e-9), 1.0) ** 0.5
+    falling = windows if ratio > 0.999 else ratio * (1.0 - ratio**windows) / (1.0 - ratio)
+    growth = 1.0 if math.isnan(moved_twice) else min(max(math.log2(max(moved_twice, 1e-9) / moved), 0.0), 1.0)
+    return moved * min(falling, windows**growth)
 
 
 class Restart(NamedTuple):

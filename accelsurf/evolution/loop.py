@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies import Energy
-from accelsurf.evolution import energy_budget
+from accelsurf.evolution import energy_budget, lowest
 from accelsurf.evolution.convergence import Reason, Restart, StopRule, stalled, surface_is_gone
 from accelsurf.evolution.records import Step, StepFields, StepRecord, Stop
 from accelsurf.evolution.state import Checkpoint, LoopState
@@ -234,8 +234,14 @@ class Evolution:
             state.budget.record_jump(state.potential_before - potential)
             state.potential_before = math.nan
         state.potential = potential
-        columns = self._columns(n, potential, fraction, area)
         reason = self._reason_to_stop(n, potential)
+        decision = self._decide(n, reason)
+        if decision != "stay":
+            self._go_back(n, area)
+            reason = None if decision == "continue" else reason or ("stalled", lowest.NO_LOWER.format(lowest.PATIENCE))
+            fraction, area = surface.fraction_and_area()
+            potential = state.potential
+        columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
         if reason is not None:
             return self._end(reason, columns, began)
         restarted = self.restart is not None and self.restart.is_due(potential, self.history[state.first :])
@@ -244,7 +250,7 @@ class Evolution:
         front = surface.front(flow.stencil_width(surface))
         curvature = surface.curvature(front)
         force = self.energy.force(surface, front, surface.area_variation(front, curvature))
-        plan = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self.limits)
+        plan = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self._limits_now())
         if not plan.dt > 0:
             return self._end(("converged", "no force acts on the surface"), columns, began)
         entries = state.budget.record_step(plan.energy_rates, plan.dt)
@@ -303,6 +309,8 @@ class Evolution:
         last = self.history[-1] if self.history else None
         entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in energy_budget.COLUMNS}
         entries["weight"] = self.flow.weight
+        if columns.get("returned"):
+            entries["kinetic"], entries["smoothing_work"] = 0.0, self.state.budget.smoothing
         return StepRecord(
             **columns, **entries, dt=0.0, cfl_dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0,
             diffusion=0.0, cells_visited=0, restarted=False, removed_components=0, seconds=time.perf_counter() - began,
@@ -313,6 +321,45 @@ class Evolution:
     def _end(self, reason: Reason, columns: dict[str, Any], began: float) -> StepRecord:
         self.stop = Stop(reason[0], columns["step"], self.state.time, reason[1])
         return self._final_record(columns, began)
+
+    def _decide(self, n: int, reason: Reason | None) -> lowest.Decision:
+        """Note the state if its potential is the lowest, or decide whether to go back to that one.
+
+        Without a stop rule the motion itself is wanted, not the minimum.
+        """
+        state, surface = self.state, self.surface
+        if self.rule is None:
+            return "stay"
+        if self.energy.is_disturbed:
+            state.lowest = None
+            return "stay"
+        if surface.size and math.isfinite(state.potential):
+            state.lowest = lowest.lowest_of(state.lowest, state.potential, n, surface, self.flow, self.energy)
+        elif state.lowest is not None:
+            state.lowest = lowest.completed(state.lowest, surface)
+        since = n - max(state.returned_at, state.lowest.step if state.lowest else 0)
+        decision = lowest.decide(reason, state, surface, since, self.rule.motion)
+        # On a coarse level the surface has only come near its end.
+        return "stay" if decision == "end" and self.level > 0 and reason is not None else decision
+
+    def _go_back(self, n: int, area: np.ndarray) -> None:
+        """Go back to the state of the lowest potential, at rest; the steps from there are shorter."""
+        state, surface, flow = self.state, self.surface, self.flow
+        assert state.lowest is not None
+        before = state.potential + flow.energy(area)
+        state.lowest.restore(surface, flow, self.energy)
+        fraction, area = surface.fraction_and_area()
+        flow.zero_momentum(area)
+        state.potential = self.energy.value(surface, fraction, area)
+        if math.isfinite(before):
+            state.budget.record_loss(before - state.potential - flow.energy(area))
+        state.returns, state.returned_at = state.returns + 1, n
+        state.judged_at, state.snapshot, state.earlier, state.moved, state.fields = n, None, None, math.nan, None
+
+    def _limits_now(self) -> StepLimits:
+        """The limits of a step, shorter the more often the run has gone back."""
+        shorter = lowest.SHORTER**self.state.returns
+        return self.limits._replace(cfl=self.limits.cfl * shorter) if shorter < 1.0 else self.limits
 
     def _reason_to_stop(self, n: int, potential: float) -> Reason | None:
         gone = surface_is_gone(self.surface, potential)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,8 @@ from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import transfer_fields
 
-#: Stop rule of a coarse level, looser because the next level continues from it: window, motion as a multiple of the
-#: finest level's, kinetic energy, and share of the surface that may still move further.
+#: Stop rule of a coarse level, looser because the next level continues from it, and without a forecast: window, motion
+#: as a multiple of the finest level's, kinetic energy, and share of the surface that may still move further.
 COARSE_WINDOW, COARSE_MOTION, COARSE_KINETIC, COARSE_FAR = 10, 2.0, 0.05, 0.01
 #: Reasons to stop that leave no surface for the next level.
 FAILED = ("vanished", "filled", "diverged")
@@ -34,7 +35,7 @@ def rule_on_level(rule: StopRule | None, number: int) -> StopRule | None:
     if number == 0:
         return rule
     motion = StopRule().motion if rule is None else rule.motion
-    return StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC, COARSE_FAR)
+    return StopRule(COARSE_WINDOW, COARSE_MOTION * motion, COARSE_KINETIC, COARSE_FAR, math.inf)
 
 
 def prolong_surface(

@@ -50,6 +50,9 @@ class StepRecord(NamedTuple):
         Wall time of the step.
     edits : int
         Edits applied right before this step; see `accelsurf.settings.edits`.
+    returned : bool
+        True when the surface went back to that of the lowest potential before this step, at rest; in the last record,
+        when that is where the run ended.
     extra : tuple of (str, float)
         Name and value of the columns that were added to `accelsurf.settings.trace_columns.TRACE_COLUMNS`.
     """
@@ -81,6 +84,7 @@ class StepRecord(NamedTuple):
     removed_components: int
     seconds: float
     edits: int = 0
+    returned: bool = False
     extra: tuple[tuple[str, float], ...] = ()
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from accelsurf.evolution.energy_budget import EnergyBudget
+from accelsurf.evolution.lowest import LowestState
 from accelsurf.evolution.records import StepFields, StepRecord, Stop
 from accelsurf.levelset import Snapshot, SurfaceState
 
@@ -39,6 +40,14 @@ class LoopState:
     edits : int
         Edits made since the last step.
     budget : EnergyBudget
+    lowest : LowestState or None
+        The state of lowest potential on this grid and under these settings.
+    returns, returned_at : int
+        How often the run went back to it here, and the number of the step before which it did last.
+    earlier : Snapshot or None
+        The surface at the check of convergence before ``snapshot``.
+    moved : float
+        Its mean distance from there to ``snapshot``, voxels; NaN if there was none.
     """
 
     history: list[StepRecord] = field(default_factory=list)
@@ -52,6 +61,11 @@ class LoopState:
     fields: StepFields | None = None
     edits: int = 0
     budget: EnergyBudget = field(default_factory=EnergyBudget)
+    lowest: LowestState | None = None
+    returns: int = 0
+    returned_at: int = 0
+    earlier: Snapshot | None = None
+    moved: float = math.nan
 
     def copy(self) -> LoopState:
         """An independent copy; arrays and records are shared, as nothing writes to them."""
@@ -75,7 +89,7 @@ class LoopState:
         """
         count = len(self.history)
         following = LoopState(self.history, self.time, gained_before=self.gained, edits=self.edits)
-        following.first = following.judged_at = count
+        following.first = following.judged_at = following.returned_at = count
         if with_fields:
             following.budget, following.potential_before = self.budget, self.potential
         return following
@@ -100,4 +114,5 @@ class Checkpoint(NamedTuple):
         fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
         before, acting = self.loop.snapshot, self.loop.fields
         shared = (12 * before.psi.size if before else 0) + (16 * acting.speed.size if acting else 0)
+        shared += self.loop.lowest.nbytes if self.loop.lowest is not None else 0
         return self.surface.nbytes + fields + 8 * len(self.loop.history) + shared

@@ -44,6 +44,24 @@ def checkpoint_surface(surface: LevelSet) -> SurfaceState:
     return SurfaceState(cells, band.psi, band.to_closest, inside, beyond, width)
 
 
+def band_state(surface: LevelSet) -> SurfaceState:
+    """Return the state of the band alone, by reference and at no cost, for `complete_state`."""
+    band, beyond = surface.band, surface.inside_beyond_band
+    return SurfaceState(
+        band.cells, band.psi, band.to_closest, np.empty(0, np.uint8), beyond, surface.requested_half_width
+    )
+
+
+def complete_state(state: SurfaceState, surface: LevelSet) -> SurfaceState:
+    """Return a state from `band_state` with the sides of the voxels beyond the band, not more than one step later.
+
+    In a step only psi of band cells changes its sign: beyond the band of the state the sides are still the same.
+    """
+    inside = np.packbits(surface.dense.psi[_stretches(state.cells, surface)] < 0)
+    small = surface.dense.psi.size < 2**32
+    return state._replace(cells=state.cells.astype(np.uint32) if small else state.cells, inside=inside)
+
+
 def restore_surface(surface: LevelSet, state: SurfaceState) -> None:
     """Restore ``surface``, on the same grid, to the state from `checkpoint_surface`."""
     cells = state.cells.astype(np.int64)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from accelsurf import __version__
 from accelsurf.errors import InputError
 from accelsurf.evolution.energy_budget import EnergyBudget
+from accelsurf.evolution.lowest import LowestState
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepFields, StepRecord, Stop
 from accelsurf.evolution.serialization import from_bytes, to_bytes
@@ -62,8 +63,8 @@ class RunCheckpoint(NamedTuple):
 TYPES: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        Checkpoint, EnergyBudget, EnergyRates, Level, LevelSummary, LoopState, ObjectCheckpoint, RunCheckpoint,
-        Snapshot, StepFields, StepRecord, Stop, SurfaceState,
+        Checkpoint, EnergyBudget, EnergyRates, Level, LevelSummary, LoopState, LowestState, ObjectCheckpoint,
+        RunCheckpoint, Snapshot, StepFields, StepRecord, Stop, SurfaceState,
     )
 }
 

@@ -16,6 +16,10 @@ from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
+#: Motion in the steps to come, by the trend, that a converged surface may still make, as a share of the tolerance: the
+#: trend tells it too low by up to this.
+FURTHER = 0.7
+
 
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """When a run on so many levels has converged on the finest one.
@@ -24,11 +28,12 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
     steps, so that an oscillation from step to step cancels. The waves of flowable-mass keep its steps short, and
     the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
     """
+    further = FURTHER * config.tolerance
     if levels == 1:
-        return StopRule(motion=config.tolerance)
+        return StopRule(motion=config.tolerance, further=further)
     if config.flow in ("flowable-mass", "sobolev"):
-        return StopRule(10, 0.4 * config.tolerance)
-    return StopRule(6, config.tolerance)
+        return StopRule(10, 0.4 * config.tolerance, further=further)
+    return StopRule(6, config.tolerance, further=further)
 
 
 def half_width(config: RunConfig) -> float:

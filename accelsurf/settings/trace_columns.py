@@ -76,6 +76,12 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     TraceColumn("removed_components", "", "components removed because they are smaller than the grid resolves"),
     TraceColumn("seconds", "s", "wall time of the step"),
     TraceColumn("edits", "", "edits applied right before the step"),
+    TraceColumn(
+        "returned",
+        "",
+        "1 when the surface went back to that of the lowest energy before the step, at rest; in the last row, when the "
+        "run ended there",
+    ),
 )
 
 

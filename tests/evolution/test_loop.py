@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.energies import ChanVese, RegionField
-from accelsurf.evolution.convergence import Restart, StopRule
+from accelsurf.evolution.convergence import Restart, StopRule, forecast
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev, StepLimits
@@ -241,3 +241,52 @@ def test_a_start_that_is_the_end_has_converged(flow):
     energy = ChanVese(image, means=(1.0, 0.0), epsilon=1.5)
     evolution = Evolution(ball(7.28), energy, flow(), max_steps=100, rule=StopRule())
     assert run(evolution).reason == "converged"
+
+
+@pytest.mark.parametrize(("moved", "before", "twice", "low", "high"), [
+    (0.03, 0.5, 0.52, 0.0, 0.015),  # falls fast
+    (0.04, 0.04, 0.042, 0.03, 0.05),  # oscillates about one place
+    (0.017, 0.017, 0.034, 0.16, 0.18),  # creeps: the stop rule took 0.017 voxels in 20 steps for rest
+    (0.02, 0.025, 0.03, 0.05, 0.1),  # creeps, ever more slowly
+    (0.0, 0.0, 0.0, 0.0, 0.0),
+    (0.02, math.nan, math.nan, 0.2, 0.2),  # nothing is known: as fast as now
+])  # fmt: skip
+def test_the_trend_tells_creep_from_oscillation(moved, before, twice, low, high):
+    assert low <= forecast(moved, before, twice, 10.0) <= high + 1e-12
+
+
+class Creeping(Gradient):
+    """A flow that moves the surface by the same small amount in each step."""
+
+    def move(self, now, limits):
+        speed = np.full(now.surface.size, 0.002, np.float32)
+        return super().move(now, limits)._replace(dt=1.0, cfl_dt=1.0, speed=speed)
+
+
+def test_slow_creep_does_not_pass_the_stop_rule():
+    """0.04 voxels in a window of 20 steps, 0.4 in 200."""
+    energy = RegionField(np.full((N, N, N), 0.5))
+    evolution = Evolution(ball(7), energy, Creeping(), max_steps=100, rule=StopRule())
+    assert run(evolution).reason == "max-steps"
+    lenient = Evolution(ball(7), energy, Creeping(), max_steps=100, rule=StopRule(further=1.0))
+    assert run(lenient).reason == "converged"
+
+
+class Level(Gradient):
+    """A flow whose kinetic energy stays what it is after a long way, while the surface hardly moves any more."""
+
+    kinetic = 50.0
+
+    def move(self, now, limits):
+        plan = super().move(now, limits)
+        return plan._replace(energy_rates=plan.energy_rates._replace(kinetic=self.kinetic))
+
+
+def test_a_level_kinetic_energy_is_no_rest():
+    reasons = []
+    for kinetic in (0.0, 50.0):
+        flow = Level()
+        flow.kinetic = kinetic
+        energy = ChanVese(smooth_image(), means=(1.0, 0.0))
+        reasons.append(run(Evolution(ball(3), energy, flow, max_steps=120, rule=StopRule())).reason)
+    assert reasons == ["converged", "max-steps"]

@@ -802,3 +802,24 @@ def test_a_spoilt_level_set_is_found_out(how):
 
 def test_a_good_level_set_has_no_findings():
     assert check_level_set(spoilt("in no way")) == []
+
+
+def test_no_surface_without_a_voxel_on_the_other_side_between_thick_slices():
+    """Psi dips between two slices, but no voxel is inside: the interpolant's zero level there is no surface.
+
+    It was taken for one: its distance stayed beside it, the force moved it, and it came out far from the object.
+    """
+    shape, spacing = (9, 40, 40), (7.5, 0.5, 0.5)
+    surface = LevelSet(ball(shape, spacing, 9.0, (0.0, 0.0, 0.0)), spacing)
+    _, y, x = coordinates(shape, spacing, (0.0, 0.0, 0.0))
+    dip = 0.4 + 0.15 * np.hypot(y, x)
+    # In the second and third slice, beside the ball's end in the fourth.
+    cells = surface.band.cells
+    sides = np.unravel_index(cells, shape)[0]
+    on = (sides == 1) | (sides == 2)
+    lower = np.broadcast_to(dip, shape).ravel()[cells]
+    surface.dense.psi[cells[on]] = np.minimum(surface.dense.psi[cells[on]], lower[on])
+    surface.redistance()
+    assert check_level_set(surface, 6) == []
+    # The ball's end lies between the third and the fourth slice: more than a slice from the second.
+    assert surface.psi[1].min() > spacing[0]

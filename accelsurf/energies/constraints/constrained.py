@@ -29,6 +29,11 @@ class ConstrainedEnergy(Energy):
         """The energy's own."""
         return self._energy.alpha
 
+    @property
+    def is_disturbed(self) -> bool:
+        """The energy's own."""
+        return self._energy.is_disturbed
+
     def start(self, surface: LevelSet) -> None:
         """Start the energy on a first surface."""
         self._energy.start(surface)

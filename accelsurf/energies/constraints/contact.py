@@ -70,6 +70,11 @@ class NonOverlap(ConstrainedEnergy):
         # Raster order in the object's grid; only of the front.
         self._cells, self._forces = np.empty(0, np.int64), np.empty(0, np.float32)
 
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether there are neighbours, which may push the surface, or lie where it was before."""
+        return len(self.neighbours) > 0 or super().is_disturbed
+
     def state(self) -> Any:
         """The energy's own state, and the forces of the last step, which neighbours read."""
         return self._energy.state(), self._cells, self._forces

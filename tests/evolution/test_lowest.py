@@ -1,0 +1,151 @@
+"""A run never ends above the lowest potential that it has seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from accelsurf.energies import ChanVese, Energy, LocalRegion, RegionField
+from accelsurf.evolution import lowest
+from accelsurf.evolution.convergence import Restart, StopRule
+from accelsurf.evolution.loop import Evolution
+from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall
+from accelsurf.levelset import LevelSet
+from accelsurf.levelset.checks import check_level_set
+
+N = 20
+
+
+def radius(spacing=(1.0, 1.0, 1.0), shape=(N, N, N)):
+    z, y, x = ((np.indices(shape)[axis] - 0.5 * (shape[axis] - 1)) * spacing[axis] for axis in range(3))
+    return np.sqrt(z**2 + y**2 + x**2)
+
+
+def noisy(level=1.0):
+    return (radius() < 6) + np.random.default_rng(2).normal(0, level, (N, N, N))
+
+
+def run(evolution):
+    for _ in evolution:
+        pass
+    return np.array([record.potential for record in evolution.history])
+
+
+ENERGIES = {
+    "chan-vese": lambda: ChanVese(noisy()),
+    "chan-vese, area": lambda: ChanVese(noisy(), alpha=0.1),
+    "local-region": lambda: LocalRegion(noisy(), 4.0),
+}
+
+
+@pytest.mark.parametrize("max_steps", [23, 90])
+@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall])
+@pytest.mark.parametrize("energy", ENERGIES)
+def test_a_run_never_ends_above_the_lowest_energy(energy, flow, max_steps):
+    evolution = Evolution(
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), ENERGIES[energy](), flow(), max_steps=max_steps,
+        restart=Restart(), rule=StopRule(),
+    )
+    potential = run(evolution)
+    assert potential[-1] <= potential.min() + 1e-9 * abs(potential.min())
+    assert check_level_set(evolution.surface, 6) == []
+    # The last record is that of the surface, evaluated anew.
+    fraction, area = evolution.surface.fraction_and_area()
+    fresh = ENERGIES[energy]()
+    fresh.start(evolution.surface)
+    assert fresh.value(evolution.surface, fraction, area) == pytest.approx(potential[-1], rel=1e-9)
+
+
+class Misled(RegionField):
+    """An energy whose force is not its derivative: the surface is driven outwards, past its minimum."""
+
+    def force(self, surface, front, curvature):
+        return np.where(front, np.float32(-1.0), np.float32(0.0))
+
+
+def misled():
+    """U falls up to radius 6 and rises from there."""
+    return Misled(radius() - 6.0)
+
+
+@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient])
+def test_a_surface_that_is_driven_up_goes_back_and_ends_at_the_lowest_state(flow):
+    evolution = Evolution(
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), flow(), max_steps=400, rule=StopRule()
+    )
+    potential = run(evolution)
+    back = [record for record in evolution.history if record.returned]
+    assert evolution.stop.reason in ("stalled", "converged", "filled") and len(back) >= 1
+    assert all(record.kinetic == 0 for record in back)
+    if evolution.stop.reason != "filled":
+        assert potential[-1] <= potential.min() + 1e-9 * abs(potential.min())
+        assert evolution.history[-1].volume_mm3 == pytest.approx(4 / 3 * np.pi * 6**3, rel=0.15)
+    # What it went back from is in the account, and the steps became shorter.
+    assert back[0].smoothing_work > 0 or flow is Gradient
+
+
+def test_motion_without_a_stop_rule_is_left_alone():
+    evolution = Evolution(LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=12)
+    potential = run(evolution)
+    assert potential[-1] > potential.min() and not any(record.returned for record in evolution.history)
+
+
+def test_an_interrupted_run_stays_where_it_was():
+    evolution = Evolution(
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=40, rule=StopRule()
+    )
+    for step in evolution:
+        if step.record.step == 11:
+            evolution.request_stop()
+    potential = [record.potential for record in evolution.history]
+    assert evolution.stop.reason == "interrupted" and potential[-1] > min(potential)
+
+
+def test_objects_beside_it_make_a_rise_no_error():
+    class Pushed(Misled):
+        is_disturbed = True
+
+    evolution = Evolution(
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), Pushed(radius() - 6.0), Gradient(), max_steps=12, rule=StopRule()
+    )
+    run(evolution)
+    assert evolution.state.lowest is None and not any(record.returned for record in evolution.history)
+    assert not Energy.is_disturbed.fget(misled())
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (6.0, 0.5, 0.5)])
+@pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass])
+def test_the_lowest_state_is_kept_by_reference_and_completed_a_step_later(flow, spacing):
+    """As a full copy would have it, bit for bit."""
+    from accelsurf.levelset import checkpoint_surface
+
+    shape = (N, N, N) if spacing[0] == 1 else (8, 30, 30)
+    image = (radius(spacing, shape) < 6).astype(np.float32)
+    surface = LevelSet(radius(spacing, shape) - 4.5, spacing)
+    evolution = Evolution(surface, ChanVese(image), flow(), max_steps=60)
+    evolution.initialize()
+    for _ in range(8):
+        want = checkpoint_surface(surface)
+        kept = lowest.lowest_of(None, 1.0, 0, surface, evolution.flow, evolution.energy)
+        evolution.step()
+        done = lowest.lowest_of(kept, 2.0, 1, surface, evolution.flow, evolution.energy)
+        assert done.complete and done.potential == 1.0
+        for one, other in zip(done.surface, want, strict=True):
+            assert np.array_equal(one, other)
+
+
+def test_a_checkpoint_has_the_lowest_state():
+    def made():
+        return Evolution(
+            LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), ChanVese(noisy()), ConstantDensity(), max_steps=60,
+            rule=StopRule(),
+        )
+
+    one, other = made(), made()
+    for _ in range(31):
+        one.step()
+    kept = one.checkpoint()
+    assert kept.loop.lowest is not None and kept.nbytes > kept.surface.nbytes + kept.loop.lowest.nbytes
+    want = run(one)
+    other.restore(kept)
+    assert np.array_equal(run(other), want) and np.array_equal(one.surface.psi, other.surface.psi)
