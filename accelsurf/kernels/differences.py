@@ -50,22 +50,34 @@ def mixed_difference(psi, cell, at, stride, h):
 def axis_derivatives(psi, cell, i, n, stride, h):
     """First and second derivative along an axis: centred, at the border those of the parabola through three voxels."""
     down, up, second = axis_differences(psi, cell, i, n, stride, h)
-    if n > 2 and i == 0:
+    if (i > 0 and i < n - 1) or n < 3:
+        return 0.5 * (down + up), second
+    if i == 0:
         second = ((psi[cell + 2 * stride] - psi[cell + stride]) / h - up) / h
         return up - 0.5 * h * second, second
-    if n > 2 and i == n - 1:
-        second = (down - (psi[cell - stride] - psi[cell - 2 * stride]) / h) / h
-        return down + 0.5 * h * second, second
-    return 0.5 * (down + up), second
+    second = (down - (psi[cell - stride] - psi[cell - 2 * stride]) / h) / h
+    return down + 0.5 * h * second, second
+
+
+@kernel
+def is_at_border(iz, iy, ix, grid):
+    """Whether a cell has a face on the volume's border; an axis with one slice has none."""
+    z, y, x = grid.nz - 1, grid.ny - 1, grid.nx - 1
+    return (z > 0 and (iz == 0 or iz == z)) or (y > 0 and (iy == 0 or iy == y)) or (x > 0 and (ix == 0 or ix == x))
 
 
 @kernel
 def gradient(psi, cell, iz, iy, ix, grid):
     """Gradient (z, y, x) at a cell, of second order up to the border."""
-    pz, _ = axis_derivatives(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
-    py, _ = axis_derivatives(psi, cell, iy, grid.ny, grid.nx, grid.hy)
-    px, _ = axis_derivatives(psi, cell, ix, grid.nx, 1, grid.hx)
-    return pz, py, px
+    if is_at_border(iz, iy, ix, grid):
+        pz, _ = axis_derivatives(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
+        py, _ = axis_derivatives(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+        px, _ = axis_derivatives(psi, cell, ix, grid.nx, 1, grid.hx)
+        return pz, py, px
+    az, bz, _ = axis_differences(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
+    ay, by, _ = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+    ax, bx, _ = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
+    return 0.5 * (az + bz), 0.5 * (ay + by), 0.5 * (ax + bx)
 
 
 @kernel
@@ -83,13 +95,6 @@ def curvatures(psi, cell, iz, iy, ix, grid):
     pzx = mixed_difference(psi, cell, (iz, grid.nz, ix, grid.nx), (plane, 1), (grid.hz, grid.hx))
     pyx = mixed_difference(psi, cell, (iy, grid.ny, ix, grid.nx), (grid.nx, 1), (grid.hy, grid.hx))
     return level_curvatures((pz, py, px), (pzz, pyy, pxx), (pzy, pzx, pyx))
-
-
-@kernel
-def is_at_border(iz, iy, ix, grid):
-    """Whether a cell has a face on the volume's border; an axis with one slice has none."""
-    z, y, x = grid.nz - 1, grid.ny - 1, grid.nx - 1
-    return (z > 0 and (iz == 0 or iz == z)) or (y > 0 and (iy == 0 or iy == y)) or (x > 0 and (ix == 0 or ix == x))
 
 
 @kernel

@@ -17,6 +17,7 @@ from scipy.special import j1
 
 from accelsurf.energies import Geodesic, RegionField
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Sobolev
+from accelsurf.flows.diffusion import diffuse
 from accelsurf.levelset import LevelSet
 from tests.support import exact
 from tests.support.exact import Case
@@ -267,6 +268,25 @@ def test_the_force_on_the_contact_line_is_the_derivative_of_the_area(angle: floa
     got = float((variation * area)[near].sum()) * n
     print(f"\n{angle} degrees: {got / slope:.3f}")
     assert got == pytest.approx(slope, rel=0.05)
+
+
+def test_away_from_the_border_the_area_s_variation_is_the_curvature() -> None:
+    on = box((1, 24, 24), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5))
+    surface = LevelSet(on.radius - 6.0, on.spacing)
+    curvature = surface.curvature(surface.front())
+    assert surface.area_variation(surface.front(), curvature) is curvature
+
+
+def test_velocities_through_the_border_diffuse_as_in_the_mirrored_whole() -> None:
+    """On a plane front V_x = x solves V_t = D V_xx on the mirrored whole; without flux it would flatten at x = 0."""
+    on = slice_of(32)
+    surface = LevelSet(on.points[1].copy(), on.spacing)
+    x = on.points[2].ravel()[surface.band.cells].astype(np.float32)
+    through, along = x.copy(), x.copy()
+    for field, component in ((through, 2), (along, 1)):
+        diffuse(surface, surface.front(), field, 30.0 / 32**2, component)
+    near = x < 0.2
+    assert np.abs(through - x)[near].max() < 1e-5 and np.abs(along - x)[near].max() > 1.0 / 32
 
 
 def test_edges_of_an_image_have_the_same_condition() -> None:
