@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.follow import WIDTH
+from tests.support.follow_curve import Run, compare, set_up
 from tests.support.lagrangian import solve
 from tests.support.lagrangian_cases import DESCENT, DRAWN_OUT, PLANE, SPACE, STRETCHED, Problem
+from tests.support.wrong_flows import BentWrongly
 
 #: An error of the mean below this has no order: the area of a curve in a slice, by which the density is scaled, errs by
 #: 1 to 4 parts in 10,000 without order, and the paths are up to 15 voxels long.
@@ -63,6 +66,16 @@ def test_density_that_varies_fivefold() -> None:
 def test_curves_on_a_grid_twice_as_coarse_along_one_axis(name: str) -> None:
     """Measured .044 and .027 h at 64."""
     assert_converges(name, STRETCHED[name], 0.06, 1.7)
+
+
+def test_the_wrong_sign_of_the_transport_term_misses_the_reference() -> None:
+    """- 1/2 beta^2 H, as the paper prints it for surfaces: off by more than 20 times what is allowed."""
+    problem = PLANE["no area weight"]
+    on, h = problem.grid(48), WIDTH / 47
+    run = Run(set_up(problem.start, problem.force, on, problem.frame), problem.law, BentWrongly(diffusion=0.0))
+    run.until(1.5, 0.5 * h)
+    curve = solve(problem.start, problem.force, problem.law, (1.5,))[0]
+    assert compare(run.surface, on, problem.frame, curve).point > 0.4 * h
 
 
 def test_descent_of_a_curve() -> None:
