@@ -12,12 +12,10 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError
 
 from accelsurf import __version__
+from accelsurf.cli.error_lines import MAX_ERROR, MAX_HINT, printable, without_garbage
 from accelsurf.errors import AccelsurfError
-from accelsurf.settings.wording import shown
 
 INTERRUPTED = 130
-#: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
-MAX_ERROR, MAX_HINT = 390, 1000
 
 #: Exit code -> meaning, as documented and as `accelsurf info` lists them.
 EXIT_CODES = {
@@ -78,7 +76,7 @@ def execute(argv: Sequence[str]) -> int:
         return int(code or 0)
     except CycloptsError as error:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
-        return _say(2, _without_garbage(str(error), arguments), f"{command} --help lists the options")
+        return _say(2, without_garbage(str(error), arguments), f"{command} --help lists the options")
     except AccelsurfError as error:
         if debug:
             raise
@@ -100,28 +98,9 @@ def execute(argv: Sequence[str]) -> int:
         return _say(1, f"{type(error).__name__}: {error}", hint)
 
 
-def _without_garbage(message: str, arguments: Sequence[str]) -> str:
-    """A message of the parser of the command line, with what was typed cut to a readable length."""
-    for word in sorted(arguments, key=len, reverse=True):
-        for part in (word, *word.split("=", 1)):
-            if part and shown(part) != part:
-                message = message.replace(part, shown(part))
-    return message
-
-
 def _say(code: int, message: str, hint: str) -> int:
     """Print one line about an error, and one about what to do, to stderr; return the code."""
-    print("error: " + _line(message, MAX_ERROR), file=sys.stderr)
+    print("error: " + printable(message, MAX_ERROR), file=sys.stderr)
     if hint:
-        print("hint: " + _line(hint, MAX_HINT), file=sys.stderr)
+        print("hint: " + printable(hint, MAX_HINT), file=sys.stderr)
     return code
-
-
-def _line(text: str, length: int) -> str:
-    """A message as one line that a terminal prints; if it is longer than ``length`` its middle is left out."""
-    text = " ".join(text.split())
-    for _ in range(2):  # escapes make it longer again
-        if len(text) > length:
-            text = text[: length // 2 - 2] + "..." + text[2 - length // 2 :]
-        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
-    return text
