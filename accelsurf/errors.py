@@ -95,7 +95,7 @@ def check_known(what: str, given: str, known: Iterable[str]) -> None:
     """
     names = tuple(known)
     if given not in names:
-        raise UsageError(f"{what}: {given} was given, expected {', '.join(names)}")
+        raise UsageError(f"{what}: {given[:60]} was given, expected {', '.join(names)}", f"use {names[0]}, for example")
 
 
 class NotConvergedError(AccelsurfError):

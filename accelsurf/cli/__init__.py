@@ -14,14 +14,12 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError
 
 from accelsurf import __version__
+from accelsurf.cli.error_lines import MAX_ERROR, MAX_HINT, printable, without_garbage
 from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.streams import guarded, open_missing
 from accelsurf.errors import AccelsurfError
-from accelsurf.settings.wording import shown
 
 INTERRUPTED = 130
-#: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
-MAX_ERROR, MAX_HINT = 390, 1000
 
 #: Exit code -> meaning, as documented and as `accelsurf info` lists them.
 EXIT_CODES = {
@@ -130,7 +128,7 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
         code = int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     except CycloptsError as error:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
-        return _say(2, _without_garbage(str(error), arguments), f"{command} --help lists the options")
+        return _say(2, without_garbage(str(error), arguments), f"{command} --help lists the options")
     except AccelsurfError as error:
         if debug:
             raise
@@ -152,28 +150,9 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
     return code
 
 
-def _without_garbage(message: str, arguments: Sequence[str]) -> str:
-    """A message of the parser of the command line, with what was typed cut to a readable length."""
-    for word in sorted(arguments, key=len, reverse=True):
-        for part in (word, *word.split("=", 1)):
-            if part and shown(part) != part:
-                message = message.replace(part, shown(part))
-    return message
-
-
 def _say(code: int, message: str, hint: str) -> int:
     """Print one line about an error, and one about what to do, to stderr; return the code."""
-    say("error: " + _line(message, MAX_ERROR))
+    say("error: " + printable(message, MAX_ERROR))
     if hint:
-        say("hint: " + _line(hint, MAX_HINT))
+        say("hint: " + printable(hint, MAX_HINT))
     return code
-
-
-def _line(text: str, length: int) -> str:
-    """A message as one line that a terminal prints; if it is longer than ``length`` its middle is left out."""
-    text = " ".join(text.split())
-    for _ in range(2):  # escapes make it longer again
-        if len(text) > length:
-            text = text[: length // 2 - 2] + "..." + text[2 - length // 2 :]
-        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
-    return text

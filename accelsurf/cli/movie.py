@@ -11,6 +11,7 @@ from cyclopts import Group, Parameter
 from accelsurf.cli.options import FILES, Display, Output, Overwrite, RunSettings, required, run_config
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.wording import shown
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
@@ -133,7 +134,8 @@ def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
             raise UsageError(f"{target.name}: .png was given, expected {formats}", "or add --preview")
         movie_file.check_target(target, size)
     elif target.suffix.lower() != ".png":
-        raise UsageError(f"{target.name}: {target.suffix or 'no suffix'} was given, expected .png with --preview")
+        raise UsageError(f"{target.name}: {target.suffix or 'no suffix'} was given, expected .png with --preview",
+                         f"write {target.with_suffix('.png').name}, or leave --preview out")
 
 
 def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, RunConfig]:
@@ -188,5 +190,5 @@ def _size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise UsageError(f"size: {text} was given, expected WIDTHxHEIGHT in pixels, as 1280x720") from None
+        raise UsageError(f"size: {shown(text)} was given, expected WIDTHxHEIGHT in pixels", "as in 1280x720") from None
     return width, height

@@ -75,30 +75,30 @@ def parse(text: str) -> Start:
     True
     """
     kind, colon, rest = text.strip().partition(":")
-    what = f"start '{shown(text)}'"
+    text = shown(text)  # as messages repeat it
     if kind not in KINDS:
         hint = f"{did_you_mean(kind, KINDS)}use one of {', '.join(KINDS.values())}"
-        raise UsageError(f"{what}: unknown kind '{shown(kind)}'", hint)
+        raise UsageError(f"start {text!r}: unknown kind {shown(kind)!r}", hint)
     if kind == "center":
         if colon:
-            raise UsageError(f"{what}: center takes no values", "write --start center, or a ball")
+            raise UsageError(f"start {text!r}: center takes no values", "write --start center, or a ball")
         return Start(kind)
     if kind in ("label", "mesh"):
         return _parse_file(text, kind, rest)
     if kind == "otsu":
         if rest not in ("", "dark") or (colon and not rest):
-            raise UsageError(f"{what}: otsu or otsu:dark expected", "otsu is for bright objects")
+            raise UsageError(f"start {text!r}: otsu or otsu:dark expected", "otsu is for bright objects")
         return Start(kind, word=rest)
     if kind == "largest" and rest in ("otsu", "otsu:dark"):
         return Start(kind, word=rest)
     vox = rest.endswith("vox") and kind in ("ball", "box", "seed")
     numbers = _numbers(text, rest[:-3] if vox else rest, KINDS[kind])
     if kind in ("ball", "seed") and numbers[3] <= 0:
-        raise UsageError(f"{what}: radius {numbers[3]:g} given, expected above 0", f"as in {KINDS[kind]}")
+        raise UsageError(f"start {text!r}: radius {numbers[3]:g} given, expected above 0", f"as in {KINDS[kind]}")
     if kind == "box" and any(a >= b for a, b in zip(numbers[:3], numbers[3:], strict=True)):
-        raise UsageError(f"{what}: the first corner must lie below the second in x, y and z", KINDS[kind])
+        raise UsageError(f"start {text!r}: the first corner must lie below the second in x, y and z", KINDS[kind])
     if kind in ("threshold", "largest") and numbers[0] > numbers[1]:
-        raise UsageError(f"{what}: the low threshold is above the high one", f"as in {KINDS[kind]}")
+        raise UsageError(f"start {text!r}: the low threshold is above the high one", f"as in {KINDS[kind]}")
     return Start(kind, numbers, vox)
 
 
@@ -106,7 +106,7 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
     """Read FILE, FILE@IDS of a label map or FILE@ras of a mesh."""
     file, at, tail = rest.rpartition("@") if "@" in rest else (rest, "", "")
     if not file:
-        raise UsageError(f"start '{shown(text)}': no file named", f"write {KINDS[kind]}")
+        raise UsageError(f"start {text!r}: no file named", f"write {KINDS[kind]}")
     if kind == "mesh":
         # The file name itself may have an @.
         return Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
@@ -117,7 +117,7 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
         first, _, last = part.partition("-")
         if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
             raise UsageError(
-                f"start '{shown(text)}': '{shown(part)}' is no label, expected whole numbers and ranges",
+                f"start {text!r}: {shown(part)!r} is no label, expected whole numbers and ranges",
                 "as in label:FILE@2,41,251-255",
             )
         ids.append((int(first), int(last or first)))
@@ -135,9 +135,9 @@ def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != expected or any(math.isnan(v) for v in numbers):
-        raise UsageError(f"start '{shown(text)}': {expected} numbers separated by commas expected", f"as in {form}")
+        raise UsageError(f"start {text!r}: {expected} numbers separated by commas expected", f"as in {form}")
     if not form.startswith(("threshold", "largest")) and any(math.isinf(v) for v in numbers):
-        raise UsageError(f"start '{shown(text)}': finite numbers expected", f"as in {form}")
+        raise UsageError(f"start {text!r}: finite numbers expected", f"as in {form}")
     return numbers
 
 
@@ -204,7 +204,7 @@ def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], 
     """
     start = parse(text)
     if start.kind != "ball":
-        raise UsageError(f"'{shown(text)}' was given, expected a ball", f"as in {KINDS['ball']}")
+        raise UsageError(f"{shown(text)!r} was given, expected a ball", f"as in {KINDS['ball']}")
     if start.vox:
         x, y, z = start.numbers[:3]
         radius = start.numbers[3] * min(geometry.steps)
@@ -219,18 +219,18 @@ def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], 
 
 
 def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
-    kind = parse(text).kind
+    kind, text = parse(text).kind, shown(text)
     if kind == "label":
-        return f"start '{shown(text)}': the label map has no voxel of these labels", "give a map and labels that it has"
+        return f"start {text!r}: the label map has no voxel of these labels", "give a map and labels that it has"
     if kind == "mesh":
-        return f"start '{shown(text)}': no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
+        return f"start {text!r}: no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
     if kind in ("threshold", "largest", "otsu"):
-        return f"start '{shown(text)}': no voxel lies between these values", "thresholds are in the image's own units"
+        return f"start {text!r}: no voxel lies between these values", "thresholds are in the image's own units"
     corner = geometry.index_to_world(np.array([[0, 0, 0], [n - 1 for n in geometry.shape]]))
     low, high = corner.min(axis=0), corner.max(axis=0)
     ranges = "; ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return (
-        f"start '{shown(text)}': no voxel centre is inside it",
+        f"start {text!r}: no voxel centre is inside it",
         f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices",
     )
 

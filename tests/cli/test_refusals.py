@@ -171,3 +171,28 @@ def test_keys_of_a_configuration_that_are_garbage(capsys, image, tmp_path):
     file.write_text(f"{GARBAGE} = 1\n")
     error, hint = refused(capsys, image, "--config", str(file))
     assert "q" * 61 not in error + hint
+
+
+#: Other commands: words, what is said.
+COMMANDS = [
+    (("compare", "IMAGE", "-o", "OUT", "--flows", "gradient,sobolov"), "did you mean sobolev?"),
+    (("compare", "IMAGE", "-o", "OUT", "--flows", ","), "names no flow"),
+    (("movie", "IMAGE", "-o", "OUT/a.xyz"), "expected .mp4"),
+    (("movie", "IMAGE", "-o", "OUT/a.mp4", "--size", GARBAGE), "expected WIDTHxHEIGHT"),
+    (("movie", "IMAGE", "-o", "OUT/a.mp4", "--preview"), "expected .png"),
+    (("segment", "IMAGE"), "-o DIR"),
+    (("segment",), "--help"),
+    (("info", "surplus"), "--help"),
+    (("evaluate", "IMAGE"), "--help"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), COMMANDS, ids=lambda value: " ".join(value)[:60])
+def test_other_commands(capsys, image, words, said):
+    folder = image.parent / "other"
+    line = [word.replace("IMAGE", str(image)).replace("OUT", str(folder)) for word in words]
+    code = cli.execute(line)
+    err = capsys.readouterr().err
+    assert code == 2 and said in err
+    assert [part.split(":")[0] for part in err.splitlines()] == ["error", "hint"]
+    assert all(len(part) < 1015 for part in err.splitlines()) and len(err.splitlines()[0]) < 400

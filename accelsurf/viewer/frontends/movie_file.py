@@ -66,10 +66,12 @@ class MovieSettings:
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise UsageError(f"{name}: {value:g} was given, expected {low:g} to {high:g}")
+                hint = "accelsurf movie --help says what it is"
+                raise UsageError(f"{name}: {value:g} was given, expected {low:g} to {high:g}", hint)
         if any(not MIN_SIDE <= side <= MAX_SIDE for side in self.size):
             given = "x".join(str(side) for side in self.size)
-            raise UsageError(f"size: {given} was given, expected sides of {MIN_SIDE} to {MAX_SIDE} pixels")
+            expected = f"sides of {MIN_SIDE} to {MAX_SIDE} pixels"
+            raise UsageError(f"size: {given} was given, expected {expected}", "as in 1280x720")
 
 
 def check_target(path: Path, size: tuple[int, int]) -> None:
@@ -82,10 +84,12 @@ def check_target(path: Path, size: tuple[int, int]) -> None:
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise UsageError(f"{path.name}: {suffix or 'no suffix'} was given, expected {', '.join(FORMATS)}")
+        raise UsageError(
+            f"{path.name}: {suffix or 'no suffix'} was given, expected {', '.join(FORMATS)}", f"write {path.stem}.mp4"
+        )
     if suffix == ".mp4":
         if any(side % 2 for side in size):
-            raise UsageError(f"size: {size[0]}x{size[1]} was given, expected even numbers for mp4")
+            raise UsageError(f"size: {size[0]}x{size[1]} was given, expected even numbers for mp4", "as in 1280x720")
         _ffmpeg()
     if suffix == ".webp" and not features.check("webp"):
         raise UsageError("webp: Pillow was built without it here", "take .mp4 or .gif")

@@ -1,0 +1,41 @@
+"""Lines about errors: short, on one line, in characters that a terminal prints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from accelsurf.settings.wording import shown
+
+#: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
+MAX_ERROR, MAX_HINT = 390, 1000
+
+
+def without_garbage(message: str, arguments: Sequence[str]) -> str:
+    """Return a message of the command line's parser, with what was typed cut to a readable length.
+
+    Examples
+    --------
+    >>> len(without_garbage('Unknown option: "' + 200 * "x" + '"', [200 * "x"]))
+    78
+    """
+    for word in sorted(arguments, key=len, reverse=True):
+        for part in (word, *word.split("=", 1)):
+            if part and shown(part) != part:
+                message = message.replace(part, shown(part))
+    return message
+
+
+def printable(text: str, length: int) -> str:
+    """Return a text as one line that a terminal prints; if it is longer than ``length`` its middle is left out.
+
+    Examples
+    --------
+    >>> printable("abc" + 100 * "x" + "yz", 20)
+    'abcxxxxx...xxxxxxyz'
+    """
+    text = " ".join(text.split())
+    for _ in range(2):  # escapes make it longer again
+        if len(text) > length:
+            text = text[: length // 2 - 2] + "..." + text[2 - length // 2 :]
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    return text
