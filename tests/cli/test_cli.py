@@ -337,6 +337,49 @@ def test_overwrite_takes_away_what_the_earlier_run_wrote_and_nothing_else(scans,
     assert (tmp_path / "ball_surface.obj").read_text() == "changed by hand"
 
 
+class Killed(BaseException):
+    """Ends a run between two renames as a kill would: nothing is tidied up."""
+
+
+def test_readers_finish_the_moves_of_a_killed_run(scans, tmp_path, capsys, monkeypatch):
+    words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--overwrite", "--max-steps")
+    assert run(*words, 1) == 0
+    before, moved, real = report_of(tmp_path), [], os.replace
+
+    def replace(source, goal):
+        if os.path.dirname(goal) == str(tmp_path):
+            moved.append(goal)
+            if len(moved) == 3:
+                raise Killed
+        real(source, goal)
+
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(Killed):
+        run(*words, 3)
+    monkeypatch.undo()
+    assert not (tmp_path / "ball_report.json").exists() and list(tmp_path.glob(".*"))
+    assert run("evaluate", tmp_path / "ball_seg.nii.gz", scans / "truth.nii.gz") == 0
+    after = report_of(tmp_path)
+    assert after["stop"]["steps"] == 3 and after["outputs"] != before["outputs"]
+    for one in after["outputs"]:
+        assert io.sha256(one["path"]) == one["sha256"]
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_file_that_appears_while_the_run_goes_on_is_not_replaced(scans, tmp_path, capsys, monkeypatch):
+    from accelsurf.report import preview
+
+    def precious(*args):
+        (tmp_path / "ball_trace.csv").write_text("precious")
+        return b""
+
+    monkeypatch.setattr(preview, "preview_png", precious)
+    assert run("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1) == 7
+    assert "ball_trace.csv: exists already" in capsys.readouterr().err
+    assert {path.name for path in tmp_path.iterdir()} == {"ball_trace.csv", "ball_failed_report.json"}
+    assert (tmp_path / "ball_trace.csv").read_text() == "precious"
+
+
 def test_two_runs_with_one_output(scans, tmp_path, capsys):
     from accelsurf.io.file_set import opened
 
