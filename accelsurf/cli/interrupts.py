@@ -50,7 +50,8 @@ class Interrupts:
     def install(self) -> None:
         """Handle both signals from now on; the main thread only.
 
-        Also where a shell has started the program in the background and lets it ignore SIGINT: who sends it one means it.
+        Also where a shell has started the program in the background and lets it ignore SIGINT: whoever sends one
+        means it.
         """
         if threading.current_thread() is threading.main_thread():
             for number in SIGNALS:
