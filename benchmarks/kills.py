@@ -97,6 +97,7 @@ class Bench:
         """Start a run; with a limit no file can have more bytes."""
 
         def limited() -> None:
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may ignore it for background jobs
             if limit is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 

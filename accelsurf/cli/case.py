@@ -214,6 +214,9 @@ def _write(
 def _commit(target: Place, files: FileSet, failed: bool) -> None:
     """Put the drafts in place, and take away what the earlier run wrote and this one does not."""
     written = [path.name for path in files.drafts.iterdir()]
+    if not (failed or target.overwrite):  # another program may have put a file there while the run went on
+        report = target.report_path
+        outputs.refuse_existing({"report" if n == report.name else n: files.folder / n for n in written}, False)
     gone = result_sets.outdated(files.folder, target.name, written, failed)
     files.commit(last=target.report_path.name, remove=gone)
 

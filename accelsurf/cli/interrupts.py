@@ -48,11 +48,14 @@ class Interrupts:
         return handler if isinstance(handler, cls) else cls()
 
     def install(self) -> None:
-        """Handle both signals from now on, except one that is ignored, as below ``nohup``; the main thread only."""
+        """Handle both signals from now on; the main thread only.
+
+        Also where a shell has started the program in the background and lets it ignore SIGINT: whoever sends one
+        means it.
+        """
         if threading.current_thread() is threading.main_thread():
             for number in SIGNALS:
-                if signal.getsignal(number) != signal.SIG_IGN:
-                    self._replaced[number] = signal.signal(number, self)
+                self._replaced[number] = signal.signal(number, self)
 
     def uninstall(self) -> None:
         """Give the signals back to whoever had them."""

@@ -46,7 +46,7 @@ class FileSet:
     drafts : Path
         Where they are written, under their final names.
     committed : bool
-        Whether they are in place.
+        Whether they are in place, or will be put there by the next run.
     """
 
     def __init__(self, folder: Path, claimed: Claim) -> None:
@@ -86,7 +86,12 @@ class FileSet:
             else:
                 sync_folder(self.drafts)
                 _write_journal(self._claim.folder, _Journal(names, gone, last))
-                _move(self._claim.folder, self.folder)
+                self.committed = True  # drafts must not be removed from here on, whatever happens
+                try:
+                    _move(self._claim.folder, self.folder)
+                except Exception:
+                    self.committed = (self._claim.folder / _JOURNAL).exists()
+                    raise
             self.committed = True
             sync_folder(self.folder)
 
@@ -220,7 +225,7 @@ def _move(hidden: Path, folder: Path) -> None:
     if not journal.undo:
         try:
             _move_forward(hidden, folder, journal)
-        except OSError:
+        except Exception:
             journal = _Journal(journal.files, journal.remove, journal.last, undo=True)
             _write_journal(hidden, journal)
             _move_back(hidden, folder, journal)

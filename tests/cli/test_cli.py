@@ -308,17 +308,19 @@ def test_a_failure_does_not_replace_the_report_of_a_result(scans, tmp_path):
     [(("--cfl", "-1"), 2), (("--start", "label:absent.nii.gz"), 3), (("--smoothness", "1000"), 5), (("--strict",), 4)],
 )
 def test_a_failing_run_leaves_a_good_result(words, code, scans, tmp_path, capsys):
-    good = ("segment", scans / "ball.nii.gz", "-o", tmp_path, "--overwrite", "--max-steps", 2)
-    assert run(*good, *START) == 0
+    steps = ("--max-steps", 2)
+    good = ("segment", scans / "ball.nii.gz", "-o", tmp_path, "--overwrite")
+    assert run(*good, *START, *steps) == 0
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert run(*good, *START, *words, *(("--max-steps", 50) if code == 5 else ())) == code
+    start = () if "--start" in words else START
+    assert run(*good, *start, *words, *(() if code == 5 else steps)) == code
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
     others = {path.name for path in tmp_path.iterdir()} - set(before)
     assert "ball_failed_report.json" in others and all(name.startswith("ball_failed_") for name in others)
     failed = report_of(tmp_path, "ball_failed")
     assert (failed["status"], failed["exit_code"]) == ("failed", code)
     assert {"ball_failed_report.json", *(os.path.basename(one["path"]) for one in failed["outputs"])} == others
-    assert run(*good, *START) == 0
+    assert run(*good, *START, *steps) == 0
     assert {path.name for path in tmp_path.iterdir()} == set(before)
 
 
@@ -333,6 +335,49 @@ def test_overwrite_takes_away_what_the_earlier_run_wrote_and_nothing_else(scans,
     names = {"seg.nii.gz", "surface.stl", "report.json", "trace.csv", "preview.png", "notes.txt", "surface.obj"}
     assert {path.name for path in tmp_path.iterdir()} == {f"ball_{name}" for name in names}
     assert (tmp_path / "ball_surface.obj").read_text() == "changed by hand"
+
+
+class Killed(BaseException):
+    """Ends a run between two renames as a kill would: nothing is tidied up."""
+
+
+def test_readers_finish_the_moves_of_a_killed_run(scans, tmp_path, capsys, monkeypatch):
+    words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--overwrite", "--max-steps")
+    assert run(*words, 1) == 0
+    before, moved, real = report_of(tmp_path), [], os.replace
+
+    def replace(source, goal):
+        if os.path.dirname(goal) == str(tmp_path):
+            moved.append(goal)
+            if len(moved) == 3:
+                raise Killed
+        real(source, goal)
+
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(Killed):
+        run(*words, 3)
+    monkeypatch.undo()
+    assert not (tmp_path / "ball_report.json").exists() and list(tmp_path.glob(".*"))
+    assert run("evaluate", tmp_path / "ball_seg.nii.gz", scans / "truth.nii.gz") == 0
+    after = report_of(tmp_path)
+    assert after["stop"]["steps"] == 3 and after["outputs"] != before["outputs"]
+    for one in after["outputs"]:
+        assert io.sha256(one["path"]) == one["sha256"]
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_file_that_appears_while_the_run_goes_on_is_not_replaced(scans, tmp_path, capsys, monkeypatch):
+    from accelsurf.report import preview
+
+    def precious(*args):
+        (tmp_path / "ball_trace.csv").write_text("precious")
+        return b""
+
+    monkeypatch.setattr(preview, "preview_png", precious)
+    assert run("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1) == 7
+    assert "ball_trace.csv: exists already" in capsys.readouterr().err
+    assert {path.name for path in tmp_path.iterdir()} == {"ball_trace.csv", "ball_failed_report.json"}
+    assert (tmp_path / "ball_trace.csv").read_text() == "precious"
 
 
 def test_two_runs_with_one_output(scans, tmp_path, capsys):
@@ -577,7 +622,7 @@ def test_streams_that_cannot_be_written():
     assert full.stderr.splitlines()[0] == "error: standard output: cannot be written (No space left on device)"
     for words, code in (("info >&-", 0), ("info 2>&-", 0), ("segmen >&- 2>&-", 2), ("segmen 2>/dev/full", 2)):
         ended = shell(words)
-        assert ended.returncode == code and "Traceback" not in ended.stderr and "error" not in ended.stdout, words
+        assert ended.returncode == code and "Traceback" not in ended.stderr and "error: " not in ended.stdout, words
 
 
 def test_closed_stdout_is_no_error():
