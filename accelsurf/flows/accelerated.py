@@ -102,14 +102,19 @@ class Accelerated(Flow):
         """The paper's T of two velocities half a step before and after."""
 
     def _energy_rates(self, area: np.ndarray, stages: tuple[np.ndarray, ...]) -> EnergyRates:
-        """Energies from the velocities before, after diffusion, kick, noise and clipping."""
+        """Energies from the velocities before, after diffusion, kick, noise and clipping.
+
+        Each stage changes the momentum; the work of a change is its product with the mean of the velocities before and
+        after all of them. Only so does what the force works equal the decrease of U: the surface moves by the velocity
+        before in the step that ends here, and by the one after in the step that begins.
+        """
         before, smoothed, kicked, noisy, after = stages
         w = self.clock.weight()
-        # Where a stage changed nothing, it is the same array as the one before.
-        energies = {id(stage): self._kinetic(area, stage, stage) / w for stage in stages}
+        mean = 0.5 * (before + after)
 
-        def energy(velocity: np.ndarray) -> float:
-            return energies[id(velocity)]
+        def work(one: np.ndarray, other: np.ndarray) -> float:
+            # Where a stage changed nothing, it is the same array as the one before.
+            return 0.0 if other is one else 2.0 * self._kinetic(area, other - one, mean) / w
 
         kinetic = self._kinetic(area, before, after)
         self._detect_oscillation(kinetic)
@@ -117,8 +122,8 @@ class Accelerated(Flow):
             kinetic=kinetic,
             weight=w,
             friction=self.clock.loss * kinetic / w,
-            smoothing=energy(before) - energy(smoothed) + energy(noisy) - energy(after),
-            noise=energy(noisy) - energy(kicked),
+            smoothing=-work(before, smoothed) - work(noisy, after),
+            noise=work(kicked, noisy),
         )
 
     def _force_stiffness(self, peak: float, surface: LevelSet) -> float:

@@ -35,6 +35,7 @@ from accelsurf.segmentation.run_setup import (
     energy_maker,
     seeded,
     setup_of,
+    thin_start_warnings,
 )
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
@@ -118,12 +119,12 @@ class Run:
         self._inputs = LevelInputs(self.prepared.images, self.prepared.mask_distance, grids)
         if not starts:
             starts = [ObjectStart(1, (0, 0, 0), psi)]
+        self.level_warnings = thin_start_warnings(starts, self.geometry, self.has_ids)
         del psi, union, several, given, arrays, by_array
         self._max_steps = config.max_steps
         self.objects = tuple(self._object(place, start) for place, start in enumerate(starts))
         del starts
         self.level_summaries: list[LevelSummary] = []
-        self.level_warnings: list[str] = []
         self.level = self._levels - 1
         self._ensemble = Ensemble(self.objects, self.workers, self.geometry.steps, self.has_ids)
         self._stop_requested = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from accelsurf.flows import StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy
@@ -29,6 +30,8 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
+#: Ratio of the spacings from which on slices are thick.
+THICK = 4.0
 #: What `segment` takes for an energy: a name, an energy, or a function that makes one of the image, (nz, ny, nx)
 #: float32 as in `Result.image`, and the spacing, (hz, hy, hx) mm.
 EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
@@ -109,6 +112,32 @@ def seeded(config: RunConfig) -> RunConfig:
     """The configuration, with a seed if it has noise at any time; drawn once, so that it repeats the run."""
     noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
     return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config
+
+
+def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_ids: bool) -> list[str]:
+    """A line for each start that lies in a single thick slice, where its surface is known to within a slice only.
+
+    Examples
+    --------
+    >>> psi = np.ones((5, 9, 9), np.float32)
+    >>> psi[2, 3:6, 3:6] = -1.0
+    >>> thin_start_warnings([ObjectStart(1, (0, 0, 0), psi)], Geometry((5, 9, 9), (7.5, 0.5, 0.5)), False)
+    ['start: all of it lies in one slice of 7.5 mm; give one that spans two slices, if the object does']
+    """
+    steps = [h if n > 1 else 0.0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
+    axis = int(np.argmax(steps))
+    if steps[axis] < THICK * min(geometry.steps):
+        return []
+    lines = []
+    for one in starts:
+        others = tuple(a for a in range(3) if a != axis)
+        if int((one.psi < 0).any(axis=others).sum()) == 1:
+            name = f"object {one.id}: start" if has_ids else "start"
+            lines.append(
+                f"{name}: all of it lies in one slice of {steps[axis]:g} mm; give one that spans two slices, if the "
+                "object does"
+            )
+    return lines
 
 
 def available_cores() -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from accelsurf.energies import RegionField
+from accelsurf.energies import ChanVese, RegionField
 from accelsurf.evolution.convergence import Restart
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
@@ -70,6 +70,24 @@ def test_the_energy_lost_is_accounted_for(name: str) -> None:
         assert rows[-1].noise_work != 0.0
     if "gravity" in name:
         assert np.ptp([row.mass_potential for row in rows]) > 0
+
+
+@pytest.mark.parametrize(("flow", "most"), [(ConstantDensity(), 0.025), (FlowableMass(), 0.045)])
+def test_default_limiter_and_diffusion_are_accounted_for_at_a_sharp_edge(
+    flow: ConstantDensity | FlowableMass, most: float
+) -> None:
+    """Chan-Vese at 32^3, 100 steps: 1.7 % and 3.9 %.
+
+    Booked as the difference of the energies of single stages, which leaves out that the force works on the mean of the
+    velocities before and after a kick, 5.0 % and 9.6 % were missing.
+    """
+    z, y, x = np.indices((32, 32, 32)) - 15.5
+    image = 0.5 * (1.0 - np.tanh((np.sqrt(z**2 + 1.3 * y**2 + 0.8 * x**2) - 9.6) / 0.2))
+    surface = LevelSet(np.sqrt((z - 2) ** 2 + y**2 + (x - 3) ** 2) - 4.8, (1.0, 1.0, 1.0))
+    evolution = Evolution(surface, ChanVese(image), flow, StepLimits(), max_steps=100)
+    rows = [step.record for step in evolution if step.record.dt > 0]
+    assert rows[-1].smoothing_work > 0.1 * rows[-1].friction_work
+    assert residue(rows) < most
 
 
 def test_a_wrong_sign_is_not_accounted_for() -> None:
