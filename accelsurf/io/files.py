@@ -13,6 +13,8 @@ from pathlib import Path
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
 
+_MAX_TEXT = 400  # characters of a message
+
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
@@ -20,7 +22,7 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except AccelsurfError as error:
-        raise type(error)(f"{path}: {error.message}", hint=error.hint) from error.__cause__
+        raise type(error)(f"{path}: {_shortened(error.message)}", hint=_shortened(error.hint)) from error.__cause__
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror or error})", hint="check the path and its permissions"
@@ -36,10 +38,15 @@ def naming(path: Path) -> Iterator[None]:
 
 def _itk_reason(error: RuntimeError) -> str:
     """The reason alone, out of the many lines of an error of ITK."""
-    text = " ".join(str(error).split())
+    text = " ".join(str(error)[-2000:].split())
     for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls is the cause
         text = text.rpartition(mark)[2] or text
     return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
+
+
+def _shortened(text: str) -> str:
+    """A text without its middle where it is long: what a damaged file says is not repeated in full."""
+    return text if len(text) <= _MAX_TEXT else f"{text[: _MAX_TEXT // 2]} ... {text[-_MAX_TEXT // 2 :]}"
 
 
 @contextmanager
@@ -51,7 +58,7 @@ def staging(path: Path) -> Iterator[Path]:
     try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:100]}.", dir=path.parent))
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:20]}.", dir=path.parent))
         try:
             yield folder
         finally:

@@ -18,10 +18,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
+from accelsurf.settings import budgets
 from accelsurf.settings.energy_terms import HALF, TERMS, Number, Value, Word, image_terms
 
 EXAMPLE = "local-region:R=8 + 0.3*geodesic + 0.1*area"
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 class Term(NamedTuple):
@@ -56,7 +57,8 @@ def parse(text: str) -> tuple[Term, ...]:
     >>> parse("threshold:-50,auto - 0.1*balloon")[1].weight
     -0.1
     """
-    parts = re.split(r"\s+([+-])\s+", text.strip())
+    budgets.EXPRESSION.check(len(text), "energy", kind=UsageError)
+    parts = re.split(r" ([+-]) ", " ".join(text.split()))
     items = [_item(text, parts[0], 1.0)]
     for sign, part in zip(parts[1::2], parts[2::2], strict=True):
         items.append(_item(text, part, -1.0 if sign == "-" else 1.0))

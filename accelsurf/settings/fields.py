@@ -20,7 +20,7 @@ from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
 
 #: A length in voxels, as it is written.
-VOXELS = r"^(\d+\.?\d*|\.\d+)vox$"
+VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
 RUN, FILES = SettingGroup.RUN, SettingGroup.FILES
 
 

@@ -16,14 +16,13 @@ import numpy as np
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
+from accelsurf.settings import budgets
 
 NRRD_KEY = "nrrd_space"
 """Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
 
 NRRD_ITK_NAME, METAIMAGE_ITK_NAME = "NrrdImageIO", "MetaImageIO"
 """The classes of ITK that read and write these formats."""
-
-_MAX_HEADER_BYTES = 1 << 20
 
 _NRRD_BYTES = {
     **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
@@ -34,6 +33,10 @@ _NRRD_BYTES = {
     **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
     **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
     "float": 4,
+}
+_NRRD_ENCODINGS: dict[str, Encoding] = {
+    **{"raw": "raw", "gzip": "deflate", "gz": "deflate", "hex": "other"},
+    **{"text": "text", "txt": "text", "ascii": "text"},
 }
 _META_BYTES = {
     **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
@@ -72,7 +75,7 @@ def parse_nrrd(path: Path) -> RawHeader:
     }
     try:
         sizes = [int(n) for n in fields["sizes"].split()]
-        claimed = math.prod(sizes) * _NRRD_BYTES[fields["type"].lower()]
+        item = _NRRD_BYTES[fields["type"].lower()]
         encoding = fields["encoding"].lower()
         if int(fields["dimension"]) != len(sizes) or min(sizes) < 1:
             raise ValueError
@@ -88,13 +91,17 @@ def parse_nrrd(path: Path) -> RawHeader:
     data = path
     if detached := fields.get("data file") or fields.get("datafile"):
         data, offset = _detached(path, detached), 0
-    skipped = any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip"))
-    coding: Encoding = "raw" if encoding == "raw" else "deflate" if encoding in ("gzip", "gz") else "other"
+    if encoding not in _NRRD_ENCODINGS:
+        raise InputError(f"an NRRD of encoding {encoding} given, raw, gzip, text or hex expected", "save it as gzip")
+    coding = _NRRD_ENCODINGS[encoding]
+    if any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip")) and coding != "raw":
+        coding = "other"  # of raw voxels at least so many must be there
     metadata = {}
     if len(sizes) == 3 and "space directions" in fields:
         keys = ("space", "space dimension", "space directions", "space origin")
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
-    return RawHeader(data, offset, "other" if skipped else coding, NRRD_ITK_NAME, claimed, metadata=metadata)
+    numbers = math.prod(sizes)
+    return RawHeader(data, offset, coding, NRRD_ITK_NAME, numbers * item, metadata=metadata, numbers=numbers)
 
 
 def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
@@ -131,10 +138,11 @@ def parse_metaimage(path: Path) -> RawHeader:
         )
     try:
         sizes = [int(n) for n in fields["DimSize"].split()]
-        item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")] * int(fields.get("ElementNumberOfChannels", 1))
+        item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")]
+        numbers = math.prod(sizes) * int(fields.get("ElementNumberOfChannels", 1))
         skip = int(fields.get("HeaderSize", 0))
         stored = int(fields["CompressedDataSize"]) if "CompressedDataSize" in fields else None
-        if int(fields["NDims"]) != len(sizes) or min(sizes) < 1:
+        if int(fields["NDims"]) != len(sizes) or min(sizes) < 1 or numbers < 1:
             raise ValueError
     except (KeyError, ValueError):
         raise InputError(
@@ -147,7 +155,7 @@ def parse_metaimage(path: Path) -> RawHeader:
     data = path
     if name.upper() != "LOCAL":
         data, offset = _detached(path, name), 0
-    encoding: Encoding = "raw" if _is_true(fields, "BinaryData") else "other"  # other: numbers as text
+    encoding: Encoding = "raw" if _is_true(fields, "BinaryData") else "text"
     if _is_true(fields, "CompressedData"):
         encoding = "deflate"
         if skip != 0 or (stored is None and data == path):
@@ -157,7 +165,8 @@ def parse_metaimage(path: Path) -> RawHeader:
                 hint="save the image again, e.g. uncompressed",
             )
     # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
-    return RawHeader(data, offset + max(skip, 0), encoding, METAIMAGE_ITK_NAME, math.prod(sizes) * item, stored)
+    offset += max(skip, 0)
+    return RawHeader(data, offset, encoding, METAIMAGE_ITK_NAME, numbers * item, stored, numbers=numbers)
 
 
 def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
@@ -178,7 +187,8 @@ def _is_true(fields: dict[str, str], key: str) -> bool:
 def _header_lines(file: BinaryIO, last: Callable[[str], bool]) -> list[str]:
     """Lines of a text header up to and including the one that ends it (or the end of the file)."""
     lines: list[str] = []
-    while file.tell() < _MAX_HEADER_BYTES and (raw := file.readline(_MAX_HEADER_BYTES)):
+    most = budgets.TEXT_HEADER.limit
+    while (left := most - file.tell()) > 0 and (raw := file.readline(left)):
         lines.append(raw.decode("utf-8", errors="replace").rstrip("\r\n"))
         if last(lines[-1]):
             break
@@ -190,7 +200,7 @@ def _detached(path: Path, name: str) -> Path:
     if name.split()[0].upper() == "LIST" or "%" in name:
         raise InputError(f"the voxels are spread over several files ({name})", hint="save the image as one file first")
     data = path.parent / name
-    if not data.is_file():
+    if "\0" in name or not data.is_file():
         raise InputError(
             f"the header names the data file {name}, which is missing",
             hint=f"copy {name} into the same folder, under that name",
