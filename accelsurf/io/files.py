@@ -13,8 +13,6 @@ from pathlib import Path
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
 
-_MAX_TEXT = 400  # characters of a message
-
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
@@ -22,7 +20,7 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except AccelsurfError as error:
-        raise type(error)(f"{path}: {_shortened(error.message)}", hint=_shortened(error.hint)) from error.__cause__
+        raise type(error)(f"{path}: {error.message}", hint=error.hint) from error.__cause__
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror or error})", hint="check the path and its permissions"
@@ -42,11 +40,6 @@ def _itk_reason(error: RuntimeError) -> str:
     for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls is the cause
         text = text.rpartition(mark)[2] or text
     return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
-
-
-def _shortened(text: str) -> str:
-    """A text without its middle where it is long: what a damaged file says is not repeated in full."""
-    return text if len(text) <= _MAX_TEXT else f"{text[: _MAX_TEXT // 2]} ... {text[-_MAX_TEXT // 2 :]}"
 
 
 @contextmanager

@@ -13,7 +13,6 @@ from accelsurf.errors import InputError
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
 from accelsurf.settings.registry import load
 
-
 _OUTSIDE_DATA = ContextVar("outside data", default=False)
 
 

@@ -64,7 +64,11 @@ class Budget:
 
 CONFIG = Budget("a configuration file", 1 << 20, "bytes", "is it the right file? a configuration has a few lines")
 EXPRESSION = Budget("an energy, a start or an edit", 1 << 14, "characters", "write it shorter")
-TABLE = Budget("a table of balls", 1 << 24, "bytes", "give the objects as a label map instead")
+EDITS = Budget("the edits of a run", 4096, "edits", "leave out those that do not matter")
+TABLE = Budget("a table of balls", 1 << 22, "bytes", "give the objects as a label map instead")
+BALLS = Budget(
+    "balls of one id times voxels of the box around them", 1 << 32, "voxels", "use fewer balls, or a label map"
+)
 REPORT = Budget("a report", 1 << 26, "bytes", "is it the report of a run?")
 TEXT_HEADER = Budget("the header of an NRRD or MetaImage", 1 << 20, "bytes", "is it the right file?")
 #: Some writers pad their streams.
@@ -102,6 +106,6 @@ SMOOTHING = Budget(
 
 #: All of them, in the order of the reference page.
 BUDGETS = (
-    CONFIG, EXPRESSION, TABLE, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS,
+    CONFIG, EXPRESSION, EDITS, TABLE, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS,
     MESH_FILE, MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING,
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import shlex
 from collections.abc import Mapping
 from typing import Any
@@ -16,8 +17,10 @@ from pydantic import BaseModel, ConfigDict, model_serializer
 from pydantic.fields import FieldInfo
 
 from accelsurf.errors import UsageError
+from accelsurf.settings import budgets
 from accelsurf.settings.entry import entry_of
 
+_WHOLE = re.compile(r"[0-9]{1,18}")
 FORM = 'step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on'
 
 
@@ -98,6 +101,7 @@ def edits_of(value: Any) -> Any:
     ['step=3 add=ball:1,2,3,4', 'step=9 flow=gradient']
     """
     many = value if isinstance(value, (list, tuple)) else [value]
+    budgets.EDITS.check(len(many), "edit", kind=UsageError)
     return tuple(sorted((_edit(one) for one in many), key=lambda edit: edit.step))
 
 
@@ -108,7 +112,7 @@ def _edit(value: Any) -> Edit:
     if not isinstance(table, Mapping):
         raise UsageError(f"edit: {_shown(value)} was given, expected a step and what changes before it", FORM)
     step = table.get("step")
-    if isinstance(step, str) and step.isdecimal():
+    if isinstance(step, str) and _WHOLE.fullmatch(step):
         step = int(step)
     if not isinstance(step, int) or isinstance(step, bool) or step < 0:
         given = "no step" if step is None else f"step {_shown(step)}"
@@ -118,7 +122,7 @@ def _edit(value: Any) -> Edit:
         if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
             raise UsageError(f"edit at step {step}: {key} {_shown(ball)} was given, expected ball:X,Y,Z,R", FORM)
     own = table.get("object")
-    if isinstance(own, str) and own.isdecimal():
+    if isinstance(own, str) and _WHOLE.fullmatch(own):
         own = int(own)
     if own is not None and (not isinstance(own, int) or isinstance(own, bool) or own < 1):
         raise UsageError(f"edit at step {step}: object {_shown(own)} was given, expected an object's id", FORM)
@@ -126,6 +130,7 @@ def _edit(value: Any) -> Edit:
 
 
 def _words(text: str) -> dict[str, str]:
+    budgets.EXPRESSION.check(len(text), "edit", kind=UsageError)
     try:
         pairs = [word.partition("=") for word in shlex.split(text)]
     except ValueError:

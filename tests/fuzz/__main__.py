@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.fuzz import corpus
 from tests.fuzz.corpus import Input, input_of
-from tests.fuzz.workers import Judged, judged
+from tests.fuzz.workers import Judged, judged, warm_up
 
 
 def main() -> int:
@@ -30,10 +30,12 @@ def main() -> int:
     count = options.count or (None if options.minutes else 10_000)
     end = time.monotonic() + 60 * options.minutes if options.minutes else float("inf")
     numbers = iter(range(options.first, options.first + count)) if count else itertools.count(options.first)
+    warm_up()
     began, outcomes, faults, slowest = time.monotonic(), Counter(), [], 0.0
     for one in judged(numbers, options.seed, options.processes, lambda: time.monotonic() < end):
         given = input_of(options.seed, one.number)
-        outcome = f"read, {one.verdict.text}" if one.verdict.text.endswith("verified") else one.verdict.outcome
+        checked = one.verdict.text.partition(" ")[0] if one.verdict.outcome == "read" else ""
+        outcome = f"read, {checked}" if checked.endswith("verified") else one.verdict.outcome
         outcomes[f"{given.kind}: {outcome}"] += 1
         slowest = max(slowest, one.seconds)
         if one.verdict.is_fault:

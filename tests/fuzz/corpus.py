@@ -220,9 +220,8 @@ def _runs():
 
 
 def _states(folder: Path):
-    from tests.fuzz.verdict import CHECKPOINT_TYPES, Point
-
     from accelsurf.evolution.serialization import to_bytes
+    from tests.fuzz.verdict import CHECKPOINT_TYPES, Point
 
     state = ({"accelsurf": "0", "run": "x"}, Point(np.arange(6.0), (1, 2.5, None, "text", [np.float32(2), True])))
     yield Input("checkpoint", ".npz", "binary", to_bytes(state, CHECKPOINT_TYPES))

@@ -40,7 +40,7 @@ class Wrong(Exception):
 
 
 class Verdict(NamedTuple):
-    """``outcome`` is read, refused, or the kind of a fault: traceback, wrong, unclear, memory, message, hang, crash."""
+    """``outcome`` is read, refused, or the kind of a fault: traceback, wrong, unclear, memory, hang, crash."""
 
     outcome: str
     text: str = ""

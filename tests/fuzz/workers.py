@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.fuzz.corpus import Input, input_of
+from tests.fuzz.corpus import Input, input_of, seeds
 from tests.fuzz.verdict import Verdict, judge
 
 SECONDS, RSS_BYTES = 10.0, 1 << 30
@@ -51,7 +51,8 @@ def _work(pipe: Connection, seed: int, replays: tuple[Input, ...]) -> None:
                 said.truncate(0)
                 os.lseek(said.fileno(), 0, os.SEEK_SET)
                 if not verdict.is_fault:
-                    verdict = Verdict("message", f"{size} bytes printed: {text}")
+                    outcome = "traceback" if "Traceback" in text or "Warning:" in text and ".py:" in text else verdict.outcome
+                    verdict = Verdict(outcome, f"{verdict.text} (a library printed {size} bytes: {text})")
             most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
             if most > RSS_BYTES:
                 pipe.send((Verdict("memory", f"{most >> 20} MiB"), True))
@@ -100,6 +101,20 @@ class _Worker:
     def end(self) -> None:
         self.process.kill()
         self.process.join()
+
+
+def warm_up() -> None:
+    """Judge the valid inputs once, in a process of its own without a limit: kernels are compiled and stored then."""
+    process = mp.get_context("spawn").Process(target=_warm)
+    process.start()
+    process.join()
+
+
+def _warm() -> None:
+    for one in seeds():
+        if one.kind == "run":
+            with tempfile.TemporaryDirectory() as folder:
+                judge(one, Path(folder))
 
 
 def judged(

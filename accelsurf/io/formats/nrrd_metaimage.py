@@ -46,6 +46,9 @@ _META_BYTES = {
 }
 
 
+_MAX_LENGTH = 1e12  # mm
+_MAX_WORD = 255
+
 # Lines whose length depends on NDims, which must come before them.
 _META_SIZED = frozenset(
     "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
@@ -68,6 +71,7 @@ def parse_nrrd(path: Path) -> RawHeader:
         file.seek(0)
         lines = _header_lines(file, lambda line: not line.strip())
         offset = file.tell()
+    _check_words(lines)
     fields = {
         key.strip().lower(): value.strip()
         for key, colon, value in (line.partition(": ") for line in lines[1:] if not line.startswith("#"))
@@ -102,6 +106,15 @@ def parse_nrrd(path: Path) -> RawHeader:
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
     numbers = math.prod(sizes)
     return RawHeader(data, offset, coding, NRRD_ITK_NAME, numbers * item, metadata=metadata, numbers=numbers)
+
+
+def _check_words(lines: list[str]) -> None:
+    """Refuse what would overrun the memory of the library that reads the voxels when it quotes a header."""
+    longest = max((len(word) for line in lines if line[:1] != "#" for word in line.split()), default=0)
+    if longest > _MAX_WORD:
+        raise InputError(
+            f"the NRRD header has a word of {longest} characters, at most {_MAX_WORD} expected", "is it damaged?"
+        )
 
 
 def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
@@ -213,8 +226,11 @@ def _numbers(text: str, key: str, count: int) -> list[float]:
         values = [float(v) for v in text.split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise GeometryError(f"the header gives {key} = {text}, {count} finite numbers expected")
+    if len(values) != count or not all(abs(value) <= _MAX_LENGTH for value in values):
+        raise GeometryError(
+            f"the header gives {key} = {text}, {count} finite numbers expected, of at most {_MAX_LENGTH:g} mm",
+            hint="correct the header",
+        )
     return values
 
 

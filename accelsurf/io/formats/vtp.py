@@ -169,7 +169,8 @@ def _decoded(text: memoryview, count: int) -> memoryview:
     return memoryview(base64.b64decode(text[: -(-count // 3) * 4], validate=True))[:count]
 
 
-def _taken(data: memoryview, count: int) -> memoryview:
+def _taken(data: bytes | memoryview, count: int) -> memoryview:
+    data = memoryview(data)
     if len(data) < count:
         raise ValueError(f"{len(data)} bytes where {count} are announced")
     return data[:count]
