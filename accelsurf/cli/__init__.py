@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import NoReturn
 
 from cyclopts import App, CycloptsError
@@ -29,10 +30,13 @@ EXIT_CODES = {
     INTERRUPTED: "interrupted (Ctrl-C); the present state is written",
 }
 
+_OF_EVERY_COMMAND = ("--debug", "--allow-outside-data")
+
 app = App(
     name="accelsurf",
     help="Surfaces of objects in 3D images, by level sets with momentum.",
-    help_epilogue="Every command takes --help, and --debug to show the full traceback of an error.",
+    help_epilogue="Every command takes --help, --debug to show the full traceback of an error, and "
+    "--allow-outside-data to read data files that a header (.mhd, .nrrd) names in other folders than its own.",
     version=__version__,
     help_format="plaintext",
 )
@@ -67,10 +71,11 @@ def execute(argv: Sequence[str]) -> int:
     """
     arguments = list(argv)
     end = arguments.index("--") if "--" in arguments else len(arguments)
-    debug = "--debug" in arguments[:end]
-    arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
+    debug, outside = (word in arguments[:end] for word in _OF_EVERY_COMMAND)
+    arguments = [word for place, word in enumerate(arguments) if word not in _OF_EVERY_COMMAND or place >= end]
     try:
-        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        with _outside_data(outside):
+            code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
         return int(code or 0)
     except CycloptsError as error:
@@ -95,6 +100,14 @@ def execute(argv: Sequence[str]) -> int:
             raise
         hint = "this is a bug in accelsurf; run again with --debug and report the traceback"
         return _say(1, f"{type(error).__name__}: {error}", hint)
+
+
+def _outside_data(allowed: bool) -> AbstractContextManager[None]:
+    if not allowed:
+        return nullcontext()
+    from accelsurf.io.headers import outside_data_allowed
+
+    return outside_data_allowed()
 
 
 def _say(code: int, message: str, hint: str) -> int:

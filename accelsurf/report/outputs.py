@@ -139,7 +139,7 @@ def is_failure_report(path: Path) -> bool:
     """Whether a file is the report of a run that failed."""
     try:
         return bool(json.loads(path.read_text(encoding="utf-8"))["status"] == "failed")
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
 
 

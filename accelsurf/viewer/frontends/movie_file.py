@@ -232,7 +232,7 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         image, checksum = Path(source["path"]), source["sha256"]
         if not isinstance(settings, dict):
             raise TypeError
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         message = f"{path}: not the report of a run that can be repeated"
         raise InputError(message, "run accelsurf segment again") from None
     if str(settings.get("energy", "")).startswith("custom: "):
