@@ -142,14 +142,14 @@ def _tiff(content: bytes, data: bytes):
     import tifffile
     from PIL import Image
 
-    with Image.open(io.BytesIO(content)) as image:  # tifffile has no LZW of its own
-        if image.n_frames == 1 and image.mode in ("L", "I;16"):
-            return np.asarray(image)[np.newaxis], None
     with tifffile.TiffFile(io.BytesIO(content)) as file:
-        pages = [page.asarray() for page in file.pages if not page.subfiletype & 1]
-        if pages[0].ndim != 2 or file.pages[0].photometric not in (0, 1) or pages[0].dtype.kind == "b":
+        pages = [page for page in file.pages if not page.subfiletype & 1]
+        if len(pages[0].shape) != 2 or pages[0].photometric not in (0, 1) or pages[0].bitspersample == 1:
             return None
-        return np.stack(pages), None
+        if pages[0].compression != 5:
+            return np.stack([page.asarray() for page in pages]), None
+    with Image.open(io.BytesIO(content)) as image:  # tifffile has no LZW of its own
+        return (np.asarray(image)[np.newaxis], None) if image.mode in ("L", "I;16") and len(pages) == 1 else None
 
 
 _LOOKS = {

@@ -1,6 +1,6 @@
-"""NIfTI volumes: ITK reads whole numbers of version 1, nibabel floats, version 2 and several in one file; ITK writes.
+"""NIfTI volumes: ITK writes them, and places those of version 1 in the world; nibabel reads the voxels.
 
-ITK turns NaN and infinity into 0 without a word, so floats are not left to it.
+ITK turns NaN and infinity into 0 without a word, ignores small slopes, and reads voxels from places in the header.
 """
 
 from __future__ import annotations
@@ -37,10 +37,12 @@ def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
     nifti.check_single(header.nifti)
     if header.nifti.version == 2:
         return _read_all(path, header, available)[0]
-    if header.nifti.voxel_type.kind == "f":
-        return _read_floats(path, header, available)
-    volume = itk_volumes.read(path, header, available)
-    return Volume(volume.array, volume.geometry, _metadata(header, volume.geometry), path)
+    fields = header.nifti
+    scaled = (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative
+    check_memory(fields.size, fields.voxel_type.itemsize + (8 if scaled else 0), available)
+    header.check_complete()
+    geometry = itk.geometry_of(itk.open_reader(path, header.itk_name))
+    return Volume(nifti.read_channels(header)[0], geometry, _metadata(header, geometry), path)
 
 
 def read_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
@@ -70,16 +72,6 @@ def write_compressed(volume: Volume, path: Path) -> None:
     write(volume, plain)
     gzip_file(plain, path)
     plain.unlink()
-
-
-def _read_floats(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
-    """Read one volume of floats, on the grid that ITK gives it."""
-    fields = header.nifti
-    scaled = (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative
-    check_memory(fields.size[:3], fields.voxel_type.itemsize + (8 if scaled else 0), available)
-    header.check_complete()
-    geometry = itk.geometry_of(itk.open_reader(path, header.itk_name))
-    return Volume(nifti.read_channels(header)[0], geometry, _metadata(header, geometry), path)
 
 
 def _read_all(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:

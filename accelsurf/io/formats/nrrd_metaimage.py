@@ -47,7 +47,7 @@ _META_BYTES = {
 
 
 _MAX_LENGTH = 1e12  # mm
-_MAX_WORD = 255
+_MAX_FIELD = 1000
 
 # Lines whose length depends on NDims, which must come before them.
 _META_SIZED = frozenset(
@@ -71,17 +71,17 @@ def parse_nrrd(path: Path) -> RawHeader:
         file.seek(0)
         lines = _header_lines(file, lambda line: not line.strip())
         offset = file.tell()
-    _check_words(lines)
+    _check_fields(lines)
     fields = {
         key.strip().lower(): value.strip()
         for key, colon, value in (line.partition(": ") for line in lines[1:] if not line.startswith("#"))
         if colon
     }
     try:
-        sizes = [int(n) for n in fields["sizes"].split()]
+        sizes = _whole(fields["sizes"])
         item = _NRRD_BYTES[fields["type"].lower()]
         encoding = fields["encoding"].lower()
-        if int(fields["dimension"]) != len(sizes) or min(sizes) < 1:
+        if _whole(fields["dimension"]) != [len(sizes)] or min(sizes) < 1:
             raise ValueError
     except (KeyError, ValueError):
         raise InputError(
@@ -108,12 +108,13 @@ def parse_nrrd(path: Path) -> RawHeader:
     return RawHeader(data, offset, coding, NRRD_ITK_NAME, numbers * item, metadata=metadata, numbers=numbers)
 
 
-def _check_words(lines: list[str]) -> None:
+def _check_fields(lines: list[str]) -> None:
     """Refuse what would overrun the memory of the library that reads the voxels when it quotes a header."""
-    longest = max((len(word) for line in lines if line[:1] != "#" for word in line.split()), default=0)
-    if longest > _MAX_WORD:
+    fields = (line for line in lines if not line.startswith(("#", "content:")) and ":=" not in line)
+    longest = max(map(len, fields), default=0)
+    if longest > _MAX_FIELD:
         raise InputError(
-            f"the NRRD header has a word of {longest} characters, at most {_MAX_WORD} expected", "is it damaged?"
+            f"the NRRD header has a field of {longest} characters, at most {_MAX_FIELD} expected", "is it damaged?"
         )
 
 
@@ -143,6 +144,8 @@ def parse_metaimage(path: Path) -> RawHeader:
         offset = file.tell()
     pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
     fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
+    if len(fields) < len(pairs):
+        raise InputError("the MetaImage header says the same key twice", hint="which of the two is right? keep that one")
     name = fields.get("ElementDataFile", "")
     if not name or next((k for k in fields if k in _META_SIZED), "") != "NDims" or min(map(len, pairs)) < 2:
         raise InputError(
@@ -150,12 +153,12 @@ def parse_metaimage(path: Path) -> RawHeader:
             hint="is it the right file, and whole?",
         )
     try:
-        sizes = [int(n) for n in fields["DimSize"].split()]
+        sizes = _whole(fields["DimSize"])
         item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")]
-        numbers = math.prod(sizes) * int(fields.get("ElementNumberOfChannels", 1))
-        skip = int(fields.get("HeaderSize", 0))
-        stored = int(fields["CompressedDataSize"]) if "CompressedDataSize" in fields else None
-        if int(fields["NDims"]) != len(sizes) or min(sizes) < 1 or numbers < 1:
+        numbers = math.prod(sizes) * math.prod(_whole(fields.get("ElementNumberOfChannels", "1")))
+        (skip,) = _whole(fields.get("HeaderSize", "0"))
+        stored = _whole(fields["CompressedDataSize"])[0] if "CompressedDataSize" in fields else None
+        if _whole(fields["NDims"]) != [len(sizes)] or min(sizes) < 1 or numbers < 1:
             raise ValueError
     except (KeyError, ValueError):
         raise InputError(
@@ -221,9 +224,20 @@ def _detached(path: Path, name: str) -> Path:
     return data
 
 
+def _plain(text: str) -> str:
+    """A text of numbers as other programs read them: without what only Python takes for digits."""
+    if "_" in text or not text.isascii():
+        raise ValueError
+    return text
+
+
+def _whole(text: str) -> list[int]:
+    return [int(n) for n in _plain(text).split()]
+
+
 def _numbers(text: str, key: str, count: int) -> list[float]:
     try:
-        values = [float(v) for v in text.split()]
+        values = [float(v) for v in _plain(text).split()]
     except ValueError:
         values = []
     if len(values) != count or not all(abs(value) <= _MAX_LENGTH for value in values):

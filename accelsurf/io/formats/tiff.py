@@ -40,8 +40,8 @@ _USED = frozenset((
 ))
 _TIFF_TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 13: "I", 16: "Q"}
 _DEFLATE = (8, 32946)
-_COMPRESSIONS = (1, 5, *_DEFLATE, 32773)  # none, LZW, deflate (two numbers), PackBits
-_RATIOS = {5: budgets.LZW, 32773: budgets.PACKBITS}
+_LZW, _PACKBITS = 5, 32773
+_COMPRESSIONS = (1, _LZW, *_DEFLATE, _PACKBITS)  # the first: none
 _CHUNK = 1 << 16
 _MM = {
     **dict.fromkeys(("micron", "microns", "um", "\u00b5m", "\u03bcm", "\\u00b5m"), 1e-3),
@@ -63,6 +63,8 @@ class TiffHeader(RasterHeader):
         Offset and length of the strips or tiles.
     compression : int
         Compression, by its number.
+    tiled : bool
+        Whether the voxels are in tiles, which may go beyond the image.
     """
 
     itk_name: ClassVar[str] = "TIFFImageIO"
@@ -70,6 +72,7 @@ class TiffHeader(RasterHeader):
     unpacked_bytes: int
     strips: NDArray[np.int64]
     compression: int
+    tiled: bool
 
     def check_complete(self) -> None:
         """Refuse a TIFF whose strips are not all there.
@@ -88,19 +91,36 @@ class TiffHeader(RasterHeader):
                 )
         present = stored = sum(self.strips[:, 1].tolist())
         budgets.TIFF_STRIPS.check(stored, "the strips of the TIFF overlap", size + _DIRECTORY_BYTES)
-        if self.compression in _RATIOS:
-            _RATIOS[self.compression].check(self.unpacked_bytes, "the header announces voxels", stored)
+        if ratio := {_LZW: budgets.LZW, _PACKBITS: budgets.PACKBITS}.get(self.compression):
+            ratio.check(self.unpacked_bytes, "the header announces voxels", stored)
         if self.compression in _DEFLATE:
             present = 0
             with self.data.open("rb") as file:
                 for offset, length in self.strips.tolist():
                     file.seek(offset)
                     present += self._unpacked(file, length, present)
-        if self.compression in (1, *_DEFLATE) and present < self.unpacked_bytes:
+        elif self.compression == _PACKBITS and not self.tiled:
+            present = self._run_lengths()
+            if present > self.unpacked_bytes:
+                raise InputError("the runs of the TIFF go on beyond its rows", hint=TRUNCATED_HINT)
+        if self.compression != _LZW and present < self.unpacked_bytes:
             raise InputError(
                 f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {present}",
                 hint=TRUNCATED_HINT,
             )
+
+    def _run_lengths(self) -> int:
+        """Bytes that the runs of PackBits strips unpack to."""
+        total = 0
+        with self.data.open("rb") as file:
+            for offset, length in self.strips.tolist():
+                file.seek(offset)
+                packed, at = file.read(length), 0
+                while at < length:
+                    run = packed[at]  # up to 127: so many bytes and one follow; from 129: one byte, 257 - run times
+                    total += run + 1 if run < 128 else 257 - run if run > 128 else 0
+                    at += run + 2 if run < 128 else 2 if run > 128 else 1
+        return total
 
     def _unpacked(self, file: BinaryIO, length: int, before: int) -> int:
         """Bytes that a deflated strip unpacks to."""
@@ -142,7 +162,7 @@ def parse(path: Path) -> TiffHeader:
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
     unpacked = len(pages) * height * ((width * bits + 7) // 8)
     pixel = 4 if _TILES in pages[0] or bits == 1 else bits // 8  # those ITK reads as colours with opacity
-    return TiffHeader(path, (len(pages), height, width), spacing, pixel, unpacked, strips, compression)
+    return TiffHeader(path, (len(pages), height, width), spacing, pixel, unpacked, strips, compression, _TILES in pages[0])
 
 
 def _pages(file: BinaryIO) -> list[Page]:
@@ -175,6 +195,8 @@ def _pages(file: BinaryIO) -> list[Page]:
             tag, kind, n = struct.unpack_from(order + "HH" + word, raw, place)
             if tag not in _USED:
                 continue
+            if tag in page:  # libraries do not agree which of the two counts
+                raise ValueError
             # Pages may name the same bytes again and again.
             spent += n * struct.calcsize("=" + _TIFF_TYPES.get(kind, "B"))
             budgets.TIFF_TAGS.check(spent, "the entries of the TIFF", size + (1 << 16))
