@@ -250,7 +250,9 @@ def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> 
         return psi_of_mask(mask, geometry)
     if start.kind in ("threshold", "largest", "otsu"):
         if start.numbers:
-            mask = (values >= start.numbers[0]) & (values <= start.numbers[1])
+            # Beyond 32-bit floats a bound is open; numpy would warn.
+            low, high = (math.copysign(math.inf, v) if abs(v) > 3e38 else v for v in start.numbers)
+            mask = (values >= low) & (values <= high)
         else:
             mask = region_growing.otsu(values, dark=start.word.endswith("dark"))
         return psi_of_mask(region_growing.largest(mask) if start.kind == "largest" else mask, geometry)

@@ -144,7 +144,7 @@ def voxels_inside(
     last = np.cumsum(wide[:, 0] * wide[:, 1])  # of the rows of all triangles, one after the other
     rows = int(last[-1]) if len(last) else 0
     budgets.MESH_ROWS.check(rows, f"a mesh of {len(triangles)} triangles, which together span many rows of voxels")
-    crossings = np.zeros((shape[0], shape[1], shape[2] + 1), np.int32)
+    crossings = np.zeros((shape[0], shape[1], shape[2] + 1), np.uint8)  # only odd or even counts: it may overflow
     for begin in range(0, rows, BATCH_ROWS):
         row = np.arange(begin, min(begin + BATCH_ROWS, rows))
         t = np.searchsorted(last, row, side="right")
@@ -152,7 +152,9 @@ def voxels_inside(
         at = _crossings(plane[t], corners[t, :, 2], low[t, 0] + nth // wide[t, 1], low[t, 1] + nth % wide[t, 1])
         # The first voxel beyond the crossing.
         np.add.at(crossings, (at[0], at[1], np.clip(np.ceil(at[2]), 0, shape[2]).astype(np.int64)), 1)
-    return np.asarray(np.cumsum(crossings, axis=2)[:, :, :-1] % 2 == 1)
+    np.cumsum(crossings, axis=2, dtype=np.uint8, out=crossings)
+    crossings &= 1
+    return np.ascontiguousarray(crossings[:, :, :-1]).view(np.bool_)
 
 
 def _crossings(
@@ -161,10 +163,10 @@ def _crossings(
     """Rows (z, y) and places x where triangles cross them: of each row the corners' (z, y) and x of one triangle."""
     a, b, c = plane[:, 0], plane[:, 1], plane[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-    with np.errstate(all="ignore"):  # triangles seen edge on cross no row
+    with np.errstate(all="ignore"):  # triangles seen edge on cross no row: infinite, or not numbers
         v = ((z - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y - a[:, 1])) / area
         w = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (z - a[:, 0]) * (b[:, 1] - a[:, 1])) / area
-    hit = (area != 0) & (v >= 0) & (w >= 0) & (v + w <= 1)
+        hit = (area != 0) & (v >= 0) & (w >= 0) & (v + w <= 1)
     depth, v, w = depth[hit], v[hit], w[hit]
     x = depth[:, 0] + v * (depth[:, 1] - depth[:, 0]) + w * (depth[:, 2] - depth[:, 0])
     return z[hit], y[hit], x

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import io
+import logging
 import threading
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,8 @@ def _library() -> tuple[type[Figure], type[FigureCanvasAgg]]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    # It talks of folders and fonts of its own, which nobody asked for.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     return Figure, FigureCanvasAgg
 
 

@@ -93,7 +93,7 @@ MESH_UNPACKED = Budget(
     "packed arrays of a .vtp", 32, "bytes", "save the mesh uncompressed", "byte of the file (and 64 MiB)"
 )
 MESH_ROWS = Budget(
-    "rows of voxels that the triangles of a mesh span, over all triangles", 1 << 28, "rows",
+    "rows of voxels that the triangles of a mesh span, over all triangles", 1 << 27, "rows",
     "simplify the mesh, or split its long triangles",
 )
 OBJECT_VOXELS = Budget(

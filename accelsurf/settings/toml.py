@@ -40,7 +40,9 @@ def read(path: str | Path) -> dict[str, Any]:
         ) from None
     except RecursionError:
         raise UsageError(f"{path}: lists or tables nested too deeply", "a configuration has one list in another") from None
-    except ValueError as error:  # not TOML, not UTF-8, a number of thousands of digits, a path with a zero byte
+    except ValueError as error:  # not TOML, not UTF-8, a path with a zero byte
+        if "integer string conversion" in str(error):
+            raise UsageError(f"{path}: a whole number of thousands of digits in it", "is it the right file?") from None
         raise UsageError(
             f"{path}: not a TOML file: {error}", "write one setting per line, e.g.: smoothness = 0.5"
         ) from None

@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -209,7 +210,17 @@ def _report(one: Input, path: Path) -> None:
     run_of_folder(path.parent)
 
 
+def _crash(one: Input, path: Path) -> None:
+    """What the watching processes are tested with."""
+    os.abort()
+
+
+def _sleep(one: Input, path: Path) -> None:
+    time.sleep(60)
+
+
 _JUDGES = {
+    **{"crash": _crash, "sleep": _sleep},
     **{"image": _image, "channels": _channels, "mesh": _mesh, "energy": _energy, "start": _start, "edit": _edit},
     **{"toml": _toml, "argv": _argv, "table": _table, "run": _run, "checkpoint": _checkpoint, "report": _report},
 }

@@ -63,7 +63,8 @@ def _work(pipe: Connection, seed: int, replays: tuple[Input, ...]) -> None:
 class _Worker:
     """One process, its pipe, and the number that it is at."""
 
-    def __init__(self, context: mp.context.BaseContext, seed: int, replays: tuple[Input, ...]) -> None:
+    def __init__(self, context: mp.context.BaseContext, seed: int, replays: tuple[Input, ...], seconds: float) -> None:
+        self._seconds = seconds
         self._make = lambda: self._started(context, seed, replays)
         self._make()
 
@@ -88,9 +89,9 @@ class _Worker:
                 code = self.process.exitcode
                 name = signal.Signals(-code).name if code and code < 0 else f"exit {code}"
                 verdict, last = Verdict("crash", name), True
-        elif time.monotonic() - self.began > SECONDS:
+        elif time.monotonic() - self.began > self._seconds:
             self.process.kill()
-            verdict, last = Verdict("hang", f"more than {SECONDS:g} s"), True
+            verdict, last = Verdict("hang", f"more than {self._seconds:g} s"), True
         else:
             return None
         if last:
@@ -118,12 +119,17 @@ def _warm() -> None:
 
 
 def judged(
-    numbers: Iterator[int], seed: int, processes: int, go_on: Callable[[], bool], replays: tuple[Input, ...] = ()
+    numbers: Iterator[int],
+    seed: int,
+    processes: int,
+    go_on: Callable[[], bool],
+    replays: tuple[Input, ...] = (),
+    seconds: float = SECONDS,
 ) -> Iterator[Judged]:
     """Judge the inputs of these numbers, in whatever order they are done."""
     context = mp.get_context("forkserver")
     context.set_forkserver_preload(["tests.fuzz.verdict", "tests.fuzz.corpus"])
-    workers = [_Worker(context, seed, replays) for _ in range(processes)]
+    workers = [_Worker(context, seed, replays, seconds) for _ in range(processes)]
     busy: list[_Worker] = []
     try:
         for worker in workers:

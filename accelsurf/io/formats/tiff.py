@@ -249,6 +249,8 @@ def _check_faithful(page: Page) -> None:
         raise ValueError
     if compression not in _COMPRESSIONS:
         wrong = f"compression number {compression}"
+    elif _PHOTOMETRIC not in page:
+        wrong = "no word on whether 0 is black or white"
     elif colour == 3:
         wrong = "colours from a palette"
     elif not grey and (colour != 2 or len(bits) not in (3, 4)):
