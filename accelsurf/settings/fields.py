@@ -170,7 +170,7 @@ class SettingFields(BaseModel):
         2.0,
         "Order of the accelerated flow (no unit); it sets the friction (k+1)/t.",
         entry=SettingEntry(metavar="K", scope="flow"),
-        gt=0,
+        ge=0.1, le=20,
     )
     t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",

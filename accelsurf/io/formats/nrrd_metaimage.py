@@ -171,7 +171,7 @@ def parse_metaimage(path: Path) -> RawHeader:
     data = path
     if name.upper() != "LOCAL":
         data, offset = _detached(path, name), 0
-    encoding: Encoding = "raw" if _is_true(fields, "BinaryData") else "text"
+    encoding: Encoding = "raw" if _is_true(fields, "BinaryData", "True") else "text"
     if _is_true(fields, "CompressedData"):
         encoding = "deflate"
         if skip != 0 or (stored is None and data == path):
@@ -196,8 +196,8 @@ def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
             _numbers(fields[key], key, dimension * dimension)
 
 
-def _is_true(fields: dict[str, str], key: str) -> bool:
-    return fields.get(key, "")[:1] in ("T", "t", "1")  # as MetaIO reads it
+def _is_true(fields: dict[str, str], key: str, default: str = "False") -> bool:
+    return fields.get(key, default)[:1] in ("T", "t", "1")  # as MetaIO reads it
 
 
 def _header_lines(file: BinaryIO, last: Callable[[str], bool]) -> list[str]:
