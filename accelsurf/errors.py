@@ -13,7 +13,7 @@ _MAX_MESSAGE = 800  # characters
 
 
 def _shortened(text: str) -> str:
-    """A text without its middle where it is very long: what a damaged file or a long word says is not repeated in full."""
+    """A text without its middle where it is very long: a damaged file is not quoted in full."""
     return text if len(text) <= _MAX_MESSAGE else f"{text[: _MAX_MESSAGE // 2]} ... {text[-_MAX_MESSAGE // 2 :]}"
 
 

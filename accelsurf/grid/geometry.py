@@ -68,7 +68,7 @@ class Geometry:
     def __post_init__(self) -> None:
         shape = _three(self.shape, "shape (nz, ny, nx)")
         if any(n != int(n) or n < 1 for n in shape):
-            raise GeometryError(f"shape {_short(shape)} given, three whole numbers of at least 1 expected", "give z, y, x")
+            raise GeometryError(f"shape {_short(shape)} given, three whole numbers from 1 on expected", "give z, y, x")
         spacing = _three(self.spacing, "spacing (hz, hy, hx)")
         if any(h <= 0.0 for h in spacing):
             raise GeometryError(

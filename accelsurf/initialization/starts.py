@@ -107,7 +107,7 @@ def parse(text: str) -> Start:
 
 
 def _parse_file(text: str, kind: str, rest: str) -> Start:
-    """Read FILE, FILE@IDS of a label map or FILE@ras of a mesh; the name of the file itself may have an @ or a colon."""
+    """Read FILE, FILE@IDS of a label map or FILE@ras of a mesh; the name itself may have an @ or a colon."""
     file, at, tail = rest.rpartition("@") if "@" in rest else (rest, "", "")
     if not file:
         raise UsageError(f"start {text!r}: no file named", f"write {KINDS[kind]}")

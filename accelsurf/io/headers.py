@@ -42,7 +42,8 @@ def parse(path: Path) -> tuple[ImageFormat, Any]:
     ------
     InputError
         When there is no such file, no format has its ending, or it is empty, is not of that format, is damaged, or
-        points to a data file that does not exist, or outside of its folder; GeometryError when its header does not describe a grid.
+        points to a data file that does not exist, or outside of its folder; GeometryError when its header does not
+        describe a grid.
     """
     check_name(path)
     if path.is_dir():
@@ -89,7 +90,8 @@ def check_name(path: Path) -> None:
     try:
         name.encode()
     except UnicodeEncodeError:
-        raise InputError("the name of the file or of its folder is not valid UTF-8", "rename it, or link to it") from None
+        message = "the name of the file or of its folder is not valid UTF-8"
+        raise InputError(message, "rename it, or link to it") from None
     if "\0" in name:
         raise InputError("the name of the file has a zero byte", "correct the name")
 

@@ -319,8 +319,8 @@ def scale_of(image: NDArray[np.float32]) -> Scale:
     far = max(float(image.max()) - float(high), float(low) - float(image.min()))
     if width < MIN_RANGE or far > MAX_RANGES * width:
         raise InputError(
-            f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {MAX_RANGES:g} times their "
-            "range expected",
+            f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {MAX_RANGES:g} times "
+            "their range expected",
             "values far beyond the others often mean that there is no value: replace them by that of the background",
         )
     return Scale(float(low), float(high) - float(low))

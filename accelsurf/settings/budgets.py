@@ -1,7 +1,7 @@
 """What a file or a text may make the program spend: every limit on bytes, counts and lengths, in one place.
 
-A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader asks here
-before it allocates or begins. The reference page of limits is written from these entries.
+A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader asks
+here before it allocates or begins. The reference page of limits is written from these entries.
 """
 
 from __future__ import annotations
@@ -73,13 +73,15 @@ REPORT = Budget("a report", 1 << 26, "bytes", "is it the report of a run?")
 TEXT_HEADER = Budget("the header of an NRRD or MetaImage", 1 << 20, "bytes", "is it the right file?")
 #: Some writers pad their streams.
 SLACK = Budget(
-    "packed voxels beyond those that the header announces", 1 << 20, "bytes", "the header is damaged, or not of this file"
+    "packed voxels beyond those that the header announces", 1 << 20, "bytes", "the header is damaged or of another file"
 )
 DEFLATE = Budget(
     "voxels packed by gzip or deflate", 1032, "bytes", "the file is damaged: copy or export it again", "packed byte"
 )
 LZW = Budget("voxels packed by LZW", 1400, "bytes", "the file is damaged: copy or export it again", "packed byte")
-PACKBITS = Budget("voxels packed by PackBits", 64, "bytes", "the file is damaged: copy or export it again", "packed byte")
+PACKBITS = Budget(
+    "voxels packed by PackBits", 64, "bytes", "the file is damaged: copy or export it again", "packed byte"
+)
 TIFF_TAGS = Budget("the entries of a TIFF's pages", 1, "bytes", "save it as a plain stack", "byte of the file")
 TIFF_STRIPS = Budget(
     "the strips of a TIFF together", 4, "bytes", "save it as a plain stack, without shared strips", "byte of the file"

@@ -39,7 +39,8 @@ def read(path: str | Path) -> dict[str, Any]:
             "accelsurf segment INPUT -o DIR --dump-config prints one to start from",
         ) from None
     except RecursionError:
-        raise UsageError(f"{path}: lists or tables nested too deeply", "a configuration has one list in another") from None
+        hint = "a configuration has at most one list in another"
+        raise UsageError(f"{path}: lists or tables nested too deeply", hint) from None
     except ValueError as error:  # not TOML, not UTF-8, a path with a zero byte
         if "integer string conversion" in str(error):
             raise UsageError(f"{path}: a whole number of thousands of digits in it", "is it the right file?") from None

@@ -22,7 +22,9 @@ def main() -> int:
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--output", type=Path, default=Path("fuzz-faults"), help="folder for faulty inputs and result.json")
+    parser.add_argument(
+        "--output", type=Path, default=Path("fuzz-faults"), help="folder for faulty inputs and result.json"
+    )
     parser.add_argument("--replay", type=Path, nargs="+", help="judge these saved inputs again")
     options = parser.parse_args()
     if options.replay:
@@ -43,8 +45,13 @@ def main() -> int:
             print(f"{one.number} {given.kind}{given.suffix} {one.verdict.outcome}: {one.verdict.text}", flush=True)
     total, seconds = sum(outcomes.values()), time.monotonic() - began
     result = {
-        "seed": options.seed, "first": options.first, "inputs": total, "faults": faults, "seconds": round(seconds, 1),
-        "inputs_per_second": round(total / seconds, 1), "slowest_seconds": round(slowest, 2),
+        "seed": options.seed,
+        "first": options.first,
+        "inputs": total,
+        "faults": faults,
+        "seconds": round(seconds, 1),
+        "inputs_per_second": round(total / seconds, 1),
+        "slowest_seconds": round(slowest, 2),
         "outcomes": dict(sorted(outcomes.items())),
     }
     options.output.mkdir(parents=True, exist_ok=True)

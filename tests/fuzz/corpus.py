@@ -37,7 +37,7 @@ class Input(NamedTuple):
 @functools.cache
 def seeds() -> tuple[Input, ...]:
     with tempfile.TemporaryDirectory() as folder:
-        return tuple([*_images(Path(folder)), *_meshes(), *_texts(), *_runs(), *_states(Path(folder))])
+        return (*_images(Path(folder)), *_meshes(), *_texts(), *_runs(), *_states(Path(folder)))
 
 
 def input_of(seed: int, number: int) -> Input:
@@ -113,8 +113,14 @@ def _tiffs():
     import tifffile
 
     for options in (
-        {}, {"compression": "zlib"}, {"compression": "lzw"}, {"compression": "packbits"}, {"bigtiff": True},
-        {"imagej": True}, {"tile": (16, 16)}, {"byteorder": ">"},
+        {},
+        {"compression": "zlib"},
+        {"compression": "lzw"},
+        {"compression": "packbits"},
+        {"bigtiff": True},
+        {"imagej": True},
+        {"tile": (16, 16)},
+        {"byteorder": ">"},
         {"ome": True, "metadata": {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5}},
     ):
         stream = io.BytesIO()
@@ -171,20 +177,41 @@ def _array(kind: str, values, parts: int, name: str = "Points") -> str:
 
 def _texts():
     energies = (
-        "chan-vese", "local-region:R=8 + 0.3*geodesic + 0.1*area", "threshold:-50,auto - 0.1*balloon",
-        "likelihood:model=histogram,update=no", "threshold:half:120,80%", "2*chan-vese:balance=2,epsilon=1.5",
+        "chan-vese",
+        "local-region:R=8 + 0.3*geodesic + 0.1*area",
+        "threshold:-50,auto - 0.1*balloon",
+        "likelihood:model=histogram,update=no",
+        "threshold:half:120,80%",
+        "2*chan-vese:balance=2,epsilon=1.5",
     )
     starts = (
-        "ball:2,2,2,1.5", "ball:2,2,2,1.5vox", "box:0,0,0,3,3,2", "seed:2,2,2,1", "threshold:10,50", "largest:otsu:dark",
-        "otsu", "center", f"label:{DATA_FILE}@2,5-9", "mesh:a@b.ply@ras", "threshold:,50",
+        "ball:2,2,2,1.5",
+        "ball:2,2,2,1.5vox",
+        "box:0,0,0,3,3,2",
+        "seed:2,2,2,1",
+        "threshold:10,50",
+        "largest:otsu:dark",
+        "otsu",
+        "center",
+        f"label:{DATA_FILE}@2,5-9",
+        "mesh:a@b.ply@ras",
+        "threshold:,50",
     )
-    edits = ("step=30 smoothness=0.5 add=ball:1,2,3,4", "step=3 flow=gradient", "step=0 object=2 remove=ball:1,2,3,1vox")
+    edits = (
+        "step=30 smoothness=0.5 add=ball:1,2,3,4",
+        "step=3 flow=gradient",
+        "step=0 object=2 remove=ball:1,2,3,1vox",
+    )
     config = RunConfig(smoothness=0.5, start=["ball:2,2,2,1"], edit=["step=3 cfl=0.4"], mesh="ply,stl").to_toml()
     short = "energy = [{term = 'local-region', R = 8}, {term = 'geodesic', weight = 0.3}]\nsmoothness = 1\nseed = 3\n"
     tables = ("id,x,y,z,r\n1,1,1,1,1\n2,4,3,3,1\n", "# a\nid,x_vox,y_vox,z_vox,r_vox\n7,1,1,1,1.5\n7,2,2,2,1\n")
     for kind, suffix, some in (
-        ("energy", ".txt", energies), ("start", ".txt", starts), ("edit", ".txt", edits), ("toml", ".toml", (config, short)),
-        ("table", ".csv", tables), ("argv", ".txt", _command_lines()),
+        ("energy", ".txt", energies),
+        ("start", ".txt", starts),
+        ("edit", ".txt", edits),
+        ("toml", ".toml", (config, short)),
+        ("table", ".csv", tables),
+        ("argv", ".txt", _command_lines()),
     ):
         for text in some:
             yield Input(kind, suffix, "text", text.encode())
@@ -193,8 +220,10 @@ def _texts():
 def _command_lines():
     """Words of a command line, one a line."""
     for words in (
-        "--smoothness 0.5 --k 2 --start ball:2,2,2,1 --roi 0,0,0,5,5,5", "--energy threshold:10,50 --levels 2 --mesh ply",
-        "--presmooth 1.5vox --seed 4 --noise 0.1 --half-width 4", "--objects a.csv --format nrrd --mesh-space ras --threads 2",
+        "--smoothness 0.5 --k 2 --start ball:2,2,2,1 --roi 0,0,0,5,5,5",
+        "--energy threshold:10,50 --levels 2 --mesh ply",
+        "--presmooth 1.5vox --seed 4 --noise 0.1 --half-width 4",
+        "--objects a.csv --format nrrd --mesh-space ras --threads 2",
         "--edit step=3 --channel b.nii --mask c.nii --max-volume 100 --preset ct-bone --restart off --friction 0.5",
     ):
         yield "\n".join(words.split())
@@ -208,7 +237,13 @@ def _runs():
         {"flow": "sobolev", "sobolev_length": 3, "tolerance": 0.1, "percentile": 95, "epsilon": 1.5},
         {"flow": "momentum", "blend": 0.8, "balance": 1.0, "max_volume": 1000, "half_width": 4},
         {"energy": "0.5*geodesic:scale=1,contrast=0.5,balloon=-0.1 + chan-vese", "edge_scale": 1, "edge_contrast": 1},
-        {"energy": "local-region:R=3,epsilon=1 + 0.1*balloon", "noise": 0.1, "noise_length": 3, "noise_time": 3, "seed": 1},
+        {
+            "energy": "local-region:R=3,epsilon=1 + 0.1*balloon",
+            "noise": 0.1,
+            "noise_length": 3,
+            "noise_time": 3,
+            "seed": 1,
+        },
         {"energy": "threshold:20,80,soft=5", "start": "ball:5,5,5,3", "roi": "0,0,0,9,9,9"},
         {"energy": "likelihood:model=histogram", "start": "seed:5,5,5,2", "levels": 1},
     ):

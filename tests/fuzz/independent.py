@@ -15,7 +15,15 @@ import numpy as np
 _NIFTI = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
 _NRRD = {
     **{"signed char": "i1", "int8": "i1", "uchar": "u1", "unsigned char": "u1", "uint8": "u1", "short": "i2"},
-    **{"int16": "i2", "ushort": "u2", "unsigned short": "u2", "uint16": "u2", "int": "i4", "float": "f4", "double": "f8"},
+    **{
+        "int16": "i2",
+        "ushort": "u2",
+        "unsigned short": "u2",
+        "uint16": "u2",
+        "int": "i4",
+        "float": "f4",
+        "double": "f8",
+    },
     **{"int32": "i4", "uint": "u4", "unsigned int": "u4", "uint32": "u4"},
 }
 _META = {

@@ -1,4 +1,4 @@
-"""Mutations of valid inputs: of bytes, of fields, of lines; each a pure function of the input and a random generator."""
+"""Mutations of valid inputs: of bytes, of fields, of lines; each follows from the input and a random generator."""
 
 import re
 import struct
@@ -9,7 +9,23 @@ NUMBERS = (
     *("1e-42", "3.4e38", "1e39", "0.0", "-0.0", "1e15", "1e-15", "1,5", "0x10", "1_000", "9" * 400, "9" * 5000),
 )
 WORDS = (
-    *("", " ", "\t", "\0", "\n", "\r", "%s", "%d", "{0}", "../../etc/passwd", "/dev/zero", "/dev/null", "@", ":", "@ras"),
+    *(
+        "",
+        " ",
+        "\t",
+        "\0",
+        "\n",
+        "\r",
+        "%s",
+        "%d",
+        "{0}",
+        "../../etc/passwd",
+        "/dev/zero",
+        "/dev/null",
+        "@",
+        ":",
+        "@ras",
+    ),
     *("\u65e5\u672c\u8a9e", "\u00b2", "\uff11\uff12", "\ud800", "\U0001f600", "'", '"', "\\", "#", "=", "true", "[]"),
     *("a" * 5000, " " * 5000, "[" * 3000, "{" * 3000, "1" * 5000 + "x", "(((", "*", "+", " + ", "-", ",,,,", "vox"),
 )

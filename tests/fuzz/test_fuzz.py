@@ -51,8 +51,14 @@ def test_a_wrong_grid_is_a_fault(tmp_path, monkeypatch):
 
 
 def test_dead_and_late_processes_are_faults_and_are_replaced():
-    replays = (Input("crash", ".txt", "text", b""), Input("sleep", ".txt", "text", b""), Input("energy", ".txt", "text", b"x"))
-    found = {one.number: one.verdict for one in workers.judged(iter((0, 1, 2)), 0, 1, lambda: True, replays, seconds=1.0)}
+    replays = (
+        Input("crash", ".txt", "text", b""),
+        Input("sleep", ".txt", "text", b""),
+        Input("energy", ".txt", "text", b"x"),
+    )
+    found = {
+        one.number: one.verdict for one in workers.judged(iter((0, 1, 2)), 0, 1, lambda: True, replays, seconds=1.0)
+    }
     assert [found[n].outcome for n in range(3)] == ["crash", "hang", "refused"] and found[0].text == "SIGABRT"
 
 

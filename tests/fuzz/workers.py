@@ -51,7 +51,9 @@ def _work(pipe: Connection, seed: int, replays: tuple[Input, ...]) -> None:
                 said.truncate(0)
                 os.lseek(said.fileno(), 0, os.SEEK_SET)
                 if not verdict.is_fault:
-                    outcome = "traceback" if "Traceback" in text or "Warning:" in text and ".py:" in text else verdict.outcome
+                    outcome = (
+                        "traceback" if "Traceback" in text or "Warning:" in text and ".py:" in text else verdict.outcome
+                    )
                     verdict = Verdict(outcome, f"{verdict.text} (a library printed {size} bytes: {text})")
             most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
             if most > RSS_BYTES:

@@ -13,10 +13,28 @@ from pathlib import Path
 import pytest
 
 NAMES = (
-    "gzip of 2 GB", "nrrd of 2 GB", "png of 128 MB", "tiff of shared tags", "tiff of shared strips", "OME text",
-    "energy of digits", "energy of blanks", "start of digits", "deep TOML", "deep report", "image as objects", "large triangles",
-    "vtp of shared arrays", "packed checkpoint", "large table", "many terms", "many edits", "long numbers in TOML",
-    "packed TIFF that claims much", "text that claims much", "many balls",
+    "gzip of 2 GB",
+    "nrrd of 2 GB",
+    "png of 128 MB",
+    "tiff of shared tags",
+    "tiff of shared strips",
+    "OME text",
+    "energy of digits",
+    "energy of blanks",
+    "start of digits",
+    "deep TOML",
+    "deep report",
+    "image as objects",
+    "large triangles",
+    "vtp of shared arrays",
+    "packed checkpoint",
+    "large table",
+    "many terms",
+    "many edits",
+    "long numbers in TOML",
+    "packed TIFF that claims much",
+    "text that claims much",
+    "many balls",
 )
 MAX_SECONDS, MAX_RSS_MB = 5.0, 1024
 
@@ -25,7 +43,11 @@ MAX_SECONDS, MAX_RSS_MB = 5.0, 1024
 def told(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bombs")
     done = subprocess.run(
-        [sys.executable, __file__, str(folder)], capture_output=True, text=True, timeout=200, cwd=Path(__file__).parents[2]
+        [sys.executable, __file__, str(folder)],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        cwd=Path(__file__).parents[2],
     )
     assert done.returncode == 0, done.stderr[-2000:]
     return json.loads(done.stdout)
@@ -87,7 +109,11 @@ def bombs(folder):
     def shared_tags(tags):
         """Pages whose entries point to the same 4 MB."""
         entries = [(256, 3, 1, 6), (257, 3, 1, 5), (258, 3, 1, 8), (259, 3, 1, 8), (262, 3, 1, 1), *tags]
-        count, at, out = 1 << 20, 8 + (4 << 20), [struct.pack("<2sHI", b"II", 42, 8 + (4 << 20)), bytes(range(4)) * (1 << 20)]
+        count, at, out = (
+            1 << 20,
+            8 + (4 << 20),
+            [struct.pack("<2sHI", b"II", 42, 8 + (4 << 20)), bytes(range(4)) * (1 << 20)],
+        )
         for page in range(400):
             at += 2 + 12 * len(entries) + 4
             out.append(struct.pack("<H", len(entries)))

@@ -81,7 +81,9 @@ def test_file_names_with_an_at_or_a_colon(text, file, ids):
     assert (start.file, start.ids) == (file, ids)
 
 
-@pytest.mark.parametrize("title", ["\u65e5\u672c\u8a9e: converged", "a$\\frac$b", BAD, "tab\tand\x07bell", "\u0939\u093f"])
+@pytest.mark.parametrize(
+    "title", ["\u65e5\u672c\u8a9e: converged", "a$\\frac$b", BAD, "tab\tand\x07bell", "\u0939\u093f"]
+)
 def test_any_name_is_drawn_without_a_warning(title):
     # Warnings are errors in these tests.
     picture = canvas.png_bytes(canvas.new_figure(3.0, 2.0, title))
@@ -90,7 +92,9 @@ def test_any_name_is_drawn_without_a_warning(title):
 
 # ------------------------------------------------------------------------------------------- data in other folders
 
-HEADER = "ObjectType = Image\nNDims = 3\nBinaryData = True\nDimSize = 6 5 4\nElementType = MET_SHORT\nElementDataFile = {}\n"
+HEADER = (
+    "ObjectType = Image\nNDims = 3\nBinaryData = True\nDimSize = 6 5 4\nElementType = MET_SHORT\nElementDataFile = {}\n"
+)
 NRRD = "NRRD0004\ntype: short\ndimension: 3\nsizes: 6 5 4\nendian: little\nencoding: raw\ndata file: {}\n\n"
 
 

@@ -77,10 +77,17 @@ def test_each_number_is_used_or_refused_by_name(key, value):
 @pytest.mark.parametrize(
     "options",
     [
-        {"presmooth": 1e12}, {"presmooth": "999999999vox"}, {"energy": "geodesic:scale=1e12 + chan-vese"},
-        {"energy": "chan-vese + 1e300*area"}, {"energy": "threshold:1e300,"},
-        {"start": "ball:1e300,0,0,1"}, {"roi": "0,0,0,1e300,1,1"}, {"spacing": 1e300}, {"spacing": 1e-300},
-        {"edit": "step=1 smoothness=1e300"}, {"edge_scale": 1e9, "energy": "geodesic"},
+        {"presmooth": 1e12},
+        {"presmooth": "999999999vox"},
+        {"energy": "geodesic:scale=1e12 + chan-vese"},
+        {"energy": "chan-vese + 1e300*area"},
+        {"energy": "threshold:1e300,"},
+        {"start": "ball:1e300,0,0,1"},
+        {"roi": "0,0,0,1e300,1,1"},
+        {"spacing": 1e300},
+        {"spacing": 1e-300},
+        {"edit": "step=1 smoothness=1e300"},
+        {"edge_scale": 1e9, "energy": "geodesic"},
     ],
     ids=str,
 )
@@ -90,7 +97,9 @@ def test_lengths_beyond_every_image_are_refused(options):
     assert caught.value.exit_code in (2, 3) and caught.value.hint
 
 
-@pytest.mark.parametrize("key", ["k", "lam", "rho", "smoothness", "balance", "friction", "diffusion", "gravity", "noise"])
+@pytest.mark.parametrize(
+    "key", ["k", "lam", "rho", "smoothness", "balance", "friction", "diffusion", "gravity", "noise"]
+)
 @pytest.mark.parametrize("value", ["high", "low"])
 def test_the_largest_and_smallest_numbers_make_no_warning(key, value):
     # Warnings are errors in these tests.

@@ -145,7 +145,7 @@ def parse_metaimage(path: Path) -> RawHeader:
     pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
     fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
     if len(fields) < len(pairs):
-        raise InputError("the MetaImage header says the same key twice", hint="which of the two is right? keep that one")
+        raise InputError("the MetaImage header says the same key twice", hint="keep the one that is right")
     name = fields.get("ElementDataFile", "")
     if not name or next((k for k in fields if k in _META_SIZED), "") != "NDims" or min(map(len, pairs)) < 2:
         raise InputError(

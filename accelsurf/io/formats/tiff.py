@@ -162,7 +162,8 @@ def parse(path: Path) -> TiffHeader:
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
     unpacked = len(pages) * height * ((width * bits + 7) // 8)
     pixel = 4 if _TILES in pages[0] or bits == 1 else bits // 8  # those ITK reads as colours with opacity
-    return TiffHeader(path, (len(pages), height, width), spacing, pixel, unpacked, strips, compression, _TILES in pages[0])
+    shape, tiled = (len(pages), height, width), _TILES in pages[0]
+    return TiffHeader(path, shape, spacing, pixel, unpacked, strips, compression, tiled)
 
 
 def _pages(file: BinaryIO) -> list[Page]:
