@@ -10,7 +10,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from accelsurf.cli import EXIT_CODES
+from accelsurf.grid.geometry import MAX_ORIGIN, SPACING_RANGE
+from accelsurf.grid.volume import MAX_VALUE, MIN_RANGE
+from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
+from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS
 from accelsurf.settings.energy_terms import TERMS, TermSpec
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.fields import SettingFields
@@ -43,6 +47,7 @@ def pages() -> dict[str, str]:
         "trace.md": _trace(),
         "report.md": _report(),
         "exit-codes.md": _exit_codes(),
+        "limits.md": _limits(),
     }
     titles = {name: text.splitlines()[0].removeprefix("# ") for name, text in made.items()}
     index = ["# Reference", "", *(f"* [{title}]({name})" for name, title in titles.items())]
@@ -213,6 +218,46 @@ def _report() -> str:
 def _exit_codes() -> str:
     rows = [(str(code), meaning) for code, meaning in EXIT_CODES.items()]
     return "\n".join(["# Exit codes", "", *_table(("Code", "Meaning"), rows)])
+
+
+def _limits() -> str:
+    rows = [(one.what, f"{one.limit} {one.unit}" + (f" per {one.per}" if one.per else ""), one.hint) for one in BUDGETS]
+    low, high = SPACING_RANGE
+    return "\n".join([
+        "# Limits",
+        "",
+        "A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader",
+        "therefore has a budget, and asks before it spends. What is beyond it ends with exit code 3 (2 for a text), one",
+        "line with both numbers, and what to do. An image that needs more memory than the machine has is refused by its",
+        "header, before a voxel is read.",
+        "",
+        "## Budgets",
+        "",
+        *_table(("What", "At most", "Beyond it"), rows),
+        f"An energy has at most {MAX_TERMS} terms.",
+        "",
+        "## Numbers",
+        "",
+        f"* Settings and weights: 0, or of a size from {MAGNITUDES[0]:g} to {MAGNITUDES[1]:g}.",
+        f"* Values of an image: finite, at most {MAX_VALUE:g}, with a range of at least {MIN_RANGE:g}. Larger ones often",
+        "  mean that there is no value, as those that are NaN do: replace them first.",
+        f"* Voxels: {low:g} to {high:g} mm; the origin at most {MAX_ORIGIN:g} mm from 0.",
+        "* Masked arrays of numpy are refused when a value is masked.",
+        "",
+        "## Names and data files",
+        "",
+        "* Names of files are text in UTF-8. In a picture, a character that no installed font has is a box.",
+        "* The header of an `.mhd` or `.nrrd` may name a data file in its own folder or below it, links followed. For one",
+        "  elsewhere add `--allow-outside-data` to the command, or `outside_data=True` to `accelsurf.read`: do so only",
+        "  for headers that you trust, as a header can name any file of the computer.",
+        "",
+        "## How it is held",
+        "",
+        "`scripts/fuzz --count 10000` gives mutated files and texts to every reader: none may crash, hang for more than",
+        "10 s, use more than 1 GB, end with a traceback, or be read as what it does not say. Images are compared with a",
+        "second, independent look at their bytes. `--replay FILE` judges a saved input again. The tests have a part of it",
+        "(`tests/fuzz`), and one input for each budget (`tests/io/test_budgets.py`).",
+    ])
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.evolution.records import StepRecord
 from accelsurf.io.files import staging
 from accelsurf.segmentation.run import Run
+from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
 from accelsurf.viewer.scene.scene import SIZE, Scene
@@ -226,6 +227,7 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         found = "no report (NAME_report.json)" if not reports else f"{len(reports)} reports"
         raise InputError(f"{folder}: {found} there, expected one", "give the image and its settings instead")
     path = reports[0]
+    budgets.REPORT.check(path.stat().st_size, f"{path}: the report")
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         settings, source = document["config"], document["input"]
