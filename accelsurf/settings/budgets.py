@@ -76,9 +76,12 @@ SLACK = Budget(
     "packed voxels beyond those that the header announces", 1 << 20, "bytes", "the header is damaged or of another file"
 )
 DEFLATE = Budget(
-    "voxels packed by gzip after bytes to skip, or as hexadecimal digits", 1032, "bytes", "the file is damaged: copy or export it again", "packed byte"
+    "voxels packed by gzip after bytes to skip, or as hexadecimal digits", 1032, "bytes",
+    "the file is damaged: copy or export it again", "packed byte",
 )
-LZW = Budget("voxels packed by LZW", 1400, "bytes", "the file is damaged: copy or export it again", "packed byte")
+LZW = Budget(
+    "voxels packed by LZW", 1400, "bytes", "the file is damaged: copy or export it again", "packed byte"
+)
 PACKBITS = Budget(
     "voxels packed by PackBits", 64, "bytes", "the file is damaged: copy or export it again", "packed byte"
 )

@@ -6,6 +6,7 @@ changed; ``tests/settings/test_reference.py`` fails until then.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -34,6 +35,26 @@ from docs.reference.report_keys import REPORT_KEYS
 
 HERE = Path(__file__).parent
 MADE = "<!-- Written by `python -m docs.reference.generate`; changes by hand are lost. -->"
+
+
+LIMITS_WHY = (
+    "A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader "
+    "therefore has a budget, and asks before it spends. What is beyond it ends with exit code 3 (2 for a text), one line "
+    "with both numbers, and what to do. An image that needs more memory than the machine has is refused by its header, "
+    "before a voxel is read."
+)
+LIMITS_NAMES = (
+    "Names of files are text in UTF-8. In a picture, a character that no installed font has is a box.",
+    "The header of an `.mhd` or `.nrrd` may name a data file in its own folder or below it, links followed. For one "
+    "elsewhere add `--allow-outside-data` to the command, or `outside_data=True` to `accelsurf.read`. Do so only for "
+    "headers that you trust: a header can name any file of the computer.",
+)
+LIMITS_HELD = (
+    "`scripts/fuzz --count 10000` gives mutated files and texts to every reader. None may crash, hang for more than 10 s, "
+    "use more than 1 GB, end with a traceback, or be read as what it does not say: images are compared with a second, "
+    "independent look at their bytes. `--replay FILE` judges a saved input again. The tests have a part of it "
+    "(`tests/fuzz`), and one input for each budget (`tests/io/test_budgets.py`)."
+)
 
 
 def pages() -> dict[str, str]:
@@ -222,42 +243,29 @@ def _exit_codes() -> str:
 
 def _limits() -> str:
     rows = [(one.what, f"{one.limit} {one.unit}" + (f" per {one.per}" if one.per else ""), one.hint) for one in BUDGETS]
-    low, high = SPACING_RANGE
-    return "\n".join([
-        "# Limits",
-        "",
-        "A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader",
-        "therefore has a budget, and asks before it spends. What is beyond it ends with exit code 3 (2 for a text), one",
-        "line with both numbers, and what to do. An image that needs more memory than the machine has is refused by its",
-        "header, before a voxel is read.",
-        "",
-        "## Budgets",
-        "",
-        *_table(("What", "At most", "Beyond it"), rows),
-        f"An energy has at most {MAX_TERMS} terms.",
-        "",
-        "## Numbers",
-        "",
-        f"* Settings and weights: 0, or of a size from {MAGNITUDES[0]:g} to {MAGNITUDES[1]:g}.",
-        f"* Values of an image: finite, at most {MAX_VALUE:g}, with a range of at least {MIN_RANGE:g}. Larger ones often",
-        "  mean that there is no value, as those that are NaN do: replace them first.",
-        f"* Voxels: {low:g} to {high:g} mm; the origin at most {MAX_ORIGIN:g} mm from 0.",
-        "* Masked arrays of numpy are refused when a value is masked.",
-        "",
-        "## Names and data files",
-        "",
-        "* Names of files are text in UTF-8. In a picture, a character that no installed font has is a box.",
-        "* The header of an `.mhd` or `.nrrd` may name a data file in its own folder or below it, links followed. For one",
-        "  elsewhere add `--allow-outside-data` to the command, or `outside_data=True` to `accelsurf.read`: do so only",
-        "  for headers that you trust, as a header can name any file of the computer.",
-        "",
-        "## How it is held",
-        "",
-        "`scripts/fuzz --count 10000` gives mutated files and texts to every reader: none may crash, hang for more than",
-        "10 s, use more than 1 GB, end with a traceback, or be read as what it does not say. Images are compared with a",
-        "second, independent look at their bytes. `--replay FILE` judges a saved input again. The tests have a part of it",
-        "(`tests/fuzz`), and one input for each budget (`tests/io/test_budgets.py`).",
-    ])
+    numbers = (
+        f"Settings and weights: 0, or of a size from {MAGNITUDES[0]:g} to {MAGNITUDES[1]:g}.",
+        f"Values of an image: finite, at most {MAX_VALUE:g}, with a range of at least {MIN_RANGE:g}. Larger ones often "
+        "mean that there is no value, as those that are NaN do: replace them first.",
+        f"Voxels: {SPACING_RANGE[0]:g} to {SPACING_RANGE[1]:g} mm; the origin at most {MAX_ORIGIN:g} mm from 0.",
+        "Masked arrays of numpy are refused when a value is masked.",
+    )
+    return "\n".join(
+        [
+            *("# Limits", "", *_wrapped(LIMITS_WHY), "", "## Budgets", "", *_table(("What", "At most", "Else"), rows)),
+            *(f"An energy has at most {MAX_TERMS} terms.", "", "## Numbers", "", *_listed(numbers), ""),
+            *("## Names and data files", "", *_listed(LIMITS_NAMES), "", "## How it is held", ""),
+            *_wrapped(LIMITS_HELD),
+        ]
+    )
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, 118)
+
+
+def _listed(items: Iterable[str]) -> list[str]:
+    return [line for item in items for line in textwrap.wrap(f"* {item}", 118, subsequent_indent="  ")]
 
 
 if __name__ == "__main__":
