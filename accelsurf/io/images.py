@@ -192,7 +192,8 @@ def _as_integers(array: NDArray[Any]) -> NDArray[Any]:
         return array
     if array.dtype.kind == "b":
         return array.astype(np.uint8)
-    whole = np.isfinite(array) & (array == np.floor(array)) & (np.abs(array) < 2.0**31)
+    with np.errstate(invalid="ignore"):  # some bytes are a NaN that signals
+        whole = np.isfinite(array) & (array == np.floor(array)) & (np.abs(array) < 2.0**31)
     if not whole.all():
         value = array[~whole].flat[0]
         raise InputError(

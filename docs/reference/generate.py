@@ -39,8 +39,9 @@ MADE = "<!-- Written by `python -m docs.reference.generate`; changes by hand are
 
 LIMITS_WHY = (
     "A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader "
-    "therefore has a budget, and asks before it spends. What is beyond it ends with exit code 3 (2 for a text), one line "
-    "with both numbers, and what to do. An image that needs more memory than the machine has is refused by its header, "
+    "therefore has a budget, and asks before it spends. What is beyond it ends with exit code 3 (2 for a text), one "
+    "line with both numbers, and what to do. An image that "
+    "needs more memory than the machine has is refused by its header, "
     "before a voxel is read."
 )
 LIMITS_NAMES = (
@@ -50,8 +51,9 @@ LIMITS_NAMES = (
     "headers that you trust: a header can name any file of the computer.",
 )
 LIMITS_HELD = (
-    "`scripts/fuzz --count 10000` gives mutated files and texts to every reader. None may crash, hang for more than 10 s, "
-    "use more than 1 GB, end with a traceback, or be read as what it does not say: images are compared with a second, "
+    "`scripts/fuzz --count 10000` gives mutated files and texts to every reader. None may crash, hang for more than "
+    "10 s, use more than 1 GB, end with a traceback, or "
+    "be read as what it does not say: images are compared with a second, "
     "independent look at their bytes. `--replay FILE` judges a saved input again. The tests have a part of it "
     "(`tests/fuzz`), and one input for each budget (`tests/io/test_budgets.py`)."
 )

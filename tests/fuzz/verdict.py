@@ -110,8 +110,8 @@ def _image(one: Input, path: Path) -> str:
 def _same(expected: np.ndarray, found: np.ndarray) -> bool:
     if expected.dtype.kind != "f" and found.dtype.kind != "f":
         return np.array_equal(expected, found)
-    a, b = expected.astype(np.float64), found.astype(np.float64)
     with np.errstate(all="ignore"):
+        a, b = expected.astype(np.float64), found.astype(np.float64)
         a = np.where(np.abs(a) > np.finfo(np.float32).max, np.sign(a) * np.inf, a) if found.itemsize == 4 else a
         near = np.isclose(a, b, rtol=1e-5, atol=1e-30 + 1e-6 * np.nanmax(np.abs(a[np.isfinite(a)]), initial=0.0))
     return bool((near | (np.isnan(a) & np.isnan(b)) | (a == b)).all())
