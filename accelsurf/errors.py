@@ -9,6 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import ClassVar
 
+_MAX_MESSAGE = 800  # characters
+
+
+def _shortened(text: str) -> str:
+    """A text without its middle where it is very long: a damaged file is not quoted in full."""
+    return text if len(text) <= _MAX_MESSAGE else f"{text[: _MAX_MESSAGE // 2]} ... {text[-_MAX_MESSAGE // 2 :]}"
+
 
 class AccelsurfError(Exception):
     """Base of every error that accelsurf raises on purpose.
@@ -40,7 +47,7 @@ class AccelsurfError(Exception):
     kind: ClassVar[str] = "internal"
 
     def __init__(self, message: str, hint: str = "") -> None:
-        self.message = " ".join(str(message).split())
+        self.message = _shortened(" ".join(str(message).split()))
         self.hint = " ".join(str(hint).split())
         super().__init__(self.message)
         if self.hint:

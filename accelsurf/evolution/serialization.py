@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import zipfile
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -53,6 +54,7 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
         When the content is damaged, or of another format.
     """
     try:
+        _check_members(content)
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             tree = json.loads(arrays[_TREE].tobytes().decode())
             if tree["format"] != FORMAT:
@@ -64,6 +66,15 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
         raise
     except Exception as error:  # whatever numpy and zipfile make of damaged bytes
         raise InputError(f"the checkpoint is damaged ({error})", "run from the start again") from None
+
+
+def _check_members(content: bytes) -> None:
+    """Refuse packed arrays, which `to_bytes` never writes: a few bytes of them could fill the memory."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = archive.infolist()
+    packed = any(one.compress_type != zipfile.ZIP_STORED for one in members)
+    if packed or sum(one.file_size for one in members) > len(content):
+        raise ValueError("its arrays are packed, or longer than the file")
 
 
 def _encode(value: Any, arrays: dict[str, np.ndarray], names: Mapping[type, str]) -> Any:

@@ -22,6 +22,9 @@ from accelsurf.errors import GeometryError
 ORTHONORMAL_TOLERANCE = 1e-4
 """Largest accepted entry of |D^T D - 1|: float32 headers stay below 1e-6, a shear of 0.01 degree does not."""
 
+SPACING_RANGE, MAX_ORIGIN = (1e-9, 1e9), 1e12
+"""mm: beyond these, volumes and squares of lengths leave the numbers that the solver has."""
+
 Floats = NDArray[np.float64]
 
 
@@ -65,17 +68,29 @@ class Geometry:
     def __post_init__(self) -> None:
         shape = _three(self.shape, "shape (nz, ny, nx)")
         if any(n != int(n) or n < 1 for n in shape):
-            raise GeometryError(f"shape {_short(shape)} given, three whole numbers of at least 1 expected")
+            raise GeometryError(f"shape {_short(shape)} given, three whole numbers from 1 on expected", "give z, y, x")
         spacing = _three(self.spacing, "spacing (hz, hy, hx)")
         if any(h <= 0.0 for h in spacing):
             raise GeometryError(
                 f"spacing (hz, hy, hx) = {_short(spacing)} mm given, three positive numbers expected",
                 hint="correct the voxel size in the header, or give the array with spacing=",
             )
+        low, high = SPACING_RANGE
+        if not low <= min(spacing) <= max(spacing) <= high:
+            raise GeometryError(
+                f"spacing (hz, hy, hx) = {_short(spacing)} mm given, {low:g} to {high:g} mm expected",
+                hint="correct the voxel size in the header; is the unit right?",
+            )
+        origin = _three(self.origin, "origin (x, y, z)")
+        if max(map(abs, origin)) > MAX_ORIGIN:
+            raise GeometryError(
+                f"origin (x, y, z) = {_short(origin)} mm given, at most {MAX_ORIGIN:g} mm from 0 expected",
+                hint="correct the position in the header",
+            )
         # Frozen outside, normalised once inside: whatever sequence came in, plain tuples and a locked matrix stay.
         object.__setattr__(self, "shape", tuple(int(n) for n in shape))
         object.__setattr__(self, "spacing", spacing)
-        object.__setattr__(self, "origin", _three(self.origin, "origin (x, y, z)"))
+        object.__setattr__(self, "origin", origin)
         object.__setattr__(self, "direction", _checked_direction(self.direction))
 
     def __repr__(self) -> str:
@@ -251,8 +266,10 @@ def _checked_direction(direction: Any) -> Floats:
     except (TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise GeometryError("the direction matrix given is not one, 3 x 3 finite numbers expected")
-    deviation = orthonormal_deviation(matrix)
+        raise GeometryError(
+            "the direction matrix given is not one, 3 x 3 finite numbers expected", hint="correct it in the header"
+        )
+    deviation = orthonormal_deviation(np.clip(matrix, -1e6, 1e6))
     if deviation > ORTHONORMAL_TOLERANCE:
         raise GeometryError(
             f"the direction matrix is not orthonormal: it is off by {deviation:.3g}, at most "
@@ -269,7 +286,7 @@ def _three(values: Any, name: str) -> tuple[float, float, float]:
     except (TypeError, ValueError):
         numbers = ()
     if len(numbers) != 3 or not np.isfinite(numbers).all():
-        raise GeometryError(f"{name} = {values!r} given, three finite numbers expected")
+        raise GeometryError(f"{name} = {values!r} given, three finite numbers expected", hint="correct the header")
     return numbers[0], numbers[1], numbers[2]
 
 

@@ -14,6 +14,41 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid import thumbnail
 from accelsurf.grid.geometry import Geometry
 
+MAX_VALUE, MIN_RANGE = 1e30, 1e-30
+"""Values beyond the first mean "no value" in many files, and their squares are beyond 32-bit floats; so is the inverse
+of a range below the second."""
+
+
+def plain_array(value: Any, name: str) -> NDArray[Any]:
+    """An array as it is; of a masked one, in which nothing is masked, the data.
+
+    Parameters
+    ----------
+    value : array_like
+    name : str
+        What messages call it.
+
+    Raises
+    ------
+    InputError
+        When values of it are masked: what they stand for is not known.
+
+    Examples
+    --------
+    >>> plain_array([1, 2], "mask")
+    array([1, 2])
+    """
+    if not isinstance(value, np.ma.MaskedArray):
+        return np.asarray(value)
+    count = int(np.ma.count_masked(value))
+    if count:
+        raise InputError(
+            f"{name}: a masked array with {count} masked of {value.size} values was given, values expected",
+            "give array.filled(value) with the value of the background, and mask=~numpy.ma.getmaskarray(array) to keep "
+            "the surface out",
+        )
+    return np.asarray(value.data)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Volume:
@@ -45,6 +80,8 @@ class Volume:
         array = self.array
         if not isinstance(array, np.ndarray):
             raise InputError(f"a {type(array).__name__} given, a numpy array expected")
+        if isinstance(array, np.ma.MaskedArray):
+            object.__setattr__(self, "array", array := plain_array(array, "the image"))
         if array.dtype.kind not in "buif":
             raise InputError(
                 f"an array of type {array.dtype} given, real numbers expected",
@@ -99,7 +136,7 @@ class Volume:
         >>> Volume.from_array(np.zeros((4, 5)), spacing=(0.5, 0.25)).geometry.spacing
         (1.0, 0.5, 0.25)
         """
-        values = np.asarray(array)
+        values = plain_array(array, "the image")
         flat = values.ndim == 2
         if flat:
             values = values[np.newaxis]
@@ -145,7 +182,8 @@ def check_image(volume: Volume) -> None:
     Raises
     ------
     InputError
-        When a voxel is NaN or infinite, or when all voxels have the same value.
+        When a voxel is NaN, infinite or beyond `MAX_VALUE`, when their range is below `MIN_RANGE`, or when all voxels
+        have the same value.
 
     Examples
     --------
@@ -153,6 +191,16 @@ def check_image(volume: Volume) -> None:
     """
     _refuse_nonfinite(volume.array)
     low, high = volume.array.min(), volume.array.max()
+    if max(float(high), -float(low)) > MAX_VALUE:
+        raise InputError(
+            f"{_where(np.abs(volume.array) > MAX_VALUE)} beyond {MAX_VALUE:g} ({low:g} to {high:g})",
+            hint="such values often mean that there is no value: replace them by that of the background",
+        )
+    if 0.0 < float(high) - float(low) < MIN_RANGE:
+        raise InputError(
+            f"the image has values from {low:g} to {high:g}, a range of at least {MIN_RANGE:g} expected",
+            hint="rescale the image, e.g. divide it by its largest value",
+        )
     if low == high:
         raise InputError(
             f"the image is constant: every voxel is {low}",
@@ -200,7 +248,7 @@ def array_on_grid(value: Volume | NDArray[Any], geometry: Geometry, name: str) -
                 "resample it to the image's grid first, nearest neighbour",
             )
         return value.array
-    array = np.asarray(value)
+    array = plain_array(value, name)
     array = array[np.newaxis] if array.ndim == 2 else array
     if array.shape != geometry.shape:
         raise GeometryError(

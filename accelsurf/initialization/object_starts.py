@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,17 +17,19 @@ from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Corner, corner_of, meeting, shared, widened
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, meeting, shared, widened
 from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume, array_on_grid
 from accelsurf.initialization import starts
 from accelsurf.io.files import naming
+from accelsurf.settings import budgets
 
 #: Largest id that a label map can hold.
 MAX_ID = 2**32 - 1
 #: Columns of a table: world mm (LPS), or voxel indices with the radius in voxels of the smallest spacing.
 WORLD_COLUMNS, VOXEL_COLUMNS = ("id", "x", "y", "z", "r"), ("id", "x_vox", "y_vox", "z_vox", "r_vox")
+_BYTES_PER_VOXEL = 16  # image, psi twice, and an index of the band
 _FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS), or {','.join(VOXEL_COLUMNS)}"
 
 
@@ -72,13 +75,35 @@ def read(objects: str | Volume | NDArray[Any], geometry: Geometry, margin: int) 
         raise InputError(f"objects {name}: no voxel has a label above 0", "give each object's first voxels its id")
     if int(found[-1]) > MAX_ID:
         raise InputError(f"objects {name}: id {found[-1]} was given, expected at most {MAX_ID}", "renumber them")
+    return _of_labels(name, labels, found, geometry, margin)
+
+
+def _of_labels(
+    name: str, labels: NDArray[np.integer], found: NDArray[np.integer], geometry: Geometry, margin: int
+) -> list[ObjectStart]:
+    """Starts of the ids of a label map, after it is clear what their boxes cost."""
     places = np.where(labels > 0, np.searchsorted(found, labels) + 1, 0).astype(np.int32)
+    boxes = [widened(box, geometry.shape, (margin, margin, margin)) for box in ndimage.find_objects(places)]
+    _check_boxes(name, boxes, geometry)
     half, out = np.float32(0.5 * min(geometry.steps)), []
-    for place, (own, box) in enumerate(zip(found, ndimage.find_objects(places), strict=True), start=1):
-        grown = widened(box, geometry.shape, (margin, margin, margin))
+    for place, (own, grown) in enumerate(zip(found, boxes, strict=True), start=1):
         psi = np.where(places[grown] == place, -half, half)
         out.append(ObjectStart(int(own), corner_of(grown), psi))
     return out
+
+
+def _check_boxes(name: str, boxes: list[Box], geometry: Geometry) -> None:
+    """Refuse objects whose boxes together need too many voxels: those of an image that was taken for a label map."""
+    voxels = sum(math.prod(s.stop - s.start for s in box) for box in boxes)
+    image = math.prod(geometry.shape)
+    given = f"objects {name}: the boxes around {len(boxes)} objects in an image of {image} voxels"
+    budgets.OBJECT_VOXELS.check(voxels, given, image + (1 << 18))
+    needed, available = voxels * _BYTES_PER_VOXEL, io.available_memory()
+    if needed > available:
+        raise InputError(
+            f"{given} need about {needed / 2**30:.2f} GiB of memory, {available / 2**30:.2f} GiB are available",
+            budgets.OBJECT_VOXELS.hint,
+        )
 
 
 def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[str, NDArray[np.integer]]:
@@ -107,12 +132,19 @@ def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
         rows.setdefault(int(own), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_FORM}")
-    return [_ball(file, own, rows[own], geometry, margin) for own in sorted(rows)]
+    out: list[ObjectStart] = []
+    for own in sorted(rows):
+        out.append(_ball(file, own, rows[own], geometry, margin))
+        if len(out) % 64 == 0:
+            _check_boxes(file, [box_at(one.corner, one.psi.shape) for one in out], geometry)
+    _check_boxes(file, [box_at(one.corner, one.psi.shape) for one in out], geometry)
+    return out
 
 
 def _read_table(file: str, geometry: Geometry) -> list[tuple[float, ...]]:
     """Rows (id, z, y, x, r) of a table: voxel indices, and r in mm."""
     with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
+        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
         try:
             table = csv.DictReader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
             columns = tuple(name.strip() for name in table.fieldnames or ())
@@ -131,7 +163,7 @@ def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry)
         own, x, y, z, r = (float(line[name]) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS))
     except (TypeError, ValueError):
         own = x = y = z = r = math.nan
-    if not all(math.isfinite(v) for v in (own, x, y, z, r)) or own != int(own) or not 1 <= own <= MAX_ID:
+    if not all(abs(v) <= starts.MAX_LENGTH for v in (own, x, y, z, r)) or own != int(own) or not 1 <= own <= MAX_ID:
         given = ",".join(str(value) for value in line.values() if isinstance(value, str))
         raise InputError(
             f"line {number}: {given} was given, expected a whole number from 1 on and four numbers", f"{_FORM}"
@@ -148,15 +180,16 @@ def _ball(
     """The union of balls, each of the voxel index (z, y, x) of its centre and its radius in mm."""
     table = np.array(balls)
     radius = table[:, 3:] / geometry.spacing
-    low = np.floor((table[:, :3] - radius).min(axis=0)).astype(int)
-    high = np.ceil((table[:, :3] + radius).max(axis=0)).astype(int) + 1
     n = np.array(geometry.shape)
-    begin, end = np.clip(low, 0, n), np.clip(high, 0, n)
+    begin = np.clip(np.floor((table[:, :3] - radius).min(axis=0)), 0, n).astype(int)
+    end = np.clip(np.ceil((table[:, :3] + radius).max(axis=0)) + 1, 0, n).astype(int)
     if (begin >= end).any():
         raise InputError(f"{file}: ball {own} lies outside of the volume", _FORM)
     a, b, c = (slice(int(i), int(j)) for i, j in zip(begin, end, strict=True))
     box = widened((a, b, c), geometry.shape, (margin, margin, margin))
-    psi = np.full(tuple(s.stop - s.start for s in box), np.inf, np.float32)
+    shape = tuple(s.stop - s.start for s in box)
+    budgets.BALLS.check(len(balls) * math.prod(shape), f"{file}: {len(balls)} balls of id {own}")
+    psi = np.full(shape, np.inf, np.float32)
     for *centre, r in balls:
         np.minimum(psi, ball_distance(box, geometry.spacing, centre, r), out=psi)
     if not (psi < 0).any():

@@ -8,6 +8,7 @@ Each start becomes a function psi on the grid, negative inside; the minimum of s
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,8 +23,13 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.slabs import slabs
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import region_growing
-from accelsurf.io import meshes
+from accelsurf.io import meshes, split_name
+from accelsurf.settings import budgets
 from accelsurf.settings.wording import did_you_mean, shown
+
+#: mm or voxels.
+MAX_LENGTH = 1e12
+_LABEL = re.compile(r"[0-9]{1,18}")
 
 #: Kind -> the form in which it is written.
 KINDS: dict[str, str] = {
@@ -74,6 +80,7 @@ def parse(text: str) -> Start:
     >>> parse("box:0,0,0,9,9,9vox").vox
     True
     """
+    budgets.EXPRESSION.check(len(text), "start", kind=UsageError)
     kind, colon, rest = text.strip().partition(":")
     text = shown(text)  # as messages repeat it
     if kind not in KINDS:
@@ -103,19 +110,18 @@ def parse(text: str) -> Start:
 
 
 def _parse_file(text: str, kind: str, rest: str) -> Start:
-    """Read FILE, FILE@IDS of a label map or FILE@ras of a mesh."""
+    """Read FILE, FILE@IDS of a label map or FILE@ras of a mesh; the name itself may have an @ or a colon."""
     file, at, tail = rest.rpartition("@") if "@" in rest else (rest, "", "")
     if not file:
         raise UsageError(f"start {text!r}: no file named", f"write {KINDS[kind]}")
     if kind == "mesh":
-        # The file name itself may have an @.
         return Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
-    if not at:
+    if not at or split_name(rest)[1]:
         return Start(kind, file=rest)
     ids = []
     for part in tail.split(","):
         first, _, last = part.partition("-")
-        if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
+        if not (_LABEL.fullmatch(first) and _LABEL.fullmatch(last or first) and int(first) <= int(last or first)):
             raise UsageError(
                 f"start {text!r}: {shown(part)!r} is no label, expected whole numbers and ranges",
                 "as in label:FILE@2,41,251-255",
@@ -136,8 +142,8 @@ def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
         numbers = ()
     if len(numbers) != expected or any(math.isnan(v) for v in numbers):
         raise UsageError(f"start {text!r}: {expected} numbers separated by commas expected", f"as in {form}")
-    if not form.startswith(("threshold", "largest")) and any(math.isinf(v) for v in numbers):
-        raise UsageError(f"start {text!r}: finite numbers expected", f"as in {form}")
+    if not form.startswith(("threshold", "largest")) and any(abs(v) > MAX_LENGTH for v in numbers):
+        raise UsageError(f"start {text!r}: finite numbers of at most {MAX_LENGTH:g} expected", f"as in {form}")
     return numbers
 
 
@@ -247,7 +253,9 @@ def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> 
         return psi_of_mask(mask, geometry)
     if start.kind in ("threshold", "largest", "otsu"):
         if start.numbers:
-            mask = (values >= start.numbers[0]) & (values <= start.numbers[1])
+            # Beyond 32-bit floats a bound is open; numpy would warn.
+            low, high = (math.copysign(math.inf, v) if abs(v) > 3e38 else v for v in start.numbers)
+            mask = (values >= low) & (values <= high)
         else:
             mask = region_growing.otsu(values, dark=start.word.endswith("dark"))
         return psi_of_mask(region_growing.largest(mask) if start.kind == "largest" else mask, geometry)

@@ -13,7 +13,7 @@ from accelsurf.io.memory import available_memory
 from accelsurf.settings.registry import load
 
 
-def read(path: str | os.PathLike[str]) -> list[Volume]:
+def read(path: str | os.PathLike[str], *, outside_data: bool = False) -> list[Volume]:
     """Read an image of one or more channels.
 
     Parameters
@@ -21,6 +21,8 @@ def read(path: str | os.PathLike[str]) -> list[Volume]:
     path : path-like
         As for `accelsurf.io.read`; also a NIfTI of vectors or with a few volumes along its fourth axis, or an NRRD or
         MetaImage of vectors.
+    outside_data : bool
+        Whether the header may name a data file in another folder than its own.
 
     Returns
     -------
@@ -33,7 +35,7 @@ def read(path: str | os.PathLike[str]) -> list[Volume]:
         As `accelsurf.io.read`, and for more than 16 channels.
     """
     path = Path(path)
-    with naming(path):
+    with naming(path), headers.outside_data_allowed(outside_data):
         form, header = headers.parse(path)
         available = available_memory()
         if form.read_channels is None:

@@ -39,7 +39,7 @@ def naming(path: Path) -> Iterator[None]:
 
 def _itk_reason(error: RuntimeError) -> str:
     """The reason alone, out of the many lines of an error of ITK."""
-    text = " ".join(str(error).split())
+    text = " ".join(str(error)[-2000:].split())
     for mark in ("ERROR: ", "[nrrd] "):  # the last of a chain of calls is the cause
         text = text.rpartition(mark)[2] or text
     return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]

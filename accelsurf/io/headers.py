@@ -3,13 +3,36 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import InputError
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
 from accelsurf.settings.registry import load
+
+_OUTSIDE_DATA = ContextVar("outside data", default=False)
+
+
+@contextmanager
+def outside_data_allowed(allowed: bool = True) -> Iterator[None]:
+    """While it lasts, a header may name a data file in another folder than its own.
+
+    A header comes from elsewhere more often than a data file does: it could name any file of the computer, whose bytes
+    would then be shown as an image.
+
+    Parameters
+    ----------
+    allowed : bool
+        False leaves it as it is.
+    """
+    before = _OUTSIDE_DATA.set(allowed or _OUTSIDE_DATA.get())
+    try:
+        yield
+    finally:
+        _OUTSIDE_DATA.reset(before)
 
 
 def parse(path: Path) -> tuple[ImageFormat, Any]:
@@ -19,8 +42,10 @@ def parse(path: Path) -> tuple[ImageFormat, Any]:
     ------
     InputError
         When there is no such file, no format has its ending, or it is empty, is not of that format, is damaged, or
-        points to a data file that does not exist; GeometryError when its header does not describe a grid.
+        points to a data file that does not exist, or outside of its folder; GeometryError when its header does not
+        describe a grid.
     """
+    check_name(path)
     if path.is_dir():
         raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
     if not path.exists():
@@ -31,9 +56,44 @@ def parse(path: Path) -> tuple[ImageFormat, Any]:
             f"unknown file type, one of {', '.join(image_suffixes())} expected",
             hint="convert the image to one of them first",
         )
+    if not path.is_file():
+        raise InputError("this is no file but a pipe or a device", hint="give an image file")
     if path.stat().st_size == 0:
         raise InputError("the file is empty", hint="copy or export it again")
-    return form, load(form.parse)(path)
+    header = load(form.parse)(path)
+    data = getattr(header, "data", path)
+    if data != path and not _OUTSIDE_DATA.get():
+        _check_data_folder(path, data)
+    return form, header
+
+
+def _check_data_folder(path: Path, data: Path) -> None:
+    """Refuse a data file that lies, with links followed, in another folder than its header."""
+    folders = {path.parent.resolve(), path.resolve().parent}
+    if not any(data.resolve().is_relative_to(folder) for folder in folders):
+        raise InputError(
+            f"the header names the data file {data}, outside of its own folder",
+            "copy it into the folder of the header; or, if you trust the header, add --allow-outside-data "
+            "(in Python: accelsurf.read(path, outside_data=True))",
+        )
+
+
+def check_name(path: Path) -> None:
+    """Refuse a name that libraries and reports cannot carry: one that is not text in UTF-8, or has a zero byte.
+
+    Raises
+    ------
+    InputError
+        With what to do.
+    """
+    name = os.fspath(path)
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        message = "the name of the file or of its folder is not valid UTF-8"
+        raise InputError(message, "rename it, or link to it") from None
+    if "\0" in name:
+        raise InputError("the name of the file has a zero byte", "correct the name")
 
 
 def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:

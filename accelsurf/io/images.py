@@ -26,7 +26,7 @@ from accelsurf.settings.file_formats import ImageFormat, image_format, image_suf
 from accelsurf.settings.registry import load
 
 
-def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Volume:
+def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None, outside_data: bool = False) -> Volume:
     """Read a 3D image, or a 2D one as a volume of one slice.
 
     Parameters
@@ -35,6 +35,8 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Vo
         A file that ends in one of `accelsurf.io.image_suffixes`.
     memory_bytes : int, optional
         Memory to plan with; by default what the machine has available now.
+    outside_data : bool
+        Whether the header may name a data file in another folder than its own.
 
     Returns
     -------
@@ -59,7 +61,7 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Vo
     are a printer's and not used. Colours become their luminance, with a warning; grey saved as colour is grey again.
     """
     path = Path(path)
-    with naming(path):
+    with naming(path), headers.outside_data_allowed(outside_data):
         form, header = headers.parse(path)
         available = available_memory() if memory_bytes is None else memory_bytes
         volume: Volume = load(form.read)(path, header, available)
@@ -102,6 +104,8 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
         When the file cannot be written there.
     """
     path = Path(path)
+    with naming(path):
+        headers.check_name(path)
     stem, suffix = split_name(path)
     form = image_format(suffix)
     if form is None:
@@ -210,7 +214,8 @@ def _as_integers(array: NDArray[Any]) -> NDArray[Any]:
         return array
     if array.dtype.kind == "b":
         return array.astype(np.uint8)
-    whole = np.isfinite(array) & (array == np.floor(array)) & (np.abs(array) < 2.0**31)
+    with np.errstate(invalid="ignore"):  # some bytes are a NaN that signals
+        whole = np.isfinite(array) & (array == np.floor(array)) & (np.abs(array) < 2.0**31)
     if not whole.all():
         value = array[~whole].flat[0]
         raise InputError(

@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
+from accelsurf.io.memory import available_memory
+from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import MESH_FORMATS
 from accelsurf.settings.registry import load
 
-#: Triangles worked on at once, for the sake of memory.
-TRIANGLES_AT_ONCE = 1 << 16
+#: mm; beyond it differences of coordinates are no longer exact to a voxel.
+MAX_COORDINATE = 1e12
+#: Rows of voxels tested against triangles at once, for the sake of memory.
+BATCH_ROWS = 1 << 17
 
 
 def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[np.bool_]:
@@ -72,6 +76,8 @@ def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             raise InputError("no mesh format that accelsurf reads", f"one of {', '.join(readers)}")
         if not path.is_file():
             raise InputError("there is no such file", "check the path")
+        size = path.stat().st_size
+        budgets.MESH_FILE.check(size * budgets.MESH_BYTES_PER_FILE_BYTE, factor=available_memory())
         content = path.read_bytes()
         try:
             points, triangles = load(readers[suffix])(content)
@@ -93,8 +99,11 @@ def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[
             f"its triangles name points {triangles.min()} to {triangles.max()}, it has {len(points)}, counted from 0",
             "is the file complete?",
         )
-    if not np.isfinite(points[triangles]).all():
-        raise InputError("a corner of a triangle is not finite, numbers expected", "export the mesh again")
+    if not (np.abs(points[triangles]) < MAX_COORDINATE).all():
+        raise InputError(
+            f"a corner of a triangle is not finite or beyond {MAX_COORDINATE:g} mm, numbers expected",
+            "export the mesh again",
+        )
     points, same = np.unique(points, axis=0, return_inverse=True)
     triangles = same.reshape(-1)[triangles]
     sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
@@ -119,36 +128,45 @@ def voxels_inside(
     """Scan lines along x through every row of voxels: inside after an odd number of crossings of the surface.
 
     A row that would meet an edge exactly is tested slightly beside it.
+
+    Raises
+    ------
+    InputError
+        When the triangles span more rows together than can be tested.
     """
     corners = index[triangles]
     # (z, y) of the corners, moved off the rows by irrational parts of a voxel.
     plane = corners[:, :, :2] + np.array([1.4142e-7, 1.7321e-7])
-    low = np.maximum(np.ceil(plane.min(axis=1)).astype(np.int64), 0)
-    high = np.minimum(np.floor(plane.max(axis=1)).astype(np.int64), np.array(shape[:2]) - 1)
-    crossings = np.zeros((shape[0], shape[1], shape[2] + 1), np.int32)
-    for begin in range(0, len(corners), TRIANGLES_AT_ONCE):
-        batch = slice(begin, begin + TRIANGLES_AT_ONCE)
-        at = _crossings(plane[batch], corners[batch, :, 2], low[batch], high[batch])
+    ends = np.array(shape[:2])
+    low = np.clip(np.ceil(plane.min(axis=1)), 0, ends).astype(np.int64)
+    high = np.clip(np.floor(plane.max(axis=1)), -1, ends - 1).astype(np.int64)
+    wide = np.maximum(high - low + 1, 0)
+    last = np.cumsum(wide[:, 0] * wide[:, 1])  # of the rows of all triangles, one after the other
+    rows = int(last[-1]) if len(last) else 0
+    budgets.MESH_ROWS.check(rows, f"a mesh of {len(triangles)} triangles, which together span many rows of voxels")
+    crossings = np.zeros((shape[0], shape[1], shape[2] + 1), np.uint8)  # only odd or even counts: it may overflow
+    for begin in range(0, rows, BATCH_ROWS):
+        row = np.arange(begin, min(begin + BATCH_ROWS, rows))
+        t = np.searchsorted(last, row, side="right")
+        nth = row - (last[t] - wide[t, 0] * wide[t, 1])
+        at = _crossings(plane[t], corners[t, :, 2], low[t, 0] + nth // wide[t, 1], low[t, 1] + nth % wide[t, 1])
         # The first voxel beyond the crossing.
         np.add.at(crossings, (at[0], at[1], np.clip(np.ceil(at[2]), 0, shape[2]).astype(np.int64)), 1)
-    return np.asarray(np.cumsum(crossings, axis=2)[:, :, :-1] % 2 == 1)
+    np.cumsum(crossings, axis=2, dtype=np.uint8, out=crossings)
+    crossings &= 1
+    return np.ascontiguousarray(crossings[:, :, :-1]).view(np.bool_)
 
 
 def _crossings(
-    plane: NDArray[np.float64], depth: NDArray[np.float64], low: NDArray[np.int64], high: NDArray[np.int64]
+    plane: NDArray[np.float64], depth: NDArray[np.float64], z: NDArray[np.int64], y: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Rows (z, y) and places x where triangles cross them, from the corners' (z, y) and x and the rows they span."""
-    wide = np.maximum(high - low + 1, 0)
-    count = wide[:, 0] * wide[:, 1]
-    t = np.repeat(np.arange(len(count)), count)
-    nth = np.arange(len(t)) - np.repeat(np.cumsum(count) - count, count)
-    z, y = low[t, 0] + nth // wide[t, 1], low[t, 1] + nth % wide[t, 1]
-    a, b, c = plane[t, 0], plane[t, 1], plane[t, 2]
+    """Rows (z, y) and places x where triangles cross them: of each row the corners' (z, y) and x of one triangle."""
+    a, b, c = plane[:, 0], plane[:, 1], plane[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):  # triangles seen edge on cross no row
+    with np.errstate(all="ignore"):  # triangles seen edge on cross no row: infinite, or not numbers
         v = ((z - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y - a[:, 1])) / area
         w = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (z - a[:, 0]) * (b[:, 1] - a[:, 1])) / area
-    hit = (area != 0) & (v >= 0) & (w >= 0) & (v + w <= 1)
-    t, v, w = t[hit], v[hit], w[hit]
-    x = depth[t, 0] + v * (depth[t, 1] - depth[t, 0]) + w * (depth[t, 2] - depth[t, 0])
+        hit = (area != 0) & (v >= 0) & (w >= 0) & (v + w <= 1)
+    depth, v, w = depth[hit], v[hit], w[hit]
+    x = depth[:, 0] + v * (depth[:, 1] - depth[:, 0]) + w * (depth[:, 2] - depth[:, 0])
     return z[hit], y[hit], x

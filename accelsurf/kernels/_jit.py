@@ -25,7 +25,9 @@ def _cache_folder() -> str | None:
     here = Path(__file__).parent
     source = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(here.rglob("*.py")))).hexdigest()[:12]
     given = os.environ.get("NUMBA_CACHE_DIR")
-    for base in (Path(given),) if given else (here / "__pycache__", Path.home() / ".cache" / "accelsurf"):
+    home = os.path.expanduser("~")  # as it is for a user who has none
+    others = () if home == "~" else (Path(home) / ".cache" / "accelsurf",)
+    for base in (Path(given),) if given else (here / "__pycache__", *others):
         folder = base / f"kernels-{source}"
         try:
             folder.mkdir(parents=True, exist_ok=True)

@@ -6,9 +6,11 @@ Okabe and Ito's, which people with any colour vision can tell apart.
 
 from __future__ import annotations
 
+import functools
 import io
+import logging
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +22,12 @@ INK, GRID = "#222222", "#D9D9D9"
 RUN_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
 RUN_DASHES = ("solid", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1, 2)))
 DPI = 110
+#: Fonts of other scripts than Latin, Greek and Cyrillic, by the names that systems install them under.
+_FURTHER_FONTS = (
+    "Noto Sans CJK JP", "Noto Sans CJK SC", "Noto Sans CJK KR", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei",
+    "Droid Sans Fallback", "IPAGothic", "Hiragino Sans", "PingFang SC", "Arial Unicode MS", "Microsoft YaHei",
+    "MS Gothic", "Malgun Gothic", "SimHei", "Noto Sans Devanagari", "Noto Sans Arabic", "Noto Sans Thai",
+)
 
 
 def preload_library() -> None:
@@ -28,6 +36,8 @@ def preload_library() -> None:
 
 
 def _library() -> tuple[type[Figure], type[FigureCanvasAgg]]:
+    # It talks of folders and fonts of its own, which nobody asked for, from its import on.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -39,8 +49,43 @@ def new_figure(width: float, height: float, title: str) -> Figure:
     figure_class, canvas_class = _library()
     figure = figure_class(figsize=(width, height), dpi=DPI, facecolor="white")
     canvas_class(figure)
-    figure.suptitle(title, fontsize=12, color=INK, y=0.975)
+    figure.suptitle(drawable(title), fontsize=12, color=INK, y=0.975, **name_style(title))
     return figure
+
+
+@functools.cache
+def _families() -> tuple[str, ...]:
+    """Fonts for names of files: matplotlib's own, then those with further scripts that are installed."""
+    from matplotlib import font_manager
+
+    installed = {font.name for font in font_manager.fontManager.ttflist}
+    return ("DejaVu Sans", *(name for name in _FURTHER_FONTS if name in installed))
+
+
+def name_style(text: str) -> dict[str, Any]:
+    """How matplotlib draws a text with the name of a file: not as a formula, and in fonts that have its script."""
+    return {"parse_math": False} | ({} if text.isascii() else {"fontfamily": list(_families())})
+
+
+def drawable(text: str) -> str:
+    """A text with a box in place of each character that no font has, so that the library does not warn or fail.
+
+    Examples
+    --------
+    >>> drawable("a$b"), drawable("bell" + chr(7)) == "bell" + chr(0x25A1)
+    ('a$b', True)
+    """
+    if text.isascii() and text.replace("\n", "").isprintable():
+        return text
+    from matplotlib import font_manager
+
+    fonts = [font_manager.get_font(font_manager.findfont(name)) for name in _families()]
+
+    def has(one: str) -> bool:
+        known = not "\ud800" <= one <= "\udfff" and any(font.get_char_index(ord(one)) for font in fonts)
+        return one == "\n" or (one.isprintable() and known)
+
+    return "".join(one if has(one) else "\u25a1" for one in text)
 
 
 def style_axes(axes: Axes, xlabel: str, ylabel: str, lines: bool = True) -> None:

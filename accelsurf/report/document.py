@@ -264,7 +264,9 @@ def to_json(report: Mapping[str, Any]) -> str:
       "steps": 3
     }
     """
-    return json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False)
+    # The bytes of a file name that are no UTF-8, which Python holds as lone surrogates, become JSON's escapes of them.
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _plain(value: Any) -> Any:

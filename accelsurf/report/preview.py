@@ -11,7 +11,16 @@ import numpy as np
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
-from accelsurf.report.canvas import INK, RUN_COLORS, RUN_DASHES, new_figure, png_bytes, style_axes
+from accelsurf.report.canvas import (
+    INK,
+    RUN_COLORS,
+    RUN_DASHES,
+    drawable,
+    name_style,
+    new_figure,
+    png_bytes,
+    style_axes,
+)
 from accelsurf.report.energy_plot import draw_energies, energy_curve
 from accelsurf.report.preview_content import PreviewContent
 from accelsurf.report.slice_plot import draw_slice, middle_voxel
@@ -103,7 +112,8 @@ def comparison_png(runs: Mapping[str, PreviewContent], title: str) -> bytes:
         top = figure.add_subplot(grid[0, column])
         plane = 0 if axis is None else DisplayOrientation.of(content.geometry).order.index(axis)
         draw_slice(top, content, plane, middle_voxel(content))
-        top.set_title(f"{name}\n{content.title}", fontsize=10, color=INK)
+        text = f"{name}\n{content.title}"
+        top.set_title(drawable(text), fontsize=10, color=INK, **name_style(text))
         color = RUN_COLORS[column % len(RUN_COLORS)]
         if axis is None:
             draw_surface(figure.add_subplot(grid[1, column]), content, box=box, color=color)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid.boxes import Box
-from accelsurf.grid.volume import Volume
+from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.given import psi_of, split_given
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
@@ -215,7 +215,7 @@ def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float
 def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
     if isinstance(volume, Volume):
         return volume
-    array = np.asarray(volume)
+    array = plain_array(volume, "channel")
     return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume, array_on_grid
+from accelsurf.grid.volume import Volume, array_on_grid, plain_array
 from accelsurf.initialization import starts
 from accelsurf.io import meshes
 
@@ -35,7 +35,7 @@ def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None)
     """What a run was given as arrays, by setting: psi, and the label map of several objects."""
     given: dict[str, NDArray[Any]] = dict(arrays or {})
     if objects is not None and not isinstance(objects, str):
-        given["objects"] = np.asarray(objects.array if isinstance(objects, Volume) else objects)
+        given["objects"] = plain_array(objects.array if isinstance(objects, Volume) else objects, "objects")
     return given
 
 

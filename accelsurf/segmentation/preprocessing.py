@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,20 +12,22 @@ from numpy.typing import NDArray
 
 from accelsurf import io
 from accelsurf.energies.constraints.mask import mask_distance
-from accelsurf.errors import AccelsurfError, GeometryError, InputError
+from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
-from accelsurf.grid.volume import Volume, check_image
+from accelsurf.grid.volume import MIN_RANGE, Volume, check_image
 from accelsurf.initialization import starts
 from accelsurf.segmentation.image_context import ImageContext, Mask, Scale
 from accelsurf.segmentation.region_of_interest import cropped, region_of_interest
-from accelsurf.settings import energy_expression
+from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
+#: Values farther beyond those percentiles than so many times their range are no measurements; their squares overflow.
+MAX_RANGES = 1e15
 #: Settings that name voxels to learn from.
 TRAINING = ("foreground", "background")
 
@@ -293,6 +296,8 @@ def in_mm(length: float | str, geometry: Geometry) -> float:
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
     """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
     image = volume.as_float32()
+    steps = volume.geometry.steps
+    budgets.SMOOTHING.check(math.ceil(sigma / min(steps)), f"presmooth: a sigma of {sigma:g} mm", kind=UsageError)
     if sigma > 0:
         image = gaussian_mm(image, volume.geometry.spacing, sigma)
     return image
@@ -311,6 +316,14 @@ def scale_of(image: NDArray[np.float32]) -> Scale:
         low, high = image.min(), image.max()
     if not high > low:
         raise InputError(f"the image is constant here: every voxel is {low:g}", "take a larger region of interest")
+    width = float(high) - float(low)
+    far = max(float(image.max()) - float(high), float(low) - float(image.min()))
+    if width < MIN_RANGE or far > MAX_RANGES * width:
+        raise InputError(
+            f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {MAX_RANGES:g} times "
+            "their range expected",
+            "values far beyond the others often mean that there is no value: replace them by that of the background",
+        )
     return Scale(float(low), float(high) - float(low))
 
 

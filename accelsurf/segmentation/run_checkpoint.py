@@ -124,11 +124,13 @@ def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:
         header, state = from_bytes(content, TYPES)
     except InputError as error:
         raise InputError(f"{path}: {error.message}", error.hint) from None
-    if header["run"] != run_digest(run):
+    settings: Any = state.settings if isinstance(state, RunCheckpoint) else None
+    if not isinstance(header, dict) or not isinstance(settings, dict):
+        raise InputError(f"{path}: the checkpoint is damaged (not the state of a run)", "run from the start again")
+    if header.get("run") != run_digest(run):
         raise InputError(
             f"{path}: a checkpoint of another image or of other settings", "give those of the run that wrote it"
         )
-    settings: Any = state.settings
     return RunCheckpoint(*state._replace(settings=RunConfig(**settings)))
 
 

@@ -6,6 +6,7 @@ in the file's unit.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.segmentation.image_context import TermInputs
+from accelsurf.settings import budgets
 from accelsurf.settings.energy_terms import Values
 
 #: R of local-region unless given, voxels of the largest spacing.
@@ -114,6 +116,8 @@ def geodesic(inputs: TermInputs) -> Made:
     contrast = inputs.settings.get("contrast", config.edge_contrast)
     balloon = inputs.number("balloon", config.balloon)
     scale = max(axis_steps(image.shape, spacing)) if isinstance(scale, str) else float(scale)
+    voxels = math.ceil(scale / min(axis_steps(image.shape, spacing)))
+    budgets.SMOOTHING.check(voxels, f"edge-scale: a sigma of {scale:g} mm", kind=UsageError)
     gradient = gradient_magnitude(image, spacing, scale)
     contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
     used = {"scale": scale, "contrast": contrast, "balloon": balloon}

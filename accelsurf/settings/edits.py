@@ -6,6 +6,7 @@ them in one place, `accelsurf.segmentation.run.Run`.
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Mapping
 from typing import Any
@@ -14,9 +15,11 @@ from pydantic import BaseModel, ConfigDict, model_serializer
 from pydantic.fields import FieldInfo
 
 from accelsurf.errors import UsageError
+from accelsurf.settings import budgets
 from accelsurf.settings.entry import entry_of
 from accelsurf.settings.wording import did_you_mean, shown
 
+_WHOLE = re.compile(r"[0-9]{1,18}")
 FORM = 'step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on'
 
 
@@ -97,6 +100,7 @@ def edits_of(value: Any) -> Any:
     ['step=3 add=ball:1,2,3,4', 'step=9 flow=gradient']
     """
     many = value if isinstance(value, (list, tuple)) else [value]
+    budgets.EDITS.check(len(many), "edit", kind=UsageError)
     return tuple(sorted((_edit(one) for one in many), key=lambda edit: edit.step))
 
 
@@ -107,7 +111,7 @@ def _edit(value: Any) -> Edit:
     if not isinstance(table, Mapping):
         raise UsageError(f"edit: {shown(value)} was given, expected a step and what changes before it", FORM)
     step = table.get("step")
-    if isinstance(step, str) and step.isdecimal():
+    if isinstance(step, str) and _WHOLE.fullmatch(step):
         step = int(step)
     if not isinstance(step, int) or isinstance(step, bool) or step < 0:
         given = "no step" if step is None else f"step {shown(step)}"
@@ -117,7 +121,7 @@ def _edit(value: Any) -> Edit:
         if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
             raise UsageError(f"edit at step {step}: {key} {shown(ball)} was given, expected ball:X,Y,Z,R", FORM)
     own = table.get("object")
-    if isinstance(own, str) and own.isdecimal():
+    if isinstance(own, str) and _WHOLE.fullmatch(own):
         own = int(own)
     if own is not None and (not isinstance(own, int) or isinstance(own, bool) or own < 1):
         raise UsageError(f"edit at step {step}: object {shown(own)} was given, expected an object's id", FORM)
@@ -125,6 +129,7 @@ def _edit(value: Any) -> Edit:
 
 
 def _words(text: str) -> dict[str, str]:
+    budgets.EXPRESSION.check(len(text), "edit", kind=UsageError)
     try:
         pairs = [word.partition("=") for word in shlex.split(text)]
     except ValueError:

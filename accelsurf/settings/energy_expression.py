@@ -18,11 +18,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
+from accelsurf.settings import budgets
 from accelsurf.settings.energy_terms import HALF, TERMS, Number, Value, Word, image_terms
 from accelsurf.settings.wording import did_you_mean, shown
 
+#: Sizes of numbers that settings and weights may have: beyond them squares leave the range of 32-bit floats.
+MAGNITUDES = (1e-18, 1e12)
+#: The same for the values of terms, which may be of the image.
+_VALUES = (1e-30, 1e30)
+MAX_TERMS = 32
 EXAMPLE = "local-region:R=8 + 0.3*geodesic + 0.1*area"
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 class Term(NamedTuple):
@@ -57,7 +63,10 @@ def parse(text: str) -> tuple[Term, ...]:
     >>> parse("threshold:-50,auto - 0.1*balloon")[1].weight
     -0.1
     """
-    parts = re.split(r"\s+([+-])\s+", text.strip())
+    budgets.EXPRESSION.check(len(text), "energy", kind=UsageError)
+    parts = re.split(r" ([+-]) ", " ".join(text.split()))
+    if len(parts) > 2 * MAX_TERMS:
+        raise _error(text, f"at most {MAX_TERMS} terms")
     items = [_item(text, parts[0], 1.0)]
     for sign, part in zip(parts[1::2], parts[2::2], strict=True):
         items.append(_item(text, part, -1.0 if sign == "-" else 1.0))
@@ -107,7 +116,7 @@ def _item(text: str, item: str, sign: float) -> Term:
     if star:
         if not _NUMBER.fullmatch(factor.strip()):
             raise _error(text, f"a number before the * in '{shown(item)}'")
-        weight, item = float(factor), rest.strip()
+        weight, item = float(factor.strip()), rest.strip()
     name, colon, values = item.partition(":")
     name = name.strip()
     if name not in TERMS:
@@ -122,6 +131,8 @@ def _item(text: str, item: str, sign: float) -> Term:
     weight *= sign
     if not math.isfinite(weight) or weight == 0 or (weight < 0 and not TERMS[name].signed):
         raise _error(text, f"a weight {'other than 0' if TERMS[name].signed else 'greater than 0'} for {name}")
+    if not MAGNITUDES[0] <= abs(weight) <= MAGNITUDES[1]:
+        raise _error(text, f"a weight of size {MAGNITUDES[0]:g} to {MAGNITUDES[1]:g} for {name}")
     return Term(name, weight, settings)
 
 
@@ -159,4 +170,6 @@ def _value(text: str, what: str, kind: Number | Word, value: str) -> Value:
     if not (low < number < high or (number == low and kind.low_too) or number == high) or not math.isfinite(number):
         guess = did_you_mean(value, kind.words)
         raise _error(text, f"{kind.expected} for {what}, not '{shown(value or 'nothing')}'", guess)
+    if number != 0 and not _VALUES[0] <= abs(number) <= _VALUES[1]:
+        raise _error(text, f"0 or a number of size {_VALUES[0]:g} to {_VALUES[1]:g} for {what}")
     return value if percent or half else number

@@ -20,7 +20,7 @@ from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
 
 #: A length in voxels, as it is written.
-VOXELS = r"^(\d+\.?\d*|\.\d+)vox$"
+VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
 RUN, FILES = SettingGroup.RUN, SettingGroup.FILES
 
 
@@ -170,7 +170,7 @@ class SettingFields(BaseModel):
         2.0,
         "Order of the accelerated flow (no unit); it sets the friction (k+1)/t.",
         entry=SettingEntry(metavar="K", scope="flow"),
-        gt=0,
+        ge=0.1, le=20,
     )
     t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",

@@ -13,12 +13,15 @@ from pydantic import ValidationError, model_validator
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import energy_expression, messages, toml
-from accelsurf.settings.catalogue import default_of, entry, is_switch
+from accelsurf.settings.catalogue import default_of, entry, help_of, is_switch
 from accelsurf.settings.edits import refuse_unknown
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.presets import PRESETS
+
+#: Largest whole number of TOML.
+MAX_WHOLE = 2**63 - 1
 
 
 class RunConfig(SettingFields):
@@ -53,7 +56,22 @@ class RunConfig(SettingFields):
             super().__init__(**{**under, **values})
         except ValidationError as error:
             raise messages.usage_error(error, values) from None
+        self._check_sizes()
         self._check_together()
+
+    def _check_sizes(self) -> None:
+        """Refuse numbers so large or small that nothing can be computed with them."""
+        low, high = energy_expression.MAGNITUDES
+        for key in type(self).model_fields:
+            value = getattr(self, key)
+            if isinstance(value, float) and value != 0 and not low <= abs(value) <= high:
+                raise UsageError(
+                    f"{key}: {value:g} was given, expected 0 or a size of {low:g} to {high:g}, as far as "
+                    f"{messages.expected(key)} allows",
+                    help_of(key),
+                )
+            if isinstance(value, int) and value > MAX_WHOLE:
+                raise UsageError(f"{key}: expected a whole number of at most {MAX_WHOLE}", help_of(key))
 
     def _check_together(self) -> None:
         """Refuse values that are valid one by one but not together."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import UsageError
+from accelsurf.settings import budgets
 
 
 def read(path: str | Path) -> dict[str, Any]:
@@ -29,13 +30,20 @@ def read(path: str | Path) -> dict[str, Any]:
     """
     try:
         with open(path, "rb") as file:
-            return tomllib.load(file)
+            content = file.read(budgets.CONFIG.limit + 1)
+        budgets.CONFIG.check(len(content), f"{path}: the configuration", kind=UsageError)
+        return tomllib.loads(content.decode())
     except OSError as error:
         raise UsageError(
             f"{path}: the configuration cannot be read ({error.strerror or error})",
             "accelsurf segment INPUT -o DIR --dump-config prints one to start from",
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        hint = "a configuration has at most one list in another"
+        raise UsageError(f"{path}: lists or tables nested too deeply", hint) from None
+    except ValueError as error:  # not TOML, not UTF-8, a path with a zero byte
+        if "integer string conversion" in str(error):
+            raise UsageError(f"{path}: a whole number of thousands of digits in it", "is it the right file?") from None
         raise UsageError(
             f"{path}: not a TOML file: {error}", "write one setting per line, e.g.: smoothness = 0.5"
         ) from None

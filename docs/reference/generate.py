@@ -6,11 +6,16 @@ changed; ``tests/settings/test_reference.py`` fails until then.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from accelsurf.cli import EXIT_CODES
+from accelsurf.grid.geometry import MAX_ORIGIN, SPACING_RANGE
+from accelsurf.grid.volume import MAX_VALUE, MIN_RANGE
+from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
+from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS
 from accelsurf.settings.energy_terms import TERMS, TermSpec
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.fields import SettingFields
@@ -32,6 +37,28 @@ HERE = Path(__file__).parent
 MADE = "<!-- Written by `python -m docs.reference.generate`; changes by hand are lost. -->"
 
 
+LIMITS_WHY = (
+    "A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader "
+    "therefore has a budget, and asks before it spends. What is beyond it ends with exit code 3 (2 for a text), one "
+    "line with both numbers, and what to do. An image that "
+    "needs more memory than the machine has is refused by its header, "
+    "before a voxel is read."
+)
+LIMITS_NAMES = (
+    "Names of files are text in UTF-8. In a picture, a character that no installed font has is a box.",
+    "The header of an `.mhd` or `.nrrd` may name a data file in its own folder or below it, links followed. For one "
+    "elsewhere add `--allow-outside-data` to the command, or `outside_data=True` to `accelsurf.read`. Do so only for "
+    "headers that you trust: a header can name any file of the computer.",
+)
+LIMITS_HELD = (
+    "`scripts/fuzz --count 10000` gives mutated files and texts to every reader. None may crash, hang for more than "
+    "10 s, use more than 1 GB, end with a traceback, or "
+    "be read as what it does not say: images are compared with a second, "
+    "independent look at their bytes. `--replay FILE` judges a saved input again. The tests have a part of it "
+    "(`tests/fuzz`), and one input for each budget (`tests/io/test_budgets.py`)."
+)
+
+
 def pages() -> dict[str, str]:
     """Return the text of each page by the name of its file."""
     made = {
@@ -43,6 +70,7 @@ def pages() -> dict[str, str]:
         "trace.md": _trace(),
         "report.md": _report(),
         "exit-codes.md": _exit_codes(),
+        "limits.md": _limits(),
     }
     titles = {name: text.splitlines()[0].removeprefix("# ") for name, text in made.items()}
     index = ["# Reference", "", *(f"* [{title}]({name})" for name, title in titles.items())]
@@ -213,6 +241,33 @@ def _report() -> str:
 def _exit_codes() -> str:
     rows = [(str(code), meaning) for code, meaning in EXIT_CODES.items()]
     return "\n".join(["# Exit codes", "", *_table(("Code", "Meaning"), rows)])
+
+
+def _limits() -> str:
+    rows = [(one.what, f"{one.limit} {one.unit}" + (f" per {one.per}" if one.per else ""), one.hint) for one in BUDGETS]
+    numbers = (
+        f"Settings and weights: 0, or of a size from {MAGNITUDES[0]:g} to {MAGNITUDES[1]:g}.",
+        f"Values of an image: finite, at most {MAX_VALUE:g}, with a range of at least {MIN_RANGE:g}. Larger ones often "
+        "mean that there is no value, as those that are NaN do: replace them first.",
+        f"Voxels: {SPACING_RANGE[0]:g} to {SPACING_RANGE[1]:g} mm; the origin at most {MAX_ORIGIN:g} mm from 0.",
+        "Masked arrays of numpy are refused when a value is masked.",
+    )
+    return "\n".join(
+        [
+            *("# Limits", "", *_wrapped(LIMITS_WHY), "", "## Budgets", "", *_table(("What", "At most", "Else"), rows)),
+            *(f"An energy has at most {MAX_TERMS} terms.", "", "## Numbers", "", *_listed(numbers), ""),
+            *("## Names and data files", "", *_listed(LIMITS_NAMES), "", "## How it is held", ""),
+            *_wrapped(LIMITS_HELD),
+        ]
+    )
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, 118)
+
+
+def _listed(items: Iterable[str]) -> list[str]:
+    return [line for item in items for line in textwrap.wrap(f"* {item}", 118, subsequent_indent="  ")]
 
 
 if __name__ == "__main__":

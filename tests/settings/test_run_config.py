@@ -29,7 +29,7 @@ ODD = RunConfig(
     balloon=-0.2,
     k=2.25,
     t0=0.5,
-    lam=1e22,
+    lam=1e-17,
     rho=3,
     gravity=1.5,
     diffusion=1 / 3,
@@ -80,7 +80,7 @@ def test_odd_config_changes_every_field():
     [
         ("cfl", 3, "greater than 0 and at most 1"),
         ("cfl", 0, "greater than 0"),
-        ("k", 0, "greater than 0"),
+        ("k", 0, "at least 0.1"),
         ("k", True, "a number"),
         ("k", float("nan"), "a number"),
         ("lam", float("inf"), "a number"),

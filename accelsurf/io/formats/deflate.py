@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from accelsurf.errors import InputError
+from accelsurf.settings import budgets
 
 TRUNCATED_HINT = "the file is truncated: copy or export it again"
 GZIP_START = b"\x1f\x8b"
-_CHUNK = 1 << 16
+_CHUNK, _PIECE = 1 << 16, 1 << 20
 
 
-def inflate(file: BinaryIO, limit: int | None = None) -> Iterator[bytes]:
+def inflate(file: BinaryIO, limit: int | None = None, claimed: int | None = None) -> Iterator[bytes]:
     """Decompressed chunks of a gzip (several members allowed) or zlib stream, to its end.
 
     Parameters
@@ -25,13 +26,16 @@ def inflate(file: BinaryIO, limit: int | None = None) -> Iterator[bytes]:
         At the beginning of the stream.
     limit : int, optional
         Bytes of the file that belong to the stream; by default all that follow.
+    claimed : int, optional
+        Bytes that it should unpack to. It is unpacked no further than `accelsurf.settings.budgets.SLACK` beyond.
 
     Raises
     ------
     InputError
-        When the stream is damaged (its checksum counts), or ends early.
+        When the stream is damaged (its checksum counts), ends early, or holds more than it should.
     """
     stream, started = zlib.decompressobj(47), False  # 47: either kind, recognized by its first bytes
+    unpacked = 0
     try:
         for chunk in _chunks(file, limit):
             while chunk:
@@ -41,14 +45,30 @@ def inflate(file: BinaryIO, limit: int | None = None) -> Iterator[bytes]:
                         return
                     stream = zlib.decompressobj(47)
                 started = True
-                yield stream.decompress(chunk)
-                chunk = stream.unused_data
+                piece = stream.decompress(chunk, _PIECE)
+                unpacked += len(piece)
+                check_unpacked(unpacked, claimed)
+                yield piece
+                chunk = stream.unconsumed_tail or stream.unused_data
     except zlib.error as error:
         raise InputError(
             f"the compressed voxels are damaged ({error})", hint="copy or export the file again"
         ) from error
     if not stream.eof:
         raise InputError("the compressed voxels end before their end mark", hint=TRUNCATED_HINT)
+
+
+def check_unpacked(unpacked: int, claimed: int | None) -> None:
+    """Refuse a stream that goes on after the bytes that a header announces, before it is unpacked further.
+
+    Raises
+    ------
+    InputError
+        With both numbers.
+    """
+    if claimed is not None:
+        what = f"the header announces {claimed} bytes, the packed voxels go on beyond them"
+        budgets.SLACK.check(unpacked - claimed, what)
 
 
 def _chunks(file: BinaryIO, limit: int | None) -> Iterator[bytes]:

@@ -107,7 +107,7 @@ def restore_grid(path: Path, volume: Volume, itk_name: str, put_grid: Callable[[
         Puts the fields into a file.
     """
     # The header alone is tried first: metadata may have come from another grid than the volume has now.
-    trial = path.with_name("trial" + path.name)
+    trial = path.with_name("trial" + "".join(path.suffixes[-1:]))  # no longer than the name itself
     with path.open("rb") as file:
         trial.write_bytes(file.read(_HEADER_SAMPLE))
     put_grid(trial)

@@ -16,14 +16,13 @@ import numpy as np
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
+from accelsurf.settings import budgets
 
 NRRD_KEY = "nrrd_space"
 """Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
 
 NRRD_ITK_NAME, METAIMAGE_ITK_NAME = "NrrdImageIO", "MetaImageIO"
 """The classes of ITK that read and write these formats."""
-
-_MAX_HEADER_BYTES = 1 << 20
 
 _NRRD_BYTES = {
     **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
@@ -35,6 +34,10 @@ _NRRD_BYTES = {
     **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
     "float": 4,
 }
+_NRRD_ENCODINGS: dict[str, Encoding] = {
+    **{"raw": "raw", "gzip": "deflate", "gz": "deflate", "hex": "other"},
+    **{"text": "text", "txt": "text", "ascii": "text"},
+}
 _META_BYTES = {
     **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
     **dict.fromkeys(("MET_SHORT", "MET_USHORT"), 2),
@@ -42,6 +45,9 @@ _META_BYTES = {
     **dict.fromkeys(("MET_LONG_LONG", "MET_ULONG_LONG", "MET_DOUBLE"), 8),
 }
 
+
+_MAX_LENGTH = 1e12  # mm
+_MAX_FIELD = 1000
 
 # Lines whose length depends on NDims, which must come before them.
 _META_SIZED = frozenset(
@@ -65,16 +71,17 @@ def parse_nrrd(path: Path) -> RawHeader:
         file.seek(0)
         lines = _header_lines(file, lambda line: not line.strip())
         offset = file.tell()
+    _check_fields(lines)
     fields = {
         key.strip().lower(): value.strip()
         for key, colon, value in (line.partition(": ") for line in lines[1:] if not line.startswith("#"))
         if colon
     }
     try:
-        sizes = [int(n) for n in fields["sizes"].split()]
-        claimed = math.prod(sizes) * _NRRD_BYTES[fields["type"].lower()]
+        sizes = _whole(fields["sizes"])
+        item = _NRRD_BYTES[fields["type"].lower()]
         encoding = fields["encoding"].lower()
-        if int(fields["dimension"]) != len(sizes) or min(sizes) < 1:
+        if _whole(fields["dimension"]) != [len(sizes)] or min(sizes) < 1:
             raise ValueError
     except (KeyError, ValueError):
         raise InputError(
@@ -88,13 +95,27 @@ def parse_nrrd(path: Path) -> RawHeader:
     data = path
     if detached := fields.get("data file") or fields.get("datafile"):
         data, offset = _detached(path, detached), 0
-    skipped = any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip"))
-    coding: Encoding = "raw" if encoding == "raw" else "deflate" if encoding in ("gzip", "gz") else "other"
+    if encoding not in _NRRD_ENCODINGS:
+        raise InputError(f"an NRRD of encoding {encoding} given, raw, gzip, text or hex expected", "save it as gzip")
+    coding = _NRRD_ENCODINGS[encoding]
+    if any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip")) and coding != "raw":
+        coding = "other"  # of raw voxels at least so many must be there
     metadata = {}
     if len(sizes) == 3 and "space directions" in fields:
         keys = ("space", "space dimension", "space directions", "space origin")
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
-    return RawHeader(data, offset, "other" if skipped else coding, NRRD_ITK_NAME, claimed, metadata=metadata)
+    numbers = math.prod(sizes)
+    return RawHeader(data, offset, coding, NRRD_ITK_NAME, numbers * item, metadata=metadata, numbers=numbers)
+
+
+def _check_fields(lines: list[str]) -> None:
+    """Refuse what would overrun the memory of the library that reads the voxels when it quotes a header."""
+    fields = (line for line in lines if not line.startswith(("#", "content:")) and ":=" not in line)
+    longest = max(map(len, fields), default=0)
+    if longest > _MAX_FIELD:
+        raise InputError(
+            f"the NRRD header has a field of {longest} characters, at most {_MAX_FIELD} expected", "is it damaged?"
+        )
 
 
 def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
@@ -123,6 +144,8 @@ def parse_metaimage(path: Path) -> RawHeader:
         offset = file.tell()
     pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
     fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
+    if len(fields) < len(pairs):
+        raise InputError("the MetaImage header says the same key twice", hint="keep the one that is right")
     name = fields.get("ElementDataFile", "")
     if not name or next((k for k in fields if k in _META_SIZED), "") != "NDims" or min(map(len, pairs)) < 2:
         raise InputError(
@@ -130,11 +153,12 @@ def parse_metaimage(path: Path) -> RawHeader:
             hint="is it the right file, and whole?",
         )
     try:
-        sizes = [int(n) for n in fields["DimSize"].split()]
-        item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")] * int(fields.get("ElementNumberOfChannels", 1))
-        skip = int(fields.get("HeaderSize", 0))
-        stored = int(fields["CompressedDataSize"]) if "CompressedDataSize" in fields else None
-        if int(fields["NDims"]) != len(sizes) or min(sizes) < 1:
+        sizes = _whole(fields["DimSize"])
+        item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")]
+        numbers = math.prod(sizes) * math.prod(_whole(fields.get("ElementNumberOfChannels", "1")))
+        (skip,) = _whole(fields.get("HeaderSize", "0"))
+        stored = _whole(fields["CompressedDataSize"])[0] if "CompressedDataSize" in fields else None
+        if _whole(fields["NDims"]) != [len(sizes)] or min(sizes) < 1 or numbers < 1:
             raise ValueError
     except (KeyError, ValueError):
         raise InputError(
@@ -147,7 +171,7 @@ def parse_metaimage(path: Path) -> RawHeader:
     data = path
     if name.upper() != "LOCAL":
         data, offset = _detached(path, name), 0
-    encoding: Encoding = "raw" if _is_true(fields, "BinaryData") else "other"  # other: numbers as text
+    encoding: Encoding = "raw" if _is_true(fields, "BinaryData", "True") else "text"
     if _is_true(fields, "CompressedData"):
         encoding = "deflate"
         if skip != 0 or (stored is None and data == path):
@@ -157,7 +181,8 @@ def parse_metaimage(path: Path) -> RawHeader:
                 hint="save the image again, e.g. uncompressed",
             )
     # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
-    return RawHeader(data, offset + max(skip, 0), encoding, METAIMAGE_ITK_NAME, math.prod(sizes) * item, stored)
+    offset += max(skip, 0)
+    return RawHeader(data, offset, encoding, METAIMAGE_ITK_NAME, numbers * item, stored, numbers=numbers)
 
 
 def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
@@ -171,14 +196,15 @@ def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:
             _numbers(fields[key], key, dimension * dimension)
 
 
-def _is_true(fields: dict[str, str], key: str) -> bool:
-    return fields.get(key, "")[:1] in ("T", "t", "1")  # as MetaIO reads it
+def _is_true(fields: dict[str, str], key: str, default: str = "False") -> bool:
+    return fields.get(key, default)[:1] in ("T", "t", "1")  # as MetaIO reads it
 
 
 def _header_lines(file: BinaryIO, last: Callable[[str], bool]) -> list[str]:
     """Lines of a text header up to and including the one that ends it (or the end of the file)."""
     lines: list[str] = []
-    while file.tell() < _MAX_HEADER_BYTES and (raw := file.readline(_MAX_HEADER_BYTES)):
+    most = budgets.TEXT_HEADER.limit
+    while (left := most - file.tell()) > 0 and (raw := file.readline(left)):
         lines.append(raw.decode("utf-8", errors="replace").rstrip("\r\n"))
         if last(lines[-1]):
             break
@@ -190,7 +216,7 @@ def _detached(path: Path, name: str) -> Path:
     if name.split()[0].upper() == "LIST" or "%" in name:
         raise InputError(f"the voxels are spread over several files ({name})", hint="save the image as one file first")
     data = path.parent / name
-    if not data.is_file():
+    if "\0" in name or not data.is_file():
         raise InputError(
             f"the header names the data file {name}, which is missing",
             hint=f"copy {name} into the same folder, under that name",
@@ -198,13 +224,27 @@ def _detached(path: Path, name: str) -> Path:
     return data
 
 
+def _plain(text: str) -> str:
+    """A text of numbers as other programs read them: without what only Python takes for digits."""
+    if "_" in text or not text.isascii():
+        raise ValueError
+    return text
+
+
+def _whole(text: str) -> list[int]:
+    return [int(n) for n in _plain(text).split()]
+
+
 def _numbers(text: str, key: str, count: int) -> list[float]:
     try:
-        values = [float(v) for v in text.split()]
+        values = [float(v) for v in _plain(text).split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise GeometryError(f"the header gives {key} = {text}, {count} finite numbers expected")
+    if len(values) != count or not all(abs(value) <= _MAX_LENGTH for value in values):
+        raise GeometryError(
+            f"the header gives {key} = {text}, {count} finite numbers expected, of at most {_MAX_LENGTH:g} mm",
+            hint="correct the header",
+        )
     return values
 
 

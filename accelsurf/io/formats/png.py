@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.volume import Volume
-from accelsurf.io.formats.deflate import inflated_bytes
+from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes
 from accelsurf.io.formats.raster import TRUNCATED_HINT, RasterHeader
 
 _START = b"\x89PNG\r\n\x1a\n"
@@ -58,6 +58,7 @@ class PngHeader(RasterHeader):
                     left, check = left - len(piece), zlib.crc32(piece, check)
                     if name == b"IDAT":
                         present += inflated_bytes(unpack, piece)
+                        check_unpacked(present, self.unpacked_bytes)
                 if left or file.read(4) != struct.pack(">I", check):
                     part = name.decode("ascii", "replace")
                     raise InputError(f"the part {part} of the PNG is cut short or damaged", hint=TRUNCATED_HINT)

@@ -11,8 +11,10 @@ from typing import Literal
 
 from accelsurf.errors import InputError
 from accelsurf.io.formats.deflate import TRUNCATED_HINT, inflate
+from accelsurf.settings import budgets
 
-Encoding = Literal["raw", "deflate", "other"]
+Encoding = Literal["raw", "deflate", "text", "other"]
+_CHUNK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class RawHeader:
     offset : int
         Bytes in it before the (possibly compressed) voxels.
     encoding : str
-        "raw", "deflate" (gzip or zlib) or "other" (text, bzip2: left to the reader to check).
+        "raw", "deflate" (gzip or zlib), "text" (numbers), or "other" (skipped or hexadecimal: the reader checks).
     itk_name : str
         The format, as ITK names the class that reads it.
     claimed_bytes : int
@@ -35,6 +37,8 @@ class RawHeader:
         Bytes of compressed voxels, where the header says so: the reader will take these and no more.
     metadata : dict of str to str
         Header fields to give back on writing.
+    numbers : int or None
+        Numbers expected, all channels together, where all of ``claimed_bytes`` are voxels.
     """
 
     data: Path
@@ -44,6 +48,7 @@ class RawHeader:
     claimed_bytes: int
     stored_bytes: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)
+    numbers: int | None = None
 
     def check_complete(self) -> None:
         """Refuse a file that holds fewer voxels than its header claims.
@@ -55,9 +60,13 @@ class RawHeader:
         InputError
             With both numbers of bytes.
         """
-        if self.encoding == "other":
+        present = max(self.data.stat().st_size - self.offset, 0)
+        if self.encoding == "text":
+            self._check_numbers()
             return
-        present = self.data.stat().st_size - self.offset
+        if self.encoding == "other":
+            budgets.DEFLATE.check(self.claimed_bytes, "the header announces voxels", present)
+            return
         if self.encoding == "deflate":
             if present < (self.stored_bytes or 0):
                 raise InputError(
@@ -66,9 +75,23 @@ class RawHeader:
                 )
             with self.data.open("rb") as file:
                 file.seek(self.offset)
-                present = sum(map(len, inflate(file, self.stored_bytes)))
+                present = sum(map(len, inflate(file, self.stored_bytes, self.claimed_bytes)))
         if present < self.claimed_bytes:
             raise InputError(
-                f"the header announces {self.claimed_bytes} bytes of voxels, the file holds {max(present, 0)}",
+                f"the header announces {self.claimed_bytes} bytes of voxels, the file holds {present}",
                 hint=TRUNCATED_HINT,
+            )
+
+    def _check_numbers(self) -> None:
+        """Refuse text with fewer numbers than announced."""
+        found, inside = 0, False
+        with self.data.open("rb") as file:
+            file.seek(self.offset)
+            while piece := file.read(_CHUNK):
+                # A word that goes on from the piece before was counted there.
+                found += len(piece.split()) - (inside and not piece[:1].isspace())
+                inside = not piece[-1:].isspace()
+        if found < (self.numbers or 0):
+            raise InputError(
+                f"the header announces {self.numbers} numbers, the file holds {found}", hint=TRUNCATED_HINT
             )

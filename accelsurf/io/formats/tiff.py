@@ -7,6 +7,7 @@ opacity in turns. So the directories are read here first, and what ITK would not
 from __future__ import annotations
 
 import math
+import os
 import re
 import struct
 import zlib
@@ -20,12 +21,12 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.volume import Volume
-from accelsurf.io.formats.deflate import inflated_bytes
+from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes
 from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, RasterHeader
+from accelsurf.settings import budgets
 
 _PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
 MAX_FILE_BYTES = 0xFFFFFFFF
-_MAX_TAG_VALUES = 1 << 22
 _MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
 _DIRECTORY_BYTES = 2 + 15 * 12 + 4  # of a page written here: 15 entries
 
@@ -33,9 +34,15 @@ _DIRECTORY_BYTES = 2 + 15 * 12 + 4  # of a page written here: 15 entries
 _SUBFILE, _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
 _STRIPS, _ORIENTATION, _SAMPLES, _ROWS, _STRIP_BYTES, _X_RES, _Y_RES, _PLANAR = 273, 274, 277, 278, 279, 282, 283, 284
 _RES_UNIT, _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES, _FORMAT = 296, 322, 323, 324, 325, 339
+_USED = frozenset((
+    *(_SUBFILE, _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _DESCRIPTION, _STRIPS, _ORIENTATION, _SAMPLES),
+    *(_ROWS, _STRIP_BYTES, _X_RES, _Y_RES, _PLANAR, _RES_UNIT, _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES, _FORMAT),
+))
 _TIFF_TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 13: "I", 16: "Q"}
 _DEFLATE = (8, 32946)
-_COMPRESSIONS = (1, 5, *_DEFLATE, 32773)  # none, LZW, deflate (two numbers), PackBits
+_LZW, _PACKBITS = 5, 32773
+_COMPRESSIONS = (1, _LZW, *_DEFLATE, _PACKBITS)  # the first: none
+_CHUNK = 1 << 16
 _MM = {
     **dict.fromkeys(("micron", "microns", "um", "\u00b5m", "\u03bcm", "\\u00b5m"), 1e-3),
     **{"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1000.0},
@@ -52,17 +59,20 @@ class TiffHeader(RasterHeader):
     ----------
     unpacked_bytes : int
         Bytes of all rows when unpacked.
-    strips : tuple of (int, int)
+    strips : ndarray (n, 2) of int64
         Offset and length of the strips or tiles.
     compression : int
         Compression, by its number.
+    tiled : bool
+        Whether the voxels are in tiles, which may go beyond the image.
     """
 
     itk_name: ClassVar[str] = "TIFFImageIO"
 
     unpacked_bytes: int
-    strips: tuple[tuple[int, int], ...]
+    strips: NDArray[np.int64]
     compression: int
+    tiled: bool
 
     def check_complete(self) -> None:
         """Refuse a TIFF whose strips are not all there.
@@ -72,24 +82,54 @@ class TiffHeader(RasterHeader):
         InputError
             With what is missing.
         """
-        size, present = self.data.stat().st_size, 0
-        with self.data.open("rb") as file:
-            for offset, length in self.strips:
-                if offset + length > size or length == 0:
-                    raise InputError(
-                        f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
-                        hint=TRUNCATED_HINT,
-                    )
-                if self.compression in _DEFLATE:
+        size = self.data.stat().st_size
+        for offset, length in self.strips.tolist():
+            if min(offset, length) < 0 or offset + length > size or length == 0:
+                raise InputError(
+                    f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
+                    hint=TRUNCATED_HINT,
+                )
+        present = stored = sum(self.strips[:, 1].tolist())
+        budgets.TIFF_STRIPS.check(stored, "the strips of the TIFF overlap", size + _DIRECTORY_BYTES)
+        if ratio := {_LZW: budgets.LZW, _PACKBITS: budgets.PACKBITS}.get(self.compression):
+            ratio.check(self.unpacked_bytes, "the header announces voxels", stored)
+        if self.compression in _DEFLATE:
+            present = 0
+            with self.data.open("rb") as file:
+                for offset, length in self.strips.tolist():
                     file.seek(offset)
-                    present += inflated_bytes(zlib.decompressobj(), file.read(length))
-                else:
-                    present += length
-        if self.compression in (1, *_DEFLATE) and present < self.unpacked_bytes:
+                    present += self._unpacked(file, length, present)
+        elif self.compression == _PACKBITS and not self.tiled:
+            present = self._run_lengths()
+            if present > self.unpacked_bytes:
+                raise InputError("the runs of the TIFF go on beyond its rows", hint=TRUNCATED_HINT)
+        if self.compression != _LZW and present < self.unpacked_bytes:
             raise InputError(
                 f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {present}",
                 hint=TRUNCATED_HINT,
             )
+
+    def _run_lengths(self) -> int:
+        """Bytes that the runs of PackBits strips unpack to."""
+        total = 0
+        with self.data.open("rb") as file:
+            for offset, length in self.strips.tolist():
+                file.seek(offset)
+                packed, at = file.read(length), 0
+                while at < length:
+                    run = packed[at]  # up to 127: so many bytes and one follow; from 129: one byte, 257 - run times
+                    total += run + 1 if run < 128 else 257 - run if run > 128 else 0
+                    at += run + 2 if run < 128 else 2 if run > 128 else 1
+        return total
+
+    def _unpacked(self, file: BinaryIO, length: int, before: int) -> int:
+        """Bytes that a deflated strip unpacks to."""
+        unpack, present = zlib.decompressobj(), 0
+        while length > 0 and not unpack.eof and (piece := file.read(min(length, _CHUNK))):
+            length -= len(piece)
+            present += inflated_bytes(unpack, piece)
+            check_unpacked(before + present, self.unpacked_bytes)
+        return present
 
 
 def parse(path: Path) -> TiffHeader:
@@ -117,16 +157,20 @@ def parse(path: Path) -> TiffHeader:
         width, height, bits = int(pages[0][_WIDTH][0]), int(pages[0][_HEIGHT][0]), sum(_bits(pages[0]))
         spacing = _spacing(pages[0], len(pages))
         compression = int(pages[0].get(_COMPRESSION, (1,))[0])
-        strips = tuple(strip for page in pages for strip in _strips(page))
+        strips = np.concatenate([_strips(page) for page in pages])
     except (LookupError, TypeError, ValueError, OverflowError, struct.error):
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
     unpacked = len(pages) * height * ((width * bits + 7) // 8)
     pixel = 4 if _TILES in pages[0] or bits == 1 else bits // 8  # those ITK reads as colours with opacity
-    return TiffHeader(path, (len(pages), height, width), spacing, pixel, unpacked, strips, compression)
+    shape, tiled = (len(pages), height, width), _TILES in pages[0]
+    return TiffHeader(path, shape, spacing, pixel, unpacked, strips, compression, tiled)
 
 
 def _pages(file: BinaryIO) -> list[Page]:
     """The directories of a file, one after the other."""
+    size = file.seek(0, os.SEEK_END)
+    spent = 0
+    file.seek(0)
     start = file.read(16)
     order = {b"II": "<", b"MM": ">"}.get(start[:2], "")
     version = struct.unpack(order + "H", start[2:4])[0] if order and len(start) >= 4 else 0
@@ -150,6 +194,13 @@ def _pages(file: BinaryIO) -> list[Page]:
         page = {}
         for place in range(0, count * entry, entry):
             tag, kind, n = struct.unpack_from(order + "HH" + word, raw, place)
+            if tag not in _USED:
+                continue
+            if tag in page:  # libraries do not agree which of the two counts
+                raise ValueError
+            # Pages may name the same bytes again and again.
+            spent += n * struct.calcsize("=" + _TIFF_TYPES.get(kind, "B"))
+            budgets.TIFF_TAGS.check(spent, "the entries of the TIFF", size + (1 << 16))
             field = raw[place + 4 + struct.calcsize(word) : place + entry]
             page[tag] = _values(file, order, kind, n, field)
         pages.append(page)
@@ -162,8 +213,6 @@ def _values(file: BinaryIO, order: str, kind: int, count: int, field: bytes) -> 
     if code is None:
         return ()  # of a type that no tag used here has
     size = struct.calcsize(order + code) * count
-    if count > _MAX_TAG_VALUES:
-        raise ValueError
     if size > len(field):
         file.seek(struct.unpack(order + ("Q" if len(field) == 8 else "I"), field)[0])
         field = file.read(size)
@@ -185,9 +234,9 @@ def _page_kind(page: Page) -> tuple[Any, ...]:
     return page[_WIDTH][0], page[_HEIGHT][0], _bits(page), page.get(_FORMAT, (1,))[0], *tags
 
 
-def _strips(page: Page) -> list[tuple[int, int]]:
+def _strips(page: Page) -> NDArray[np.int64]:
     offsets, lengths = (_TILES, _TILE_BYTES) if _TILES in page else (_STRIPS, _STRIP_BYTES)
-    return list(zip(page[offsets], page[lengths], strict=True))
+    return np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
 
 
 def _check_faithful(page: Page) -> None:
@@ -201,6 +250,8 @@ def _check_faithful(page: Page) -> None:
         raise ValueError
     if compression not in _COMPRESSIONS:
         wrong = f"compression number {compression}"
+    elif _PHOTOMETRIC not in page:
+        wrong = "no word on whether 0 is black or white"
     elif colour == 3:
         wrong = "colours from a palette"
     elif not grey and (colour != 2 or len(bits) not in (3, 4)):
@@ -247,7 +298,7 @@ def _spacing(page: Page, pages: int) -> tuple[float, float, float]:
 def _ome_spacing(text: str) -> tuple[float, float, float]:
     """Spacing by the XML of an OME-TIFF, in which the unit is the micrometre unless another is named."""
     head = text[text.find("<Pixels") :].partition(">")[0]
-    fields = dict(re.findall(r'(\w+)="([^"]*)"', head))
+    fields = dict(re.findall(r'\b(\w{1,40})="([^"]{0,40})"', head))
     _refuse_channels(int(fields.get("SizeC", 1)), int(fields.get("SizeT", 1)))
     z, y, x = (
         float(fields.get(f"PhysicalSize{a}", 0)) * _MM.get(fields.get(f"PhysicalSize{a}Unit", "um").lower(), 0.0)

@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.settings import budgets
 
 _TYPES = {
     **{f"{sign}Int{bits}": f"{code}{bits // 8}" for sign, code in (("", "i"), ("U", "u")) for bits in (8, 16, 32, 64)},
     **{"Float32": "f4", "Float64": "f8"},
 }
 _COMPRESSOR = "vtkZLibDataCompressor"
+_SMALL = 1 << 21  # bytes that any file may unpack to, over the budget's factor
 _DAMAGED = "the file is cut short or damaged"
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -49,7 +51,7 @@ def read(content: bytes) -> Triangles:
         root = ElementTree.fromstring(head + b"</VTKFile>" if mark else head)
         if root.tag != "VTKFile" or root.get("type") != "PolyData":
             raise InputError(f"an XML file of {root.tag} {root.get('type', '')} given, VTKFile PolyData expected")
-        arrays = _Arrays(root, rest)
+        arrays = _Arrays(root, rest, len(content))
         pieces = [_piece(piece, arrays) for piece in root.iterfind("PolyData/Piece")]
     except (
         ElementTree.ParseError,
@@ -100,9 +102,11 @@ class _Arrays:
         The file's XML without its appended part.
     rest : bytes
         What follows ``<AppendedData``.
+    size : int
+        Bytes of the whole file.
     """
 
-    def __init__(self, root: ElementTree.Element, rest: bytes) -> None:
+    def __init__(self, root: ElementTree.Element, rest: bytes, size: int) -> None:
         self._order = ">" if root.get("byte_order") == "BigEndian" else "<"
         self._size = np.dtype(self._order + ("u8" if root.get("header_type") == "UInt64" else "u4"))
         self._compressed = root.get("compressor") is not None
@@ -111,7 +115,8 @@ class _Arrays:
         tag, _, data = rest.partition(b">")
         data = data[data.find(b"_") + 1 :]
         self._base64 = b"base64" in tag
-        self._appended = data.partition(b"<")[0].strip() if self._base64 else data
+        self._appended = memoryview(data.partition(b"<")[0].strip() if self._base64 else data)
+        self._unpacked_bytes, self._file_bytes = 0, size
 
     def get(self, array: ElementTree.Element | None) -> NDArray[Any]:
         """The values of one DataArray, flat."""
@@ -122,16 +127,22 @@ class _Arrays:
         if form == "ascii":
             return np.array((array.text or "").split(), dtype=kind)
         if form == "binary":
-            return np.frombuffer(self._unpacked((array.text or "").strip().encode(), True), kind)
+            return np.frombuffer(self._unpacked(memoryview((array.text or "").strip().encode()), True), kind)
         return np.frombuffer(self._unpacked(self._appended[int(array.get("offset", "")) :], self._base64), kind)
 
-    def _unpacked(self, data: bytes, encoded: bool) -> bytes:
+    def _check_spent(self, more: int) -> None:
+        """Refuse arrays that unpack to far more than the file has, once or by many that name the same bytes."""
+        self._unpacked_bytes += more
+        budgets.MESH_UNPACKED.check(self._unpacked_bytes, factor=self._file_bytes + _SMALL)
+
+    def _unpacked(self, data: memoryview, encoded: bool) -> bytes:
         """The bytes of an array that begins where ``data`` begins; its own header says how many there are."""
         size = self._size.itemsize
         if not self._compressed:
-            data = _decoded(data, size + self._sizes(data, 1, encoded)[0]) if encoded else data
-            (length,) = self._sizes(data, 1, False)
-            return _taken(data[size:], length)
+            (length,) = self._sizes(data, 1, encoded)
+            self._check_spent(length)
+            data = _decoded(data, size + length) if encoded else data
+            return bytes(_taken(data[size:], length))
         blocks, block, last = self._sizes(data, 3, encoded)
         if blocks * size > len(data):
             raise ValueError(_DAMAGED)
@@ -140,24 +151,26 @@ class _Arrays:
         header = size * (3 + blocks)
         data = _decoded(data[-(-header // 3) * 4 :], sum(lengths)) if encoded else data[header:]
         out = []
+        self._check_spent(max(blocks - 1, 0) * block + (last or block))
         for number, length in enumerate(lengths):
             unpacked = last if last and number == blocks - 1 else block
             out.append(_taken(zlib.decompressobj().decompress(_taken(data, length), unpacked + 1), unpacked))
             data = data[length:]
         return b"".join(out)
 
-    def _sizes(self, data: bytes, count: int, encoded: bool) -> list[int]:
+    def _sizes(self, data: memoryview, count: int, encoded: bool) -> list[int]:
         wanted = count * self._size.itemsize
         data = _decoded(data, wanted) if encoded else data
         return [int(n) for n in np.frombuffer(_taken(data, wanted), self._size)]
 
 
-def _decoded(text: bytes, count: int) -> bytes:
+def _decoded(text: memoryview, count: int) -> memoryview:
     """The first ``count`` bytes of a base64 text."""
-    return base64.b64decode(text[: -(-count // 3) * 4], validate=True)[:count]
+    return memoryview(base64.b64decode(text[: -(-count // 3) * 4], validate=True))[:count]
 
 
-def _taken(data: bytes, count: int) -> bytes:
+def _taken(data: bytes | memoryview, count: int) -> memoryview:
+    data = memoryview(data)
     if len(data) < count:
         raise ValueError(f"{len(data)} bytes where {count} are announced")
     return data[:count]

@@ -1,0 +1,116 @@
+"""What a file or a text may make the program spend: every limit on bytes, counts and lengths, in one place.
+
+A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader asks
+here before it allocates or begins. The reference page of limits is written from these entries.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from accelsurf.errors import AccelsurfError, InputError
+
+
+@dataclass(frozen=True)
+class Budget:
+    """One limit.
+
+    Attributes
+    ----------
+    what : str
+        What is limited, as messages and the reference page say it.
+    limit : int
+        The largest number that is accepted.
+    unit : str
+        What is counted.
+    hint : str
+        What to do where more is needed.
+    per : str
+        What the limit is multiplied by; empty where it stands for itself.
+    """
+
+    what: str
+    limit: int
+    unit: str
+    hint: str
+    per: str = ""
+
+    def check(self, needed: int, given: str = "", factor: int = 1, kind: type[AccelsurfError] = InputError) -> None:
+        """Refuse what would spend more.
+
+        Parameters
+        ----------
+        needed : int
+            What it would spend.
+        given : str
+            What spends it, for the message; ``what`` by default.
+        factor : int
+            Times the limit.
+        kind : type
+            Of the error.
+
+        Raises
+        ------
+        AccelsurfError
+            Of that kind, with both numbers.
+
+        Examples
+        --------
+        >>> CONFIG.check(1000)
+        """
+        if needed > self.limit * factor:
+            raise kind(f"{given or self.what}: {needed} {self.unit}, at most {self.limit * factor} expected", self.hint)
+
+
+CONFIG = Budget("a configuration file", 1 << 20, "bytes", "is it the right file? a configuration has a few lines")
+EXPRESSION = Budget("an energy, a start or an edit", 1 << 14, "characters", "write it shorter")
+EDITS = Budget("the edits of a run", 4096, "edits", "leave out those that do not matter")
+TABLE = Budget("a table of balls", 1 << 22, "bytes", "give the objects as a label map instead")
+BALLS = Budget(
+    "balls of one id times voxels of the box around them", 1 << 32, "voxels", "use fewer balls, or a label map"
+)
+REPORT = Budget("a report", 1 << 26, "bytes", "is it the report of a run?")
+TEXT_HEADER = Budget("the header of an NRRD or MetaImage", 1 << 20, "bytes", "is it the right file?")
+#: Some writers pad their streams.
+SLACK = Budget(
+    "packed voxels beyond those that the header announces", 1 << 20, "bytes", "the header is damaged or of another file"
+)
+DEFLATE = Budget(
+    "voxels packed by gzip after bytes to skip, or as hexadecimal digits", 1032, "bytes",
+    "the file is damaged: copy or export it again", "packed byte",
+)
+LZW = Budget(
+    "voxels packed by LZW", 1400, "bytes", "the file is damaged: copy or export it again", "packed byte"
+)
+PACKBITS = Budget(
+    "voxels packed by PackBits", 64, "bytes", "the file is damaged: copy or export it again", "packed byte"
+)
+TIFF_TAGS = Budget("the entries of a TIFF's pages", 1, "bytes", "save it as a plain stack", "byte of the file")
+TIFF_STRIPS = Budget(
+    "the strips of a TIFF together", 4, "bytes", "save it as a plain stack, without shared strips", "byte of the file"
+)
+MESH_FILE = Budget(
+    "a mesh in memory while it is read", 1, "bytes", "simplify the mesh first", "byte of free memory"
+)
+#: While it is read: text becomes lists of Python's numbers.
+MESH_BYTES_PER_FILE_BYTE = 40
+MESH_UNPACKED = Budget(
+    "packed arrays of a .vtp", 32, "bytes", "save the mesh uncompressed", "byte of the file (and 64 MiB)"
+)
+MESH_ROWS = Budget(
+    "rows of voxels that the triangles of a mesh span, over all triangles", 1 << 27, "rows",
+    "simplify the mesh, or split its long triangles",
+)
+OBJECT_VOXELS = Budget(
+    "the boxes around all objects together", 64, "voxels",
+    "is this an image rather than a label map? give fewer ids with FILE@IDS", "voxel of the image (and 16777216)",
+)
+SMOOTHING = Budget(
+    "the sigma of a smoothing", 256, "voxels", "give a smaller length, in mm or with the suffix vox"
+)
+
+#: All of them, in the order of the reference page.
+BUDGETS = (
+    CONFIG, EXPRESSION, EDITS, TABLE, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS,
+    MESH_FILE, MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING,
+)

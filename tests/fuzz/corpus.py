@@ -1,0 +1,264 @@
+"""Small valid inputs of every kind, and the input of a number: one of them, mutated."""
+
+import functools
+import gzip
+import io
+import json
+import struct
+import tempfile
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf import io as files
+from accelsurf.analysis import surface_mesh
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.settings.run_config import RunConfig
+from tests.fuzz import mutators
+
+#: Beside each image: what a header may name as its data file.
+DATA_FILE = "voxels.raw"
+SHAPE = (4, 5, 6)
+VALUES = np.arange(120, dtype=np.int16).reshape(SHAPE)
+
+
+class Input(NamedTuple):
+    """An input: the ``kind`` says what reads it, ``suffix`` the ending of its file, ``mode`` how it is mutated."""
+
+    kind: str
+    suffix: str
+    mode: str
+    content: bytes
+
+
+@functools.cache
+def seeds() -> tuple[Input, ...]:
+    with tempfile.TemporaryDirectory() as folder:
+        return (*_images(Path(folder)), *_meshes(), *_texts(), *_runs(), *_states(Path(folder)))
+
+
+def input_of(seed: int, number: int) -> Input:
+    """The input of a number, the same for the same seed."""
+    rng = np.random.default_rng([seed, number])
+    all_seeds = seeds()
+    kinds = sorted({one.kind for one in all_seeds})
+    # Images first: they have the most ways to be wrong.
+    kind = "image" if rng.random() < 0.5 else kinds[int(rng.integers(len(kinds)))]
+    some = [one for one in all_seeds if one.kind == kind]
+    chosen = some[int(rng.integers(len(some)))]
+    others = [one.content for one in some if one.suffix == chosen.suffix]
+    content = chosen.content
+    if content[:2] == b"\x1f\x8b" and rng.random() < 0.8:
+        inner = mutators.mutated(gzip.decompress(content), chosen.mode, rng, [gzip.decompress(o) for o in others])
+        return chosen._replace(content=gzip.compress(inner, 1, mtime=0))
+    content = mutators.mutated(content, chosen.mode, rng, others)
+    if chosen.suffix == ".png" and rng.random() < 0.8:
+        content = _png_with_checksums(content)
+    return chosen._replace(content=content)
+
+
+def _images(folder: Path):
+    turned, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
+    turned *= np.sign(np.linalg.det(turned))
+    grids = [Geometry(SHAPE, (1.0, 1.0, 1.0)), Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25), turned)]
+    for suffix in files.image_suffixes():
+        if suffix == ".tiff":
+            continue
+        for grid in grids:
+            for dtype in ("uint8", "int16", "float32") if suffix not in (".png",) else ("uint8", "uint16"):
+                values = VALUES.astype(dtype)[: 1 if suffix == ".png" else None]
+                here = Geometry(values.shape, grid.spacing, grid.origin, grid.direction)
+                path = folder / f"a{suffix}"
+                files.write(Volume(values, here), path)
+                mode = "mixed" if suffix in (".nrrd", ".mha", ".mhd") else "binary"
+                if suffix != ".mhd":
+                    yield Input("image", suffix, mode, path.read_bytes())
+    big = _nifti2()
+    yield Input("image", ".nii", "binary", big)
+    yield Input("image", ".nii.gz", "binary", gzip.compress(big, 1, mtime=0))
+    nrrd = "NRRD0004\ntype: short\ndimension: 3\nsizes: 6 5 4\nspacings: 1 2 3\nendian: little\nencoding: {}\n{}\n"
+    text = " ".join(map(str, VALUES.ravel())).encode() + b"\n"
+    yield Input("image", ".nrrd", "mixed", nrrd.format("raw", "").encode() + VALUES.tobytes())
+    yield Input("image", ".nrrd", "mixed", nrrd.format("ascii", "").encode() + text)
+    yield Input("image", ".nrrd", "text", nrrd.format("raw", f"data file: {DATA_FILE}\n").encode())
+    meta = (
+        "ObjectType = Image\nNDims = 3\nBinaryData = {}\nBinaryDataByteOrderMSB = False\nElementSpacing = 1 2 3\n"
+        "DimSize = 6 5 4\nElementType = MET_SHORT\nElementDataFile = {}\n"
+    )
+    yield Input("image", ".mha", "mixed", meta.format("True", "LOCAL").encode() + VALUES.tobytes())
+    yield Input("image", ".mha", "mixed", meta.format("False", "LOCAL").encode() + text)
+    yield Input("image", ".mhd", "text", meta.format("True", DATA_FILE).encode())
+    yield from _tiffs()
+    import nibabel
+
+    four = nibabel.Nifti1Image(np.stack([VALUES.T, VALUES.T], axis=-1), np.eye(4))
+    yield Input("channels", ".nii", "binary", four.to_bytes())
+    yield Input("channels", ".nii.gz", "binary", gzip.compress(four.to_bytes(), 1, mtime=0))
+    vector = nrrd.replace("dimension: 3\nsizes: 6", "dimension: 4\nsizes: 2 6").replace("1 2 3", "nan 1 2 3")
+    kinds = "kinds: vector domain domain domain\n"
+    yield Input("channels", ".nrrd", "mixed", vector.format("raw", kinds).encode() + VALUES.tobytes() * 2)
+
+
+def _nifti2() -> bytes:
+    import nibabel
+
+    image = nibabel.Nifti2Image(VALUES.T.copy(), np.diag([0.75, 0.5, 3.0, 1.0]))
+    return image.to_bytes()
+
+
+def _tiffs():
+    import tifffile
+
+    for options in (
+        {},
+        {"compression": "zlib"},
+        {"compression": "lzw"},
+        {"compression": "packbits"},
+        {"bigtiff": True},
+        {"imagej": True},
+        {"tile": (16, 16)},
+        {"byteorder": ">"},
+        {"ome": True, "metadata": {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5}},
+    ):
+        stream = io.BytesIO()
+        values = VALUES.astype("uint8" if "tile" in options else "uint16")
+        values = np.resize(values, (2, 32, 32)) if "tile" in options else values
+        try:
+            tifffile.imwrite(stream, values, photometric="minisblack", **options)
+        except (ImportError, ValueError, RuntimeError, KeyError):  # LZW needs a package
+            continue
+        yield Input("image", ".tif", "binary", stream.getvalue())
+    from PIL import Image
+
+    for compression in ("tiff_lzw", "packbits", "tiff_adobe_deflate"):
+        stream = io.BytesIO()
+        Image.fromarray(VALUES[0].astype(np.uint8)).save(stream, "TIFF", compression=compression)
+        yield Input("image", ".tif", "binary", stream.getvalue())
+
+
+def _png_with_checksums(content: bytes) -> bytes:
+    """The same chunks with right checksums, so that what is in them is read."""
+    out, at = [content[:8]], 8
+    while at + 12 <= len(content):
+        length = struct.unpack(">I", content[at : at + 4])[0]
+        body = content[at + 4 : at + 8 + length]
+        if len(body) < 4 + length:
+            break
+        out.append(content[at : at + 4] + body + struct.pack(">I", zlib.crc32(body)))
+        at += 12 + length
+    return b"".join([*out, content[at:]])
+
+
+def _meshes():
+    points = np.array([[x, y, z] for z in (0, 3) for y in (0, 3) for x in (0, 3)], np.float64) + 0.7
+    quads = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    for name in ("ply", "stl", "obj", "vtp"):
+        content = getattr(surface_mesh, f"{name}_bytes")(points, triangles, "LPS")
+        yield Input("mesh", f".{name}", {"obj": "text", "vtp": "mixed", "ply": "mixed"}.get(name, "binary"), content)
+    import trimesh
+
+    cube = trimesh.Trimesh(points, triangles, process=False)
+    yield Input("mesh", ".ply", "text", cube.export(file_type="ply", encoding="ascii"))
+    yield Input("mesh", ".stl", "text", cube.export(file_type="stl_ascii").encode())
+    lines = ["<VTKFile type='PolyData' version='0.1' byte_order='LittleEndian'><PolyData>"]
+    lines += [f"<Piece NumberOfPoints='8' NumberOfPolys='12'><Points>{_array('Float32', points, 3)}</Points><Polys>"]
+    lines += [_array("Int64", triangles, 1, "connectivity"), _array("Int64", np.arange(3, 39, 3), 1, "offsets")]
+    yield Input("mesh", ".vtp", "text", "\n".join([*lines, "</Polys></Piece></PolyData></VTKFile>"]).encode())
+
+
+def _array(kind: str, values, parts: int, name: str = "Points") -> str:
+    numbers = " ".join(f"{v:g}" for v in np.ravel(values))
+    return f"<DataArray type='{kind}' Name='{name}' NumberOfComponents='{parts}' format='ascii'>{numbers}</DataArray>"
+
+
+def _texts():
+    energies = (
+        "chan-vese",
+        "local-region:R=8 + 0.3*geodesic + 0.1*area",
+        "threshold:-50,auto - 0.1*balloon",
+        "likelihood:model=histogram,update=no",
+        "threshold:half:120,80%",
+        "2*chan-vese:balance=2,epsilon=1.5",
+    )
+    starts = (
+        "ball:2,2,2,1.5",
+        "ball:2,2,2,1.5vox",
+        "box:0,0,0,3,3,2",
+        "seed:2,2,2,1",
+        "threshold:10,50",
+        "largest:otsu:dark",
+        "otsu",
+        "center",
+        f"label:{DATA_FILE}@2,5-9",
+        "mesh:a@b.ply@ras",
+        "threshold:,50",
+    )
+    edits = (
+        "step=30 smoothness=0.5 add=ball:1,2,3,4",
+        "step=3 flow=gradient",
+        "step=0 object=2 remove=ball:1,2,3,1vox",
+    )
+    config = RunConfig(smoothness=0.5, start=["ball:2,2,2,1"], edit=["step=3 cfl=0.4"], mesh="ply,stl").to_toml()
+    short = "energy = [{term = 'local-region', R = 8}, {term = 'geodesic', weight = 0.3}]\nsmoothness = 1\nseed = 3\n"
+    tables = ("id,x,y,z,r\n1,1,1,1,1\n2,4,3,3,1\n", "# a\nid,x_vox,y_vox,z_vox,r_vox\n7,1,1,1,1.5\n7,2,2,2,1\n")
+    for kind, suffix, some in (
+        ("energy", ".txt", energies),
+        ("start", ".txt", starts),
+        ("edit", ".txt", edits),
+        ("toml", ".toml", (config, short)),
+        ("table", ".csv", tables),
+        ("argv", ".txt", _command_lines()),
+    ):
+        for text in some:
+            yield Input(kind, suffix, "text", text.encode())
+
+
+def _command_lines():
+    """Words of a command line, one a line."""
+    for words in (
+        "--smoothness 0.5 --k 2 --start ball:2,2,2,1 --roi 0,0,0,5,5,5",
+        "--energy threshold:10,50 --levels 2 --mesh ply",
+        "--presmooth 1.5vox --seed 4 --noise 0.1 --half-width 4",
+        "--objects a.csv --format nrrd --mesh-space ras --threads 2",
+        "--edit step=3 --channel b.nii --mask c.nii --max-volume 100 --preset ct-bone --restart off --friction 0.5",
+    ):
+        yield "\n".join(words.split())
+
+
+def _runs():
+    """Settings of a run of a few steps as JSON, with the values of its image."""
+    for settings in (
+        {"k": 2, "lam": 1, "rho": 1, "smoothness": 0.5, "presmooth": 0.5, "cfl": 0.5},
+        {"flow": "flowable-mass", "gravity": 0.1, "k": 2, "t0": 1, "diffusion": 1.0, "friction": 0.5},
+        {"flow": "sobolev", "sobolev_length": 3, "tolerance": 0.1, "percentile": 95, "epsilon": 1.5},
+        {"flow": "momentum", "blend": 0.8, "balance": 1.0, "max_volume": 1000, "half_width": 4},
+        {"energy": "0.5*geodesic:scale=1,contrast=0.5,balloon=-0.1 + chan-vese", "edge_scale": 1, "edge_contrast": 1},
+        {
+            "energy": "local-region:R=3,epsilon=1 + 0.1*balloon",
+            "noise": 0.1,
+            "noise_length": 3,
+            "noise_time": 3,
+            "seed": 1,
+        },
+        {"energy": "threshold:20,80,soft=5", "start": "ball:5,5,5,3", "roi": "0,0,0,9,9,9"},
+        {"energy": "likelihood:model=histogram", "start": "seed:5,5,5,2", "levels": 1},
+    ):
+        for image in ("plain", "scaled"):
+            for scale, offset, one in (("1", "0", "0"), ("1e-3", "100", "5")):
+                values = {"image": image, "scale": scale, "offset": offset, "voxel": one, "spacing": "1.5"}
+                text = json.dumps({"values": values, "settings": {k: str(v) for k, v in settings.items()}}, indent=0)
+                yield Input("run", ".json", "text", text.encode())
+
+
+def _states(folder: Path):
+    from accelsurf.evolution.serialization import to_bytes
+    from tests.fuzz.verdict import CHECKPOINT_TYPES, Point
+
+    state = ({"accelsurf": "0", "run": "x"}, Point(np.arange(6.0), (1, 2.5, None, "text", [np.float32(2), True])))
+    yield Input("checkpoint", ".npz", "binary", to_bytes(state, CHECKPOINT_TYPES))
+    report = {"status": "failed", "config": {"energy": "chan-vese"}, "input": {"path": DATA_FILE, "sha256": None}}
+    yield Input("report", ".json", "text", json.dumps(report, indent=1).encode())

@@ -1,0 +1,155 @@
+"""Processes that judge inputs: each lives on from input to input, is watched, and is replaced when it dies or hangs."""
+
+import multiprocessing as mp
+import os
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.fuzz.corpus import Input, input_of, seeds
+from tests.fuzz.verdict import Verdict, judge
+
+SECONDS, RSS_BYTES = 10.0, 1 << 30
+#: What a process may map; well above what it may use, so that the machine survives what is being looked for.
+ADDRESS_BYTES = 6 << 30
+
+
+class Judged(NamedTuple):
+    """An input by its number, what became of it, and in what time."""
+
+    number: int
+    verdict: Verdict
+    seconds: float
+
+
+def _work(pipe: Connection, seed: int, replays: tuple[Input, ...]) -> None:
+    """Judge inputs as their numbers come in; of replays the number is a place in the list."""
+    resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_BYTES, ADDRESS_BYTES))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with tempfile.TemporaryDirectory() as base, tempfile.TemporaryFile() as said:
+        for stream in (1, 2):  # libraries in C print there
+            os.dup2(said.fileno(), stream)
+        while True:
+            number = pipe.recv()
+            if number is None:
+                return
+            folder = Path(base) / "input"
+            folder.mkdir()
+            one = replays[number] if replays else input_of(seed, number)
+            verdict = judge(one, folder)
+            shutil.rmtree(folder)
+            sys.stderr.flush()
+            if size := os.lseek(said.fileno(), 0, os.SEEK_END):
+                text = os.pread(said.fileno(), 300, 0).decode("utf-8", "replace")
+                said.truncate(0)
+                os.lseek(said.fileno(), 0, os.SEEK_SET)
+                if not verdict.is_fault:
+                    outcome = (
+                        "traceback" if "Traceback" in text or "Warning:" in text and ".py:" in text else verdict.outcome
+                    )
+                    verdict = Verdict(outcome, f"{verdict.text} (a library printed {size} bytes: {text})")
+            most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+            if most > RSS_BYTES:
+                pipe.send((Verdict("memory", f"{most >> 20} MiB"), True))
+                return
+            pipe.send((verdict, False))
+
+
+class _Worker:
+    """One process, its pipe, and the number that it is at."""
+
+    def __init__(self, context: mp.context.BaseContext, seed: int, replays: tuple[Input, ...], seconds: float) -> None:
+        self._seconds = seconds
+        self._make = lambda: self._started(context, seed, replays)
+        self._make()
+
+    def _started(self, context: mp.context.BaseContext, seed: int, replays: tuple[Input, ...]) -> None:
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_work, args=(theirs, seed, replays), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.number, self.began = -1, 0.0
+
+    def give(self, number: int) -> None:
+        self.number, self.began = number, time.monotonic()
+        self.pipe.send(number)
+
+    def outcome(self) -> Verdict | None:
+        """What became of the input; None while it is being judged. A process that is of no more use is replaced."""
+        if self.pipe.poll():
+            try:
+                verdict, last = self.pipe.recv()
+            except (EOFError, ConnectionError):
+                self.process.join()
+                code = self.process.exitcode
+                name = signal.Signals(-code).name if code and code < 0 else f"exit {code}"
+                verdict, last = Verdict("crash", name), True
+        elif time.monotonic() - self.began > self._seconds:
+            self.process.kill()
+            verdict, last = Verdict("hang", f"more than {self._seconds:g} s"), True
+        else:
+            return None
+        if last:
+            self.process.join()
+            self._make()
+        return verdict
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.join()
+
+
+def warm_up() -> None:
+    """Judge the valid inputs once, in a process of its own without a limit: kernels are compiled and stored then."""
+    process = mp.get_context("spawn").Process(target=_warm)
+    process.start()
+    process.join()
+
+
+def _warm() -> None:
+    for one in seeds():
+        if one.kind == "run":
+            with tempfile.TemporaryDirectory() as folder:
+                judge(one, Path(folder))
+
+
+def judged(
+    numbers: Iterator[int],
+    seed: int,
+    processes: int,
+    go_on: Callable[[], bool],
+    replays: tuple[Input, ...] = (),
+    seconds: float = SECONDS,
+) -> Iterator[Judged]:
+    """Judge the inputs of these numbers, in whatever order they are done."""
+    context = mp.get_context("forkserver")
+    context.set_forkserver_preload(["tests.fuzz.verdict", "tests.fuzz.corpus"])
+    workers = [_Worker(context, seed, replays, seconds) for _ in range(processes)]
+    busy: list[_Worker] = []
+    try:
+        for worker in workers:
+            if (number := next(numbers, None)) is not None:
+                worker.give(number)
+                busy.append(worker)
+        while busy:
+            wait([worker.pipe for worker in busy], timeout=0.5)
+            for worker in tuple(busy):
+                number, began = worker.number, worker.began
+                verdict = worker.outcome()
+                if verdict is None:
+                    continue
+                busy.remove(worker)
+                yield Judged(number, verdict, time.monotonic() - began)
+                if go_on() and (number := next(numbers, None)) is not None:
+                    worker.give(number)
+                    busy.append(worker)
+    finally:
+        for worker in workers:
+            worker.end()
