@@ -12,7 +12,7 @@ from accelsurf.kernels.interpolate import axis_weights
 MAX_CHANGE = 0.25
 #: How an outer node of a line is replaced: not at all, by the parabola through the other three, by the line through
 #: the inner two.
-KEPT, PARABOLA, STRAIGHT = 0, 1, 2
+UNCHANGED, PARABOLA, STRAIGHT = 0, 1, 2
 
 
 @kernel
@@ -27,7 +27,7 @@ def limits(a, b, c, d, most):
     if left * right > 0.0:
         least = left if abs(left) < abs(right) else right
     other = STRAIGHT if least == 0.0 else PARABOLA
-    way_a, more_a, way_d, more_d = KEPT, 0.0, KEPT, 0.0
+    way_a, more_a, way_d, more_d = UNCHANGED, 0.0, UNCHANGED, 0.0
     if abs(left - least) > most:
         way_a, more_a = other, most if left > least else -most
     if abs(right - least) > most:
@@ -70,7 +70,7 @@ def combine(nodes, rows, count, weights, most, out, to):
     ``count`` nodes; ``weights`` = (w, where in w those of this axis begin), as `interpolate.axis_weights` sets them.
     """
     w, o = weights
-    way_a, more_a, way_d, more_d = KEPT, 0.0, KEPT, 0.0
+    way_a, more_a, way_d, more_d = UNCHANGED, 0.0, UNCHANGED, 0.0
     if count == 4:
         way_a, more_a, way_d, more_d = limits(nodes[0, 0], nodes[0, 1], nodes[0, 2], nodes[0, 3], most)
     slope = 0.0
@@ -79,9 +79,9 @@ def combine(nodes, rows, count, weights, most, out, to):
         for k in range(count):
             node = nodes[row, k]
             # The slopes of what is added to the values are 0.
-            if k == 0 and way_a != KEPT:
+            if k == 0 and way_a != UNCHANGED:
                 node = outer_node(way_a, more_a if row == 0 else 0.0, nodes[row, 1], nodes[row, 2], nodes[row, 3])
-            elif k == 3 and way_d != KEPT:
+            elif k == 3 and way_d != UNCHANGED:
                 node = outer_node(way_d, more_d if row == 0 else 0.0, nodes[row, 2], nodes[row, 1], nodes[row, 0])
             total += w[o + k] * node
             if row == 0:

@@ -14,7 +14,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.closest import FOUND, LIMITED, OFFSET, closest_points, crossing_point, feet_memory
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
-from accelsurf.kernels.ridge import beyond_ridge
+from accelsurf.kernels.ridge import MIN_LENGTH, beyond_ridge
 from accelsurf.kernels.stages import Stage
 
 #: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
@@ -77,9 +77,9 @@ def is_near_volume(grid, iz, iy, ix, foot, margin):
 def guess_feet(first, count, dense, grid, band, guide, scratch, out):
     """First guesses of ``count`` feet from slot ``first`` on.
 
-    ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,)); ``out`` = (guesses (3, m), rows z, y, x, 0
-    where there is none; beside (m,) bool; offset (m,) float32). ``beside`` marks the cells with a neighbour on the other
-    side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above
+    ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,)); ``out`` = (guesses (3, m), rows z, y, x,
+    0 where there is none; beside (m,) bool; offset (m,) float32). ``beside`` marks the cells with a neighbour on the
+    other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above
     ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where there is a
     residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
     """
@@ -87,8 +87,7 @@ def guess_feet(first, count, dense, grid, band, guide, scratch, out):
     inner, residue = guide
     near, guess = scratch
     guesses, beside, offset = out
-    # The direction of a shorter foot is not known well.
-    least = 0.1 * min(grid.hz, min(grid.hy, grid.hx))
+    least = MIN_LENGTH * min(grid.hz, min(grid.hy, grid.hx))
     for i in range(count):
         s = first + i
         cell = band.cells[s]
@@ -350,7 +349,8 @@ def update_feet(start, stop, on, found, known):
 def refine_feet(start, stop, psi, grid, cells, on, foot, guide):
     """Move the feet of the slots ``on`` (m,), adopted from neighbours, to their own closest points.
 
-    ``guide`` = (residue, limited), see `find_feet`. A foot that does not get shorter, further off than the radius of curvature, stays.
+    ``guide`` = (residue, limited), see `find_feet`. A foot that does not get shorter, further off than the radius of
+    curvature, stays.
     """
     out = np.empty(3)
     w = np.empty(24)

@@ -1,9 +1,9 @@
 """Residues: what the interpolant of psi is at points known to lie on the surface, where it ought to be 0.
 
-The cubic of four nodes is off by h^4 psi''''/43 at most on a smooth surface, by up to 0.1 voxel where its nodes lie on both
-sides of a ridge of the distance, and always to the same side: a redistancing that looked for the value 0 would swell
-what is thin by as much, each time. Looking for the residue instead, it leaves a surface that rests where it is. On one
-that moves, the error of a cell is the difference between its residues now and at first, which does not add up.
+The cubic of four nodes is off in fourth order on a smooth surface, by up to 0.1 voxel where its nodes lie on both sides
+of a ridge of the distance, and always to the same side: a redistancing that looked for the value 0 would swell what is
+thin by as much, each time. Looking for the residue instead, it leaves a surface that rests where it is. On one that
+moves, the error of a cell is the difference between its residues now and at first, which does not add up.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def has_own_residue(s, grid, band):
 
 @kernel
 def corner(i, grid, pz, py, px):
-    """Raveled cell of corner ``i``, 0 .. 7, of the cube of voxel centres around an index position, within the volume."""
+    """Raveled cell of corner ``i``, 0 .. 7, of the cube of voxel centres around a position, within the volume."""
     iz = min(max(np.int64(np.floor(pz)) + (i >> 2), 0), grid.nz - 1)
     iy = min(max(np.int64(np.floor(py)) + ((i >> 1) & 1), 0), grid.ny - 1)
     ix = min(max(np.int64(np.floor(px)) + (i & 1), 0), grid.nx - 1)

@@ -15,7 +15,9 @@ REDISTANCES = 50
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(("kind", "size"), [("slab", 1.5), ("slab", 2), ("slab", 3), ("cylinder", 1), ("cylinder", 1.5)])
+@pytest.mark.parametrize(
+    ("kind", "size"), [("slab", 1.5), ("slab", 2), ("slab", 3), ("cylinder", 1), ("cylinder", 1.5)]
+)
 def test_thin_objects_and_gaps_stay_where_they_are(kind, size, sign):
     """In 50 redistances, with ``sign`` -1 as a gap; before, 0.1 to 0.7 voxel outwards."""
     for number in (0, 1, 4, 8):
