@@ -7,6 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BATCH, unravel
 from accelsurf.kernels.interpolate import value_and_gradient
+from accelsurf.kernels.limited import limited_value_and_gradient
 from accelsurf.kernels.simd.cubic import cubic
 
 MAX_ITERATIONS = 6
@@ -23,10 +24,13 @@ MAX_MOVE = 1.5
 ACTIVE, FOUND, LOST = 0.0, 1.0, 2.0
 #: Rows of the memory of `closest_points`, `BATCH` long each, one array for the compiler to see that they are apart:
 #: the foot; its status; the last correction along the level, its square and relaxation; the square of the first one;
-#: psi and its gradient at the foot.
-FOOT, STATUS, LAST, SQUARE, RELAX, START, LEVEL = (np.uint64(row * BATCH) for row in (0, 3, 4, 7, 8, 9, 10))
+#: psi and its gradient at the foot; the value of psi where the surface lies, see `residues`; whether to limit the
+#: interpolant, see `limited`.
+FOOT, STATUS, LAST, SQUARE, RELAX, START, LEVEL, OFFSET, LIMITED = (
+    np.uint64(row * BATCH) for row in (0, 3, 4, 7, 8, 9, 10, 14, 15)
+)
 NEXT = np.uint64(BATCH)
-ROWS = 14
+ROWS = 16
 
 
 @kernel
@@ -44,7 +48,7 @@ def closest_points(count, psi, grid, cells, memory, w):
     cell lies on the normal, r - (r.g) g/|g|^2 with r the vector from the foot to the cell. The latter is too long by
     1 + distance x curvature, which two successive residues tell (secant): so it converges also further off than the
     radius of curvature. ``memory`` (`ROWS` x `BATCH`,) float32 holds the feet, and then their status: FOUND where
-    one has converged. ``w`` (24,) is scratch.
+    one has converged; its row OFFSET, set before, is the value (mm) that stands for 0 above. ``w`` (24,) is scratch.
     """
     for i in range(count):
         memory[STATUS + np.uint64(i)] = ACTIVE
@@ -69,8 +73,10 @@ def levels_at(count, psi, grid, cells, memory, w):
         pz, py = iz + memory[FOOT + i] * hz, iy + memory[FOOT + NEXT + i] * hy
         px = ix + memory[FOOT + NEXT + NEXT + i] * hx
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+        if memory[LIMITED + i] > 0.0:
+            level, gz, gy, gx = limited_value_and_gradient(psi, grid, pz, py, px, w)
         # Well inside the volume, without the cases that value_and_gradient is for.
-        if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
+        elif 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
             level, gz, gy, gx = cubic(psi, (bz * grid.ny + by) * grid.nx + bx, sy, sz, uz, uy, ux)
             gz, gy, gx = gz * hz, gy * hy, gx * hx
@@ -93,7 +99,7 @@ def correct(count, iteration, grid, memory):
     enough = np.float32(FIRST_TOLERANCE if first else TOLERANCE)
     for i in range(np.uint64(count)):
         z, y, x = memory[FOOT + i], memory[FOOT + NEXT + i], memory[FOOT + NEXT + NEXT + i]
-        v, gz = memory[LEVEL + i], memory[LEVEL + NEXT + i]
+        v, gz = memory[LEVEL + i] - memory[OFFSET + i], memory[LEVEL + NEXT + i]
         gy, gx = memory[LEVEL + NEXT + NEXT + i], memory[LEVEL + NEXT + NEXT + NEXT + i]
         g2 = gz * gz + gy * gy + gx * gx
         inverse = one / max(g2, tiny)

@@ -67,6 +67,18 @@ def neighbours(cell, iz, iy, ix, grid, out):
 
 
 @kernel
+def step_of(side, grid):
+    """Vector (mm) from a cell to its neighbour number ``side``."""
+    sign = 1.0 if side % 2 == 1 else -1.0
+    axis = side // 2
+    return (
+        sign * grid.hz if axis == 0 else 0.0,
+        sign * grid.hy if axis == 1 else 0.0,
+        sign * grid.hx if axis == 2 else 0.0,
+    )
+
+
+@kernel
 def voxels_along(vz, vy, vx, grid):
     """Length of a vector (mm) in voxels: the norm of its index displacement."""
     return np.sqrt((vz / grid.hz) ** 2 + (vy / grid.hy) ** 2 + (vx / grid.hx) ** 2)

@@ -12,8 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.closest import FOUND, closest_points, crossing_point, feet_memory
-from accelsurf.kernels.grid import BATCH, neighbours, unravel, voxels_along
+from accelsurf.kernels.closest import FOUND, LIMITED, OFFSET, closest_points, crossing_point, feet_memory
+from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
+from accelsurf.kernels.ridge import MIN_LENGTH, beyond_ridge
 from accelsurf.kernels.stages import Stage
 
 #: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
@@ -82,17 +83,20 @@ def is_near_volume(grid, iz, iy, ix, foot, margin):
 
 
 @kernel
-def guess_feet(first, count, dense, grid, band, inner, scratch, out):
+def guess_feet(first, count, dense, grid, band, guide, scratch, out):
     """First guesses of ``count`` feet from slot ``first`` on.
 
-    ``scratch`` = (near (6,), guess (3,)); ``out`` = (guesses (3, m), rows z, y, x, 0 where there is none; beside (m,)
-    bool). The latter marks the cells with a neighbour on the other side of the surface. Where |psi| was above
-    ``inner`` mm before the surface moved, centred differences would need cells beyond the band: the guess is the old
-    foot, scaled by the change of psi.
+    ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,)); ``out`` = (guesses (3, m), rows z, y, x,
+    0 where there is none; beside (m,) bool; offset (m,) float32). ``beside`` marks the cells with a neighbour on the
+    other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above
+    ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where there is a
+    residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
     """
     psi = dense.psi
+    inner, residue = guide
     near, guess = scratch
-    guesses, beside = out
+    guesses, beside, offset = out
+    least = MIN_LENGTH * min(grid.hz, min(grid.hy, grid.hx))
     for i in range(count):
         s = first + i
         cell = band.cells[s]
@@ -105,9 +109,14 @@ def guess_feet(first, count, dense, grid, band, inner, scratch, out):
             if near[side] >= 0 and (psi[near[side]] < 0.0) != inside:
                 crossed = True
         beside[i] = crossed
-        ratio = value / band.psi[s] if abs(band.psi[s]) > inner else 0.0
+        offset[i] = residue[s]
+        ratio = value / band.psi[s] if abs(band.psi[s]) > (inner if residue[s] == 0.0 else least) else 0.0
         for axis in range(3):
             guess[axis] = ratio * band.to_closest[s, axis]
+        if residue[s] != 0.0 and ratio != 0.0:
+            other = beyond_ridge(s, psi, dense.slot, grid, band, near, guess)
+            if other >= 0:
+                offset[i] = residue[other]
         unknown = guess[0] == 0.0 and guess[1] == 0.0 and guess[2] == 0.0
         # Beyond the border psi is only continued, at the band's edge from where it is no distance.
         if unknown or not is_near_volume(grid, iz, iy, ix, guess, 0.0):
@@ -117,13 +126,13 @@ def guess_feet(first, count, dense, grid, band, inner, scratch, out):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def find_feet(start, stop, dense, grid, band, inner, foot, state):
+def find_feet(start, stop, dense, grid, band, guide, foot, state):
     """Foot of every cell of the range from psi as it is; ``state`` becomes OPEN where it is not found.
 
     Cells beside the front always find one: the closest point of the interpolant, or, where that fails or
     lies beyond the nearest edge crossing (voxel-sized features), the linear plane through the crossings.
-    ``band`` is the band when psi was last a distance; see `guess_feet` for ``inner``. ``to_closest`` (n, 3) float32 and
-    ``state`` (n,) int8 are written.
+    ``band`` is the band when psi was last a distance; ``guide`` = (inner, residue (n,), limited): see `guess_feet`,
+    `residues` and `limited`. ``to_closest`` (n, 3) float32 and ``state`` (n,) int8 are written.
     """
     psi = dense.psi
     near = np.empty(6, np.int64)
@@ -131,10 +140,13 @@ def find_feet(start, stop, dense, grid, band, inner, foot, state):
     plane = np.empty(3)
     w = np.empty(24)
     memory, feet, status = feet_memory()
+    inner, residue, limited = guide
+    offset = memory[OFFSET : OFFSET + BATCH]
+    memory[LIMITED : LIMITED + BATCH] = limited
     beside = np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
-        guess_feet(first, count, dense, grid, band, inner, (near, guess), (feet, beside))
+        guess_feet(first, count, dense, grid, band, (inner, residue), (near, guess), (feet, beside, offset))
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
         for i in range(count):
             s = first + i
@@ -233,18 +245,6 @@ def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
 
 
 @kernel
-def step_of(side, grid):
-    """Vector (mm) from a cell to its neighbour number ``side``."""
-    sign = 1.0 if side % 2 == 1 else -1.0
-    axis = side // 2
-    return (
-        sign * grid.hz if axis == 0 else 0.0,
-        sign * grid.hy if axis == 1 else 0.0,
-        sign * grid.hx if axis == 2 else 0.0,
-    )
-
-
-@kernel
 def grown(array, size):
     """``array`` with room for at least one entry more than ``size``, half as long again when full."""
     if size < array.shape[0]:
@@ -324,7 +324,7 @@ def activate_neighbours(dense, grid, known, n, sources, half_width):
 def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     """The neighbour's foot that is closest to slot ``s``, when closer than its own by `MIN_GAIN`, into ``out``.
 
-    Returns whether there is one.
+    Returns the neighbour's slot, -1 where there is none.
     """
     h = min(grid.hz, min(grid.hy, grid.hx))
     # Squares of distances: -1 where nothing can be closer. An open slot has no foot yet.
@@ -332,7 +332,7 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     if state[s] != OPEN:
         own = length(foot, s) - MIN_GAIN * h
         least = own * own if own > 0.0 else -1.0
-    found = False
+    found = -1
     cell = cells[s]
     iz, iy, ix = unravel(cell, grid)
     neighbours(cell, iz, iy, ix, grid, near)
@@ -344,7 +344,7 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
         cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
         d = cz * cz + cy * cy + cx * cx
         if d < least:
-            least, found = d, True
+            least, found = d, other
             out[0], out[1], out[2] = cz, cy, cx
     return found
 
@@ -353,42 +353,51 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
 def propagate_feet(start, stop, dense, grid, known, on, out):
     """One round: each of the slots ``on`` (m,) looks for a closer foot among its neighbours'.
 
-    Reads ``known`` = (cells, foot, state) and writes ``out`` = (better (m, 3), changed (m,)), for `update_feet`.
+    Reads ``known`` = (cells, foot, state, residue) and writes ``out`` = (better (m, 3), changed (m,), offset (m,)), for
+    `update_feet`. A foot comes with its residue.
     """
-    cells, foot, state = known
-    better, changed = out
+    cells, foot, state, residue = known
+    better, changed, offset = out
     near = np.empty(6, np.int64)
     guess = np.empty(3)
     for row in range(start, stop):
-        changed[row] = nearer_neighbour_foot(on[row], dense, grid, cells, foot, state, near, guess)
+        donor = nearer_neighbour_foot(on[row], dense, grid, cells, foot, state, near, guess)
+        changed[row] = donor >= 0
+        offset[row] = residue[donor] if donor >= 0 else 0.0
         better[row, 0], better[row, 1], better[row, 2] = guess[0], guess[1], guess[2]
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def update_feet(start, stop, on, better, changed, foot, state):
-    """Set the feet that a round of `propagate_feet` has found: ``better`` (m, 3) where ``changed`` (m,)."""
+def update_feet(start, stop, on, found, known):
+    """Enter in ``known`` = (foot, state, residue) what a round of `propagate_feet` has ``found``, its ``out``."""
+    better, changed, offset = found
+    foot, state, residue = known
     for row in range(start, stop):
         if changed[row]:
             s = on[row]
             foot[s, 0], foot[s, 1], foot[s, 2] = better[row, 0], better[row, 1], better[row, 2]
-            state[s] = FROZEN
+            state[s], residue[s] = FROZEN, offset[row]
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def refine_feet(start, stop, psi, grid, cells, on, foot):
+def refine_feet(start, stop, psi, grid, cells, on, foot, guide):
     """Move the feet of the slots ``on`` (m,), adopted from neighbours, to their own closest points.
 
-    A foot that does not get shorter, further off than the radius of curvature, stays.
+    ``guide`` = (residue, limited), see `find_feet`. A foot that does not get shorter, further off than the radius of
+    curvature, stays.
     """
     out = np.empty(3)
     w = np.empty(24)
     memory, feet, status = feet_memory()
     at = np.empty(BATCH, np.int64)
+    residue, limited = guide
+    memory[LIMITED : LIMITED + BATCH] = limited
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
         for i in range(count):
             s = on[first + i]
             at[i] = cells[s]
+            memory[OFFSET + np.uint64(i)] = residue[s]
             feet[0, i], feet[1, i], feet[2, i] = foot[s, 0], foot[s, 1], foot[s, 2]
         closest_points(count, psi, grid, at, memory, w)
         for i in range(count):

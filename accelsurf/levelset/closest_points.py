@@ -29,14 +29,20 @@ class ClosestPoints(NamedTuple):
 
 
 def find_closest_points(surface: LevelSet) -> ClosestPoints:
-    """Find the closest points of the zero level of psi as it is; cells that may enter get a slot in ``dense.slot``."""
+    """Find the closest points of the zero level of psi as it is; cells that may enter get a slot in ``dense.slot``.
+
+    Where ``surface.residues`` is None psi has been no distance yet: the interpolation is limited instead.
+    """
     parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
     # Room for the cells that enter in one step.
     room = n + n // 4 + 1024
     cells, to_closest, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
     cells[:n] = surface.band.cells
-    inner, found = surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx), np.empty(n, np.int8)
-    parallel(march.find_feet, n, dense, grid, surface.band, inner, to_closest, found)
+    inner, found = float(surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx)), np.empty(n, np.int8)
+    residue, limited = np.zeros(room, np.float32), surface.residues is None
+    if surface.residues is not None:
+        residue[:n] = surface.residues
+    parallel(march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found)
     parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
     size = n
     open_slots, sources = np.flatnonzero(state[:n] == march.OPEN), np.flatnonzero(state[:n] == march.EDGE)
@@ -48,20 +54,22 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
         (cells, to_closest, state, active), total = surface.workers.serial(
             march.activate_neighbours, dense, grid, known, size, sources, surface.half_width
         )
+        residue = np.pad(residue, (0, cells.size - residue.size))
         open_slots, size = np.concatenate([open_slots, np.arange(size, total)]), total
         on = open_slots[active[open_slots]]
         if on.size == 0:
             break
-        nearer, changed = np.empty((on.size, 3), np.float32), np.empty(on.size, np.bool_)
+        changed = np.empty(on.size, np.bool_)
+        nearer = np.empty((on.size, 3), np.float32), changed, np.empty(on.size, np.float32)
         was_open = state[on] == march.OPEN
-        parallel(march.propagate_feet, on.size, dense, grid, (cells, to_closest, state), on, (nearer, changed))
-        parallel(march.update_feet, on.size, on, nearer, changed, to_closest, state)
+        parallel(march.propagate_feet, on.size, dense, grid, (cells, to_closest, state, residue), on, nearer)
+        parallel(march.update_feet, on.size, on, nearer, (to_closest, state, residue))
         # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
         first = on[changed & was_open]
-        parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest)
+        parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest, (residue, limited))
         improved.append(on[changed & ~was_open])
         active[on] = False
         sources = on[changed]
     later = np.unique(np.concatenate([open_slots[:0], *improved]))
-    parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest)
+    parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited))
     return ClosestPoints(cells, to_closest, state, size)

@@ -37,10 +37,15 @@ def front_of(psi):
     return dense, band, np.zeros((cells.size, 3), np.float32), np.full(cells.size, -1, np.int8)
 
 
+#: For `march.refine_feet`: the surface is where psi is 0, for up to four slots.
+NO_RESIDUE = np.zeros(4, np.float32), False
+
+
 def find_feet(dense, grid, band, foot, state, part=None, inner=np.inf):
     """The feet of the slots in the range ``part``, all by default, with no use of the band's old feet by default."""
     start, stop = part or (0, band.cells.size)
-    march.find_feet(start, stop, dense, grid, band, inner, foot, state)
+    guide = inner, np.zeros(band.cells.size, np.float32), False
+    march.find_feet(start, stop, dense, grid, band, guide, foot, state)
 
 
 def started(psi, spacing):
@@ -57,6 +62,7 @@ def passed_on(dense, grid, band, half_width):
     """(cells, foot, state) of the band and of what enters it, by the rounds of a level set."""
     surface = SimpleNamespace(workers=Workers(1), grid=grid, dense=dense, band=band, size=band.cells.size)
     surface.half_width, surface.gamma = half_width, np.float32(half_width * max(grid[3:]))
+    surface.residues = np.zeros(band.cells.size, np.float32)
     *arrays, n = find_closest_points(surface)  # without what a level set does with the spacing
     return [a[:n] for a in arrays]
 
@@ -73,7 +79,7 @@ def moved(psi, grid, cells, feet):
     count = len(cells)
     memory = np.full(closest.ROWS * closest.BATCH, np.float32(np.nan))
     rows = memory.reshape(closest.ROWS, closest.BATCH)
-    rows[:3] = -77
+    rows[:3], rows[14:] = -77, 0
     rows[:3, :count] = np.transpose(feet)
     with np.errstate(all="ignore"):  # what the compiled code divides by 0 is not used
         closest.closest_points(count, psi.ravel(), grid, np.asarray(cells), memory, np.empty(24))
@@ -363,7 +369,10 @@ def test_closest_points_are_the_same_bytes_wherever_they_stand():
 def guessed(dense, grid, band, inner, first, count):
     guesses, beside = np.full((3, count + 1), np.float32(-77)), np.full(count + 1, True)
     near, guess = np.empty(6, np.int64), np.empty(3)
-    march.guess_feet(first, count, dense, grid, band, inner, (near, guess), (guesses, beside))
+    offset = np.empty(guesses.shape[1], np.float32)
+    guide = inner, np.zeros(band.cells.size, np.float32)
+    march.guess_feet(first, count, dense, grid, band, guide, (near, guess), (guesses, beside, offset))
+    assert not offset[:count].any()
     assert (guesses[:, count] == -77).all() and beside[count]
     return guesses[:, :count].T, beside[:count]
 
@@ -444,7 +453,7 @@ def test_levels_are_those_of_the_interpolant_at_every_foot(shape):
         at = np.stack(np.unravel_index(cells[some], shape), axis=1) + feet[some].astype(float) / UNEQUAL
         value, slope = reference.interpolate(psi, at[asked])
         np.testing.assert_allclose(rows[10, asked], value, atol=2e-5)
-        np.testing.assert_allclose(rows[11:, asked].T, slope / UNEQUAL, atol=2e-5)
+        np.testing.assert_allclose(rows[11:14, asked].T, slope / UNEQUAL, atol=2e-5)
         rows[10:, asked] = -77
         np.testing.assert_array_equal(rows, before)
 
@@ -626,13 +635,13 @@ def test_polishing_finds_the_own_foot_but_never_a_longer_one():
     foot[1:] = foot[0] + np.float32((0, 0, -1))
     foot[2] *= 0.5 / np.linalg.norm(foot[2])  # shorter than there is
     before = foot.copy()
-    march.refine_feet(1, 3, psi.ravel(), grid, cells, np.array([0, 1, 2, 3]), foot)
+    march.refine_feet(1, 3, psi.ravel(), grid, cells, np.array([0, 1, 2, 3]), foot, NO_RESIDUE)
     np.testing.assert_array_equal(foot[[0, 2, 3]], before[[0, 2, 3]])
     np.testing.assert_allclose(foot[1], exact((6, 6, 11)), atol=0.02)
     assert np.linalg.norm(foot[1]) < np.linalg.norm(before[1])
     flat = np.full(psi.size, 2, np.float32)
     foot[:] = before
-    march.refine_feet(0, 4, flat, grid, cells, np.array([3, 2, 1, 0]), foot)
+    march.refine_feet(0, 4, flat, grid, cells, np.array([3, 2, 1, 0]), foot, NO_RESIDUE)
     np.testing.assert_array_equal(foot, before)
 
 
@@ -649,7 +658,7 @@ def test_polishing_does_not_leave_the_volume():
         at = 8 + want[2]
         assert (at < 9) == polished
         grid = reference.grid_of(shape, (1, 1, 1))
-        march.refine_feet(0, 1, psi.ravel(), grid, np.array([cell]), np.array([0]), foot)
+        march.refine_feet(0, 1, psi.ravel(), grid, np.array([cell]), np.array([0]), foot, NO_RESIDUE)
         np.testing.assert_allclose(foot[0], want if polished else own, atol=1e-5 if polished else 0)
 
 
@@ -711,26 +720,29 @@ def test_a_round_takes_the_closest_of_the_neighbours_feet(shape):
     better, changed = np.full((on.size, 3), np.float32(np.nan)), np.full(on.size, 7, np.int8).astype(bool)
     at, last = foot.copy(), state.copy()
     first, stop = 2, on.size - 3
-    march.propagate_feet(first, stop, dense, grid, (band.cells, foot, state), on, (better, changed))
+    residue, offset = rng.normal(0, 1, size).astype(np.float32), np.full(on.size, np.float32(np.nan))
+    out = better, changed, offset
+    march.propagate_feet(first, stop, dense, grid, (band.cells, foot, state, residue), on, out)
     np.testing.assert_array_equal(foot, at)
     np.testing.assert_array_equal(state, last)
     assert np.isnan(better[:first]).all() and np.isnan(better[stop:]).all()
-    want, stands = foot.copy(), state.copy()
+    want, stands, theirs = foot.copy(), state.copy(), residue.copy()
     for row in range(first, stop):
         s = on[row]
         cell = unravel(s, grid)
         offers = []
         for side, other in enumerate(around(grid, cell)[1]):
             if other >= 0 and dense.slot[other] >= 0 and state[other] != march.OPEN:
-                offers.append(foot[other] + np.array(march.step_of(side, grid)))
-        offers.sort(key=np.linalg.norm)
+                offers.append((foot[other] + np.array(march.step_of(side, grid)), residue[other]))
+        offers.sort(key=lambda offer: np.linalg.norm(offer[0]))
         least = np.inf if state[s] == march.OPEN else np.linalg.norm(foot[s]) - march.MIN_GAIN * h.min()
-        takes = bool(offers) and np.linalg.norm(offers[0]) < least
+        takes = bool(offers) and np.linalg.norm(offers[0][0]) < least
         assert changed[row] == takes
         if takes:
-            want[s], stands[s] = offers[0], march.FROZEN
+            (want[s], theirs[s]), stands[s] = offers[0], march.FROZEN
     assert 0 < changed[first:stop].sum() < stop - first
-    march.update_feet(first, stop, on, better, changed, foot, state)
+    march.update_feet(first, stop, on, out, (foot, state, residue))
+    np.testing.assert_array_equal(residue, theirs)
     np.testing.assert_allclose(foot, want, rtol=0, atol=4 * EPS * 5)
     np.testing.assert_array_equal(state, stands)
 
@@ -741,7 +753,8 @@ def test_a_foot_must_be_closer_by_more_than_is_negligible():
     near, out, state = np.empty(6, np.int64), np.full(3, -7.0), np.full(2, march.FROZEN, np.int8)
     for longer, takes in ((0.5 * march.MIN_GAIN, False), (1.5 * march.MIN_GAIN, True)):
         band.to_closest[0, 2] = 2 + longer
-        assert march.nearer_neighbour_foot(0, dense, grid, band.cells, band.to_closest, state, near, out) == takes
+        donor = march.nearer_neighbour_foot(0, dense, grid, band.cells, band.to_closest, state, near, out)
+        assert donor == (1 if takes else -1)
     np.testing.assert_allclose(out, (0, 0, 2))
 
 

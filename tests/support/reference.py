@@ -294,7 +294,7 @@ def march_by_rounds(psi, grid, cells, foot, state, half_width):
 
     def polished(cell, f):
         feet = np.array([f], np.float32)
-        march.refine_feet(0, 1, psi, grid, np.array([cell]), np.array([0]), feet)
+        march.refine_feet(0, 1, psi, grid, np.array([cell]), np.array([0]), feet, (np.zeros(1, np.float32), False))
         return feet[0]
 
     while True:

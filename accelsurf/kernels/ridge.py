@@ -1,0 +1,44 @@
+"""Ridges of the distance, where the closest points of neighbours lie on opposite parts of the surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.grid import step_of
+
+#: The part of the surface beyond a ridge must be closer by this many voxels to be taken.
+MIN_GAIN = 0.02
+#: Shortest foot, voxels, whose direction is a normal.
+MIN_LENGTH = 0.1
+
+
+@kernel
+def beyond_ridge(s, psi, slot, grid, band, near, guess):
+    """Move the ``guess`` of slot ``s`` to the surface beyond a ridge, where that has come closer.
+
+    A neighbour (``near``, 6) is beyond a ridge when its foot lay the other way (``band``: when psi was a distance); its
+    tangent plane, moved as psi has changed there, tells how far that surface is. In a thin plate the neighbour's foot
+    itself is too far off sideways to tell. Returns the slot of the neighbour, -1 where the guess stays.
+    """
+    h = min(grid.hz, min(grid.hy, grid.hx))
+    foot, old = band.to_closest, band.psi
+    least = np.sqrt(guess[0] * guess[0] + guess[1] * guess[1] + guess[2] * guess[2]) - MIN_GAIN * h
+    inside = psi[band.cells[s]] < 0.0
+    found, scale = -1, 0.0
+    for side in range(6):
+        other = slot[near[side]] if near[side] >= 0 else -1
+        if other < 0 or (old[other] < 0.0) != inside or abs(old[other]) < MIN_LENGTH * h:
+            continue
+        same = foot[other, 0] * foot[s, 0] + foot[other, 1] * foot[s, 1] + foot[other, 2] * foot[s, 2] >= 0.0
+        if same or (psi[near[side]] < 0.0) != inside:
+            continue
+        oz, oy, ox = step_of(side, grid)
+        along = (oz * foot[other, 0] + oy * foot[other, 1] + ox * foot[other, 2]) / abs(old[other])
+        d = abs(psi[near[side]]) + along
+        if 0.0 < d < least:
+            least, found, scale = d, other, d / abs(old[other])
+    if found >= 0:
+        for axis in range(3):
+            guess[axis] = scale * foot[found, axis]
+    return found

@@ -1,0 +1,112 @@
+"""Residues, the limited interpolant and guesses beyond ridges, against plain references."""
+
+import numpy as np
+import pytest
+
+from accelsurf.kernels import residues
+from accelsurf.kernels.grid import neighbours
+from accelsurf.kernels.interpolate import value_and_gradient
+from accelsurf.kernels.limited import MAX_CHANGE, limited_value_and_gradient
+from accelsurf.kernels.ridge import beyond_ridge
+from tests.support import reference
+
+SPACING = (1.5, 1.0, 0.8)
+SHAPES = [(7, 9, 8), (1, 9, 12), (3, 2, 9)]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_smooth_psi_is_interpolated_as_without_limits(shape):
+    psi = 0.02 * reference.smooth_noise(shape, 3).ravel()
+    grid, rng, w = reference.grid_of(shape, SPACING), np.random.default_rng(1), np.empty(24)
+    for place in rng.uniform(-0.5, 0.5 + np.array(shape) - 1, (60, 3)):
+        want = value_and_gradient(psi, grid, *place, w)
+        np.testing.assert_allclose(limited_value_and_gradient(psi, grid, *place, w), want, atol=1e-5)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_distance_of_a_plate_is_met_beside_its_ridge(axis, sign):
+    """Up to what the limits let pass; the cubic of four nodes is off by ten times that."""
+    shape, w = (8, 8, 8), np.empty(24)
+    at = np.moveaxis(np.broadcast_to(np.arange(8.0), shape), 2, axis)
+    psi = np.float32(sign * (np.abs(at - 3.0) - 0.75)).ravel()
+    grid, place = reference.grid_of(shape, (1, 1, 1)), np.array([3.4, 3.3, 3.6])
+    place[axis] = 3.75
+    value, *slope = limited_value_and_gradient(psi, grid, *place, w)
+    assert abs(value) <= MAX_CHANGE * 0.75 * 0.25 * 1.75 / 6 + 1e-6
+    assert abs(value_and_gradient(psi, grid, *place, w)[0]) > 0.07
+    assert slope[axis] == pytest.approx(sign, abs=0.1)
+
+
+def test_slopes_are_those_of_the_value():
+    """Of rough psi, where the limits hold everywhere, within a cell."""
+    shape, w, rng = (6, 7, 8), np.empty(24), np.random.default_rng(2)
+    psi = rng.normal(0, 1, shape).astype(np.float32).ravel()
+    grid, step = reference.grid_of(shape, SPACING), 1e-4
+    for _ in range(40):
+        place = rng.integers(0, np.array(shape) - 1) + rng.uniform(0.1, 0.9, 3)
+        slope = limited_value_and_gradient(psi, grid, *place, w)[1:]
+        for axis in range(3):
+            ends = [place + sign * step * (np.arange(3) == axis) for sign in (-1, 1)]
+            low, high = (limited_value_and_gradient(psi, grid, *end, w)[0] for end in ends)
+            assert (high - low) / (2 * step * SPACING[axis]) == pytest.approx(slope[axis], abs=2e-3)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_residues_are_the_interpolant_at_the_points_that_are_known(shape):
+    """Less the smallest that counts; of distant cells that of the cell nearest their foot; 0 where psi has one sign."""
+    rng, size = np.random.default_rng(5), int(np.prod(shape))
+    psi = reference.smooth_noise(shape, 6)
+    foot = rng.normal(0, 0.6, (size, 3)) * SPACING
+    dense, band = reference.whole_band(psi, foot)
+    grid, h = reference.grid_of(shape, SPACING), np.array(SPACING)
+    motion = rng.normal(0, 0.3, (size, 3)).astype(np.float32), 0.7
+    out = np.full(size, np.float32(np.nan))
+    residues.own_residues(0, size, dense.psi, grid, band, motion, out)
+    residues.distant_residues(0, size, dense.slot, grid, band, motion, out)
+    cells = np.stack(np.unravel_index(np.arange(size), shape), axis=1)
+    place = cells + (band.to_closest + motion[1] * motion[0]) / h
+    own = np.linalg.norm(band.to_closest / h, axis=1) <= residues.OWN_RESIDUE
+    corners = np.floor(place).astype(int)[:, None] + np.array(list(np.ndindex(2, 2, 2)))
+    corners = np.clip(corners, 0, np.array(shape) - 1)
+    inside = psi[tuple(np.moveaxis(corners, 2, 0))] < 0
+    value, slope = reference.interpolate(psi, place)
+    least, most = residues.MIN_RESIDUE * h.min(), residues.MAX_RESIDUE * h.min()
+    counts = own & inside.any(axis=1) & ~inside.all(axis=1) & (np.abs(value) <= most)
+    want = np.where(counts, np.sign(value) * np.maximum(np.abs(value) - least, 0), 0)
+    clear = np.abs(np.abs(value) - most) > 1e-4
+    assert counts.sum() > 2
+    np.testing.assert_allclose(out[own & clear], want[own & clear], atol=2e-5)
+    nearest = np.clip(np.floor(place + 0.5).astype(int), 0, np.array(shape) - 1)
+    nearest = np.ravel_multi_index(nearest.T, shape)
+    far = ~own
+    np.testing.assert_array_equal(out[far], np.where(own[nearest], out[nearest], 0)[far])
+
+
+def test_residues_beside_what_is_removed_are_dropped():
+    shape = (5, 6, 7)
+    dense, band = reference.whole_band(np.ones(shape), np.zeros((210, 3)))
+    grid, out, flipped = reference.grid_of(shape, (1, 1, 1)), np.ones(210, np.float32), np.zeros(210, bool)
+    flipped[np.ravel_multi_index((2, 3, 4), shape)] = True
+    residues.drop_residues(0, 210, dense.slot, grid, band, flipped, out)
+    dropped = np.argwhere(out.reshape(shape) == 0)
+    np.testing.assert_array_equal(dropped, [(z, y, x) for z in (1, 2) for y in (2, 3) for x in (3, 4)])
+
+
+def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
+    """Of an oblique plate; by its exact distance, up to rounding, and not before it is closer."""
+    shape, normal, near = (9, 9, 9), np.array((1, 1, 1)) / np.sqrt(3), np.empty(6, np.int64)
+    grid = reference.grid_of(shape, (1, 1, 1))
+    along = np.tensordot(normal, np.indices(shape) - 4.0, 1).ravel() - 0.1
+    foot = (np.where(along > 0, 1.0, -1.0) - along)[:, None] * normal
+    dense, band = reference.whole_band((np.abs(along) - 1).reshape(shape), foot)
+    band.psi[:] = np.abs(along) - 1
+    cell = np.ravel_multi_index((4, 4, 4), shape)
+    neighbours(cell, 4, 4, 4, grid, near)
+    for shift, moves in ((0.0, False), (0.05, False), (-0.2, True), (-0.4, True)):
+        dense.psi[:] = np.abs(along - shift) - 1
+        guess = -abs(-1 - along[cell] + shift) * normal
+        before = guess.copy()
+        other = beyond_ridge(cell, dense.psi, dense.slot, grid, band, near, guess)
+        assert (other >= 0) == moves
+        np.testing.assert_allclose(guess, (1 + shift - along[cell]) * normal if moves else before, atol=1e-6)
