@@ -21,19 +21,19 @@ Floats = NDArray[np.float64]
 
 #: The cubic is used where the second differences at both ends have one sign, and the smaller at least this part of the
 #: larger: on a ball of radius 2 voxels they do.
-LEAST_RATIO = 0.25
+MIN_RATIO = 0.25
 #: Halvings of an edge: until 1e-7 of it.
 HALVINGS = 24
 #: Rounds in which the displacements are averaged among neighbours: they then differ little within a sliver.
 ROUNDS = 4
 #: Largest displacement of a triangle, parts of the smallest spacing.
-MOST = 0.5
+MAX_GAP = 0.5
 #: |grad psi| by centred differences from which on there is one normal: less is a ridge of psi, as inside an edge of the
 #: object.
-LEAST_SLOPE = 0.8
+MIN_SLOPE = 0.8
 #: Cosine between the normals at the ends of an edge up to which there is a curvature: a surface of radius 1 voxel, or
 #: an edge of the object, turns by more.
-LEAST_COSINE = 0.5
+MIN_COSINE = 0.5
 
 
 def on_edges(zyx: Floats, psi: NDArray[np.float32], margin: float) -> Floats:
@@ -81,7 +81,7 @@ def _zeros_along(zyx: Floats, axis: int, psi: NDArray[np.float32], margin: float
     low, high = below - 2 * a + b, a - 2 * b + above
     agree = low * high > 0
     smaller = np.where(np.abs(low) < np.abs(high), low, high)
-    cubic = agree & (np.abs(smaller) >= LEAST_RATIO * np.maximum(np.abs(low), np.abs(high)))
+    cubic = agree & (np.abs(smaller) >= MIN_RATIO * np.maximum(np.abs(low), np.abs(high)))
     limited = np.where(agree, smaller, 0.0)
     low, high = np.where(cubic, low, limited), np.where(cubic, high, limited)
 
@@ -138,8 +138,8 @@ def balanced(
     gap = np.einsum("mij,mij->m", edges, turns) / 24
     # Around an edge or a corner of the object no curvature says where the surface is.
     cosine = (corner_normals * np.roll(corner_normals, -1, axis=1)).sum(axis=2).min(axis=1)
-    smooth = known[faces].all(axis=1) & (cosine > LEAST_COSINE)
-    gap = np.clip(np.where(smooth, gap, 0.0), -MOST * h.min(), MOST * h.min())
+    smooth = known[faces].all(axis=1) & (cosine > MIN_COSINE)
+    gap = np.clip(np.where(smooth, gap, 0.0), -MAX_GAP * h.min(), MAX_GAP * h.min())
     # Caps are flat, and have no share in the rim's displacement.
     size[on_cap[faces].all(axis=1).any(axis=1)] = 0.0
 
@@ -172,5 +172,5 @@ def _normals(zyx: Floats, psi: NDArray[np.float32], h: Floats) -> tuple[Floats, 
             ends.append(difference / (np.maximum(after - before, 1) * h[axis]))
         gradient[:, axis] = (1 - part) * ends[0] + part * ends[1]
     norm = np.linalg.norm(gradient, axis=1)
-    known = norm >= LEAST_SLOPE
-    return gradient / np.maximum(norm, LEAST_SLOPE)[:, None], known
+    known = norm >= MIN_SLOPE
+    return gradient / np.maximum(norm, MIN_SLOPE)[:, None], known
