@@ -823,3 +823,18 @@ def test_no_surface_without_a_voxel_on_the_other_side_between_thick_slices():
     assert check_level_set(surface, 6) == []
     # The ball's end lies between the third and the fourth slice: more than a slice from the second.
     assert surface.psi[1].min() > spacing[0]
+
+
+def test_no_surface_beyond_the_border_along_thick_slices():
+    """Psi of outside voxels of the first slice falls towards the border: continued, it has a zero level 2 mm beyond."""
+    shape, spacing = (9, 40, 40), (7.5, 0.5, 0.5)
+    surface = LevelSet(ball(shape, spacing, 9.0, (0.0, 0.0, 0.0)), spacing)
+    want = surface.psi.copy()
+    cells = surface.band.cells
+    slices = np.unravel_index(cells, shape)[0]
+    # As beside a plane 2 mm beyond the border.
+    surface.dense.psi[cells[slices == 0]] = 2.0
+    surface.dense.psi[cells[slices == 1]] = 2.0 + spacing[0]
+    surface.redistance()
+    assert check_level_set(surface, 6) == []
+    assert surface.psi[0].min() > 0.9 * want[0].min()
