@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 #: Kind of a file, its name, and the function that writes it.
 Writer = tuple[str, str, Callable[[Path], None]]
 
+#: Of a file's name, on the usual file systems.
+MAX_NAME_BYTES = 255
+
 
 def label_format(config: RunConfig, source_suffix: str) -> str:
     """Return the format of the label map: the one of the settings, else the input's, else nii.gz.
@@ -125,6 +128,13 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
     OutputError
         When an output exists and may not be replaced, or nothing can be written there.
     """
+    longest = max((path.name for path in paths.values()), key=lambda name: len(os.fsencode(name)))
+    if len(os.fsencode(longest)) > MAX_NAME_BYTES:
+        raise OutputError(
+            f"{longest}: the name of an output would have {len(os.fsencode(longest))} bytes, at most {MAX_NAME_BYTES} "
+            "expected",
+            "rename the image, or link to it by a shorter name",
+        )
     existing = [path for path in paths.values() if os.path.lexists(path)]
     results = [path for path in existing if not (path == paths.get("report") and is_failure_report(path))]
     if results and not overwrite:

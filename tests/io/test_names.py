@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.errors import InputError
+from accelsurf.errors import InputError, OutputError
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io import channels, images
-from accelsurf.report import canvas, document
+from accelsurf.report import canvas, document, outputs
 
 VALUES = np.arange(120, dtype=np.int16).reshape(4, 5, 6)
 BAD = os.fsdecode(b"scan\xff\xfe")
@@ -58,6 +58,12 @@ def test_long_names_are_written_and_read(tmp_path, suffix, letter):
     np.testing.assert_array_equal(io.read(tmp_path / f"{stem}{suffix}").array, VALUES)
     back = io.read(tmp_path / f"{stem}{suffix}")
     io.write(back, tmp_path / f"{stem}{suffix}")  # with the fields of its header
+
+
+def test_a_name_too_long_for_the_outputs_is_refused_before_the_run(tmp_path):
+    paths = {"report": tmp_path / ("\u65e5" * 82 + "_report.json")}
+    with pytest.raises(OutputError, match="258 bytes, at most 255"):
+        outputs.refuse_existing(paths, overwrite=False)
 
 
 def test_a_pipe_is_not_waited_for(tmp_path):

@@ -1,4 +1,4 @@
-"""What the header of a NIfTI-1 or NIfTI-2 file says, and the voxels of those that ITK does not read.
+"""What the header of a NIfTI-1 or NIfTI-2 file says, and its voxels.
 
 ITK repairs, guesses and forgets: it reads a file without voxels as zeros, takes a negative pixdim as a mirrored axis,
 falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is read here first,
@@ -8,7 +8,6 @@ repair too, are not used.
 
 from __future__ import annotations
 
-import gzip
 import math
 import struct
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.io.formats.deflate import GZIP_START, first_bytes
+from accelsurf.io.formats.deflate import GZIP_START, TRUNCATED_HINT, first_bytes, inflate
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
 
@@ -249,17 +248,33 @@ def read_channels(file: NiftiFile) -> list[NDArray[Any]]:
     list of ndarray (nz, ny, nx)
         In the order of the file, of ``value_type``, as ITK would give them.
     """
-    from nibabel.volumeutils import array_from_file
-
     header = file.nifti
     nx, ny, nz = header.size[:3]
-    shape = (nx, ny, nz, header.channels)
-    with gzip.open(file.data, "rb") if file.encoding == "deflate" else file.data.open("rb") as stream:
-        stored = array_from_file(shape, header.voxel_type, stream, header.data_offset, mmap=False)
+    stored = _stored(file).reshape(header.channels, nz, ny, nx)
     channels = []
-    for channel in stored.T:
+    for channel in stored:
         if (header.slope, header.intercept) != (1.0, 0.0):
             with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold becomes infinite, as in ITK
                 channel = (channel.astype(np.float64) * header.slope + header.intercept).astype(header.value_type)
         channels.append(np.ascontiguousarray(channel, header.value_type))
     return channels
+
+
+def _stored(file: NiftiFile) -> NDArray[Any]:
+    """All voxels of a file as they are stored, flat."""
+    header = file.nifti
+    voxels = np.empty(math.prod(header.size), header.voxel_type)
+    raw = memoryview(voxels.view(np.uint8).data)
+    with file.data.open("rb") as stream:
+        if file.encoding == "raw":
+            stream.seek(header.data_offset)
+            at = stream.readinto(raw)
+        else:
+            at, skip = 0, header.data_offset
+            for piece in inflate(stream, None, header.claimed_bytes):
+                some = memoryview(piece)[skip : skip + len(raw) - at]
+                raw[at : at + len(some)] = some
+                at, skip = at + len(some), max(skip - len(piece), 0)
+    if at < len(raw):
+        raise InputError(f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT)
+    return voxels

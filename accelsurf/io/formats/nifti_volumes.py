@@ -1,4 +1,4 @@
-"""NIfTI volumes: ITK writes them, and places those of version 1 in the world; nibabel reads the voxels.
+"""NIfTI volumes: ITK writes them, and places those of version 1 in the world; the voxels are read here.
 
 ITK turns NaN and infinity into 0 without a word, ignores small slopes, and reads voxels from places in the header.
 """

@@ -83,7 +83,7 @@ def parse_nrrd(path: Path) -> RawHeader:
         encoding = fields["encoding"].lower()
         if _whole(fields["dimension"]) != [len(sizes)] or min(sizes) < 1:
             raise ValueError
-    except (KeyError, ValueError):
+    except (LookupError, ValueError):
         raise InputError(
             f"the NRRD header is damaged: type {fields.get('type')}, sizes {fields.get('sizes')}, "
             f"encoding {fields.get('encoding')}",
@@ -160,7 +160,7 @@ def parse_metaimage(path: Path) -> RawHeader:
         stored = _whole(fields["CompressedDataSize"])[0] if "CompressedDataSize" in fields else None
         if _whole(fields["NDims"]) != [len(sizes)] or min(sizes) < 1 or numbers < 1:
             raise ValueError
-    except (KeyError, ValueError):
+    except (LookupError, ValueError):
         raise InputError(
             f"the MetaImage header is damaged: NDims {fields.get('NDims')}, DimSize {fields.get('DimSize')}, "
             f"ElementType {fields.get('ElementType')}",
