@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
@@ -13,6 +14,7 @@ from typing import Any
 
 #: Signals that end a program on request; their exit code is 128 more than their number.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_AGAIN_SECONDS = 0.05
 
 
 class Interrupts:
@@ -40,6 +42,7 @@ class Interrupts:
         self._ending = False
         self._reported = False
         self._replaced: dict[int, Any] = {}
+        self._hooks: list[Any] = []  # what Python did with exceptions that it cannot raise
 
     @classmethod
     def current(cls) -> Interrupts:
@@ -56,12 +59,26 @@ class Interrupts:
         if threading.current_thread() is threading.main_thread():
             for number in SIGNALS:
                 self._replaced[number] = signal.signal(number, self)
+            if not self._hooks:
+                self._hooks.append(sys.unraisablehook)
+                sys.unraisablehook = self._raise_again
 
     def uninstall(self) -> None:
         """Give the signals back to whoever had them."""
         while self._replaced:
             number, handler = self._replaced.popitem()
             signal.signal(number, handler)
+            if handler is not self and self._hooks:
+                sys.unraisablehook = self._hooks.pop()
+
+    def _raise_again(self, lost: Any) -> None:
+        """Raise KeyboardInterrupt a little later where Python cannot: in a callback of compiled code, say."""
+        if issubclass(lost.exc_type, KeyboardInterrupt):
+            again = threading.Timer(_AGAIN_SECONDS, _thread.interrupt_main)
+            again.daemon = True
+            again.start()
+        else:
+            self._hooks[-1](lost)
 
     def __call__(self, number: int, frame: FrameType | None = None) -> None:
         """Take note of a signal; raise KeyboardInterrupt unless it only asks."""
