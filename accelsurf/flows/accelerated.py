@@ -111,8 +111,11 @@ class Accelerated(Flow):
         def energy(velocity: np.ndarray) -> float:
             return energies[id(velocity)]
 
-        kinetic = self._kinetic(area, before, after)
-        self._detect_oscillation(kinetic)
+        self._detect_oscillation(self._kinetic(area, before, after))
+        # T at the time of the record, half a step after the one velocity and before the other: that of their mean. Their
+        # product is below 0 where the velocity reverses. At rest ``before`` is the velocity at that time itself.
+        between = before if self.clock.at_rest else 0.5 * (before + after)
+        kinetic = self._kinetic(area, between, between)
         return EnergyRates(
             kinetic=kinetic,
             weight=w,

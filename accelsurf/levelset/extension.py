@@ -60,10 +60,13 @@ def sampled(
 def advected(
     surface: LevelSet, new: Band, fields: Sequence[np.ndarray], velocity: np.ndarray, dt: float
 ) -> list[np.ndarray]:
-    """Return fields (n_old,) on a new band, from the points that ``velocity`` (n_old, 3) moved there in ``dt``."""
+    """Return fields (n_old,) on a new band, from the points that ``velocity`` (n_old, 3) moved there in ``dt``.
+
+    The first three are the velocity's components; what it transports, such as a density, is interpolated with a limiter.
+    """
     values = np.stack(fields, axis=1).astype(np.float32, copy=False)
     out = np.empty((new.cells.size, len(fields)), np.float32)
     surface.workers.parallel(
-        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, (velocity, dt), values, out
+        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, (velocity, dt, 3), values, out
     )
     return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]
