@@ -32,31 +32,31 @@ def largest_diffusion(surface: LevelSet) -> float:
     return SAFETY * STAGES[-1].amount * one_stage_diffusion(surface)
 
 
-class Stages(NamedTuple):
+class Polynomial(NamedTuple):
     """Polynomial of a step: (1 - ``blend``) P_k(1 + z/``amount``) + ``blend`` P_s(1 + z/``amount``) for z = D dt Lap.
 
-    P_k and P_s are Legendre's. ``amount`` is the largest stable one, in those of one explicit stage; ``count`` is s,
+    P_k and P_s are Legendre's. ``amount`` is the largest stable one, in those of one explicit stage; ``stages`` is s,
     ``blended`` k.
     """
 
-    count: int
+    stages: int
     blended: int
     blend: float
     amount: float
 
 
-def stages_of(count: int) -> Stages:
+def stages_of(count: int) -> Polynomial:
     """The polynomial of ``count`` stages that agrees with exp(z) to second order (one stage: 1 + z).
 
     With S = s(s + 1), K = k(k + 1) and m = 2 x amount its slope is 1 if the mean of S and K is m, and its second
     derivative if that of their squares is 2 m^2 + 2 m.
     """
     if count == 1:
-        return Stages(1, 0, 1.0, 1.0)
+        return Polynomial(1, 0, 1.0, 1.0)
     k = BLENDED[count - 2]
     high, low = count * (count + 1.0), k * (k + 1.0)
     m = 0.25 * (high + low - 2.0 + math.sqrt((high + low - 2.0) ** 2 - 8.0 * high * low))
-    return Stages(count, k, (m - low) / (high - low), 0.5 * m)
+    return Polynomial(count, k, (m - low) / (high - low), 0.5 * m)
 
 
 STAGES = tuple(stages_of(count) for count in range(1, MAX_STAGES + 1))
@@ -75,11 +75,11 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     """Diffuse a field (n,), given on the ``front``, along the surface in place, by ``amount`` = D dt (mm2).
 
     Runge-Kutta-Legendre (Meyer, Balsara, Aslam 2012): stage j is the Legendre polynomial P_j of the Laplacian, each a
-    Laplacian and an extension. Their combination is of second order, see `stages_of`; as few stages as ``amount`` needs.
+    Laplacian and an extension. Two of them combined are of second order, see `stages_of`; as few as ``amount`` needs.
     """
     bound = SAFETY * one_stage_diffusion(surface)
-    stages = next((one for one in STAGES if one.amount * bound >= amount), STAGES[-1])
-    share = amount / stages.amount
+    step = next((one for one in STAGES if one.amount * bound >= amount), STAGES[-1])
+    share = amount / step.amount
     on = np.flatnonzero(front).astype(np.int32)
     table = np.empty((on.size, 6), np.int32)
     parallel = surface.workers.parallel
@@ -87,12 +87,12 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     extension = surface.quadratic_extension(front)
     extension.extend(surface.workers, field)
     turn, blended = [field.copy(), np.zeros_like(field), np.zeros_like(field)], field
-    for j in range(1, stages.count + 1):
+    for j in range(1, step.stages + 1):
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
         new, old, older = turn[j % 3], turn[(j - 1) % 3], turn[(j - 2) % 3]
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
         parallel(motion.diffusion_stage, on.size, on, table, surface.grid, (old, older), weights, new)
         extension.extend(surface.workers, new)
-        if j == stages.blended:
+        if j == step.blended:
             blended = new.copy()
-    field[:] = blended + np.float32(stages.blend) * (turn[stages.count % 3] - blended)
+    field[:] = blended + np.float32(step.blend) * (turn[step.stages % 3] - blended)

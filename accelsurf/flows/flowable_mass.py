@@ -62,7 +62,8 @@ class FlowableMass(Accelerated):
 
     name = "flowable-mass"
     state_names = (
-        *Accelerated.state_names, "velocity", "density", "mass", "_correction", "_expected", "_least", "_most", "_moved",
+        *Accelerated.state_names,
+        *("velocity", "density", "mass", "_correction", "_expected", "_least", "_most", "_moved"),
     )
     velocity = np.zeros((0, 3), np.float32)
     density = np.zeros(0, np.float32)

@@ -177,7 +177,8 @@ def quadratic_table(start, stop, slot, grid, band, front, off, table):
         cy, uy, ty, ay = nearest_node(iy + band.to_closest[s, 1] / grid.hy, grid.ny, grid.nx)
         cx, ux, tx, ax = nearest_node(ix + band.to_closest[s, 2] / grid.hx, grid.nx, 1)
         c = cz + cy + cx
-        known = put(slot, front, c, 1.0 - uz * uz - uy * uy - ux * ux + uz * uy + uz * ux + uy * ux, slots, shares, row, 0)
+        rest = 1.0 - uz * uz - uy * uy - ux * ux + uz * uy + uz * ux + uy * ux
+        known = put(slot, front, c, rest, slots, shares, row, 0)
         known &= put(slot, front, c + tz, uz * (0.5 * (uz + 1.0) - uy - ux), slots, shares, row, 1)
         known &= put(slot, front, c + ty, uy * (0.5 * (uy + 1.0) - uz - ux), slots, shares, row, 2)
         known &= put(slot, front, c + tx, ux * (0.5 * (ux + 1.0) - uz - uy), slots, shares, row, 3)
@@ -220,7 +221,7 @@ def nearest_node(p, n, stride):
 
 @kernel
 def put(slot, front, cell, share, slots, shares, row, k):
-    """Write the slot of ``cell`` and its share into a row of a table; False, and slot 0, where it is not on the front."""
+    """Write the slot of ``cell`` and its share into a row of a table; slot 0 and False where it is not on the front."""
     s = slot[cell]
     known = s >= 0 and front[s]
     slots[row, k] = s if known else 0

@@ -14,8 +14,8 @@ def lattice_weights(index, to_closest, h, motion, stride, count, w):
     """First of the three nodes of an axis around the point that a foot moves to, and their weights into ``w`` (3,).
 
     ``index`` of the cell, ``to_closest`` and ``motion`` in mm; ``stride`` voxels between ``count`` nodes, the second at
-    the first voxel. A point beyond the border is at the border. The weights are those of the quadratic B-spline: at least
-    0, with sum 1, and so smooth that a sum hardly depends on where the surface lies between the voxels.
+    the first voxel. A point beyond the border is at the border. The weights are those of the quadratic B-spline: not
+    below 0, with sum 1, and so smooth that a sum hardly depends on where the surface lies between the voxels.
     """
     place = 1.0 + min(max((index + (to_closest + motion) / h) / stride, 0.0), count - 3.0)
     nearest = int(place + 0.5)

@@ -76,7 +76,7 @@ def linear_band_vector(values, slot, grid, position, out):
 
 @kernel
 def limit(values, slot, grid, position, c, out):
-    """Clamp ``out[c]``, field ``c`` at ``position``, to the known values of the eight nodes around, give or take `LIMIT`.
+    """Clamp ``out[c]``, field ``c`` at ``position``, to the known values of the eight nodes around, +- `LIMIT`.
 
     A positive field stays positive, and grows at no jump by more than that part; where it varies by less from voxel to
     voxel, nothing changes.

@@ -78,12 +78,12 @@ def test_diffusion_decays_as_on_the_circle(r, tolerance, width):
 def test_diffusion_polynomials_are_of_second_order_and_damp_fine_waves():
     """p(0) = p'(0) = p''(0) = 1 (one stage: 1 + z), |p| <= 1 as far as the step is stable, and small for the finest."""
     for stages in STAGES:
-        basis = np.zeros(stages.count + 1)
-        basis[stages.count], basis[stages.blended] = stages.blend, 1.0 - stages.blend
+        basis = np.zeros(stages.stages + 1)
+        basis[stages.stages], basis[stages.blended] = stages.blend, 1.0 - stages.blend
         p = np.polynomial.Legendre(basis)
         slope, bend = p.deriv()(1.0) / stages.amount, p.deriv(2)(1.0) / stages.amount**2
         assert p(1.0) == pytest.approx(1.0) and slope == pytest.approx(1.0)
-        assert bend == pytest.approx(0.0 if stages.count == 1 else 1.0)
+        assert bend == pytest.approx(0.0 if stages.stages == 1 else 1.0)
         x = np.linspace(-1.0, 1.0, 2001)
         assert np.abs(p(x)).max() <= 1.0 + 1e-12
         fine = x[(1.0 - x) * stages.amount > 4.0]
