@@ -88,7 +88,7 @@ def advected(
 ) -> list[np.ndarray]:
     """Return fields (n_old,) on a new band, from the points that ``velocity`` (n_old, 3) moved there in ``dt``.
 
-    The first three are the velocity's components; what it transports, such as a density, is interpolated with a limiter.
+    The first three are the velocity's components; what it transports, such as a density, is interpolated and limited.
     """
     values = np.stack(fields, axis=1).astype(np.float32, copy=False)
     out = np.empty((new.cells.size, len(fields)), np.float32)

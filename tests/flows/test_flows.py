@@ -64,7 +64,7 @@ def test_diffusion_decays_as_on_the_sphere(degree):
 @pytest.mark.parametrize("width", [3.0, 4.0])
 @pytest.mark.parametrize(("r", "tolerance"), [(12, 0.05), (96, 0.01)])
 def test_diffusion_decays_as_on_the_circle(r, tolerance, width):
-    """cos(l phi), l = 1 to 4, as exp(-D l^2 t/r^2); at r = 96 voxels within 0.1 %, at 12 the time step shows (l = 4)."""
+    """cos(l phi), l = 1 to 4, as exp(-D l^2 t/r^2); at r = 96 voxels within 0.1 %, at 12 the step shows (l = 4)."""
     y, x = np.indices((2 * r + 14, 2 * r + 14)) - (r + 6.5)
     y, x = y - 0.13, x - 0.31
     surface = LevelSet((np.sqrt(y**2 + x**2) - r)[None], (1.0, 1.0, 1.0), width)

@@ -1,4 +1,4 @@
-"""Mass stays where it is: density above 0, no correction without a change of topology, what leaves takes its mass along."""
+"""Mass stays where it is: density above 0, no correction without a change of topology, what leaves takes its mass."""
 
 from __future__ import annotations
 
@@ -121,10 +121,10 @@ def growing(
 
 @pytest.mark.parametrize(("n", "flat"), [(48, True), (64, True), (32, False)])
 def test_what_leaves_takes_its_mass_along(n: int, flat: bool) -> None:
-    """Every point moves as in free space. The mass that left was put on the rest, which was then up to 1 voxel behind."""
+    """Every point moves as in free space. The mass that left was put on the rest, up to a voxel behind."""
     worst, rows, masses = growing(n, flat, 0.77)
     off = np.array([row.mass for row in rows]) / masses - 1.0
-    print(f"\n{n} {'disc' if flat else 'ball'}: {worst:.3f} h, mass off {np.abs(off).max():.4f}, in the end {off[-1]:+.4f}")
+    print(f"\n{n}: {worst:.3f} h, mass off {np.abs(off).max():.4f}, in the end {off[-1]:+.4f}")
     assert worst <= 0.15
     assert masses[-1] < 0.85 * masses[0]
     # As the surface touches the border, half of its smeared layer is beyond.

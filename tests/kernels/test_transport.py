@@ -494,7 +494,7 @@ def test_cells_with_nothing_known_keep_their_own_values_or_get_none():
 
 
 def test_a_positive_field_stays_positive_where_it_jumps():
-    """From 1 to 1e-3 in a voxel: the cubic interpolant is below 0 beside the jump. Only the second column is limited."""
+    """From 1 to 1e-3 in a voxel: the cubic interpolant is below 0 beside it. Only the second column is limited."""
     n, grid = 12, reference.grid_of((1, 1, 12), (1.0, 1.0, 1.0))
     values = np.where(np.arange(n) < 6, 1.0, 1e-3).astype(np.float32)
     slot, shift = np.arange(n, dtype=np.int32), np.zeros((n, 3), np.float32)
