@@ -16,13 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.evolution.convergence import HORIZON, StopRule
+from accelsurf.evolution.convergence import StopRule
 from accelsurf.grid.volume import Volume
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 
 N = 32
+#: Steps after the stop.
+MORE = 200
 NOISES = (0.0, 0.3, 1.0)
 FLOWS = ("constant-density", "flowable-mass", "gradient")
 STARTS = {"ball": "ball:15,15,12,5", "cube": "ball:15,15,12,5", "angle": "ball:10,10,15,4"}
@@ -77,7 +79,7 @@ def measured(image: NDArray[np.float32], config: RunConfig, further: float | Non
         cells, psi = surface.band.cells, surface.band.psi
         evolution.history.pop()
         evolution.stop, evolution.rule, evolution.max_steps = None, None, 10**9
-        for _ in range(HORIZON):
+        for _ in range(MORE):
             if evolution.step() is None:
                 break
         mean, percentile = distances(surface, cells, psi)

@@ -15,8 +15,8 @@ STILL = 0.05
 #: A kinetic energy above this share of w times the decrease of the potential must fall: in the second half of the
 #: window it is at most the share `LEVEL` of that in the first.
 LEVEL_KINETIC, LEVEL = 0.05, 0.7
-#: So many more steps would move a converged surface by little.
-HORIZON = 200
+#: So many more windows would move a converged surface by little: 200 steps, or 60 to 100 after coarser levels.
+HORIZON = 10
 #: A run has stalled when the last `STALL_STEPS` steps are all shorter than the share `STALLED` of the CFL step, or than
 #: the share `COLLAPSED` of the longest step; steps down to the share `SHORT` are long enough to judge by.
 STALLED, COLLAPSED, STALL_STEPS, SHORT = 1e-3, 1e-6, 10, 0.1
@@ -30,7 +30,7 @@ class StopRule(NamedTuple):
     Checked every ``window`` steps: the surface lies on average within ``motion`` voxels of where it lay a window
     before (oscillation within the window does not count), and no more than the share ``far`` of it lies further away
     than `levelset.FAR`: a small part may still move while the rest does not. By the trend of the last windows
-    `HORIZON` more steps would move it by at most ``further`` voxels: slow creep goes on, oscillation does not get away.
+    `HORIZON` more of them would move it by at most ``further`` voxels: slow creep goes on, oscillation stays in place.
     The kinetic energy is below ``kinetic`` of w times the decrease of the potential so far, or the last step moved the
     surface by less than `STILL` voxels (a start at the minimum decreases nothing) and a kinetic energy above
     `LEVEL_KINETIC` of it falls. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`, the window is
@@ -61,7 +61,7 @@ class StopRule(NamedTuple):
             return None
         if math.isfinite(self.further):
             twice = math.nan if earlier is None else surface.distance_from(earlier).mean
-            if forecast(moved.mean, moved_before, twice, HORIZON / len(records)) > self.further:
+            if forecast(moved.mean, moved_before, twice, HORIZON) > self.further:
                 return None
         return "converged", f"the surface moved {moved.mean:.3f} voxels in {len(records)} steps"
 

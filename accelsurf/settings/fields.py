@@ -270,8 +270,8 @@ class SettingFields(BaseModel):
     tolerance: float = setting(
         0.1,
         "The run has converged when the surface lies, on average, within this many voxels of where it lay 20 steps "
-        "before, or 6 steps before if coarser levels were run first, and if 200 steps more would not move it by "
-        "0.7 of this either, by its trend. Larger ends sooner and is rougher.",
+        "before, or 6 steps before if coarser levels were run first, and if ten times as many steps more would "
+        "not move it by 0.7 of this either, by its trend. Larger ends sooner and is rougher.",
         entry=SettingEntry(unit="voxels"),
         gt=0, le=2,
     )
