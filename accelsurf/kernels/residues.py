@@ -18,7 +18,7 @@ from accelsurf.kernels.stages import Stage
 
 #: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together
 #: by this much in a redistancing, and a surface at rest moves by no more.
-MIN_RESIDUE = 1e-4
+MIN_RESIDUE = 3e-4
 #: Largest residue, voxels: beyond it the point is not on the surface any more.
 MAX_RESIDUE = 0.5
 #: Distance from the surface, voxels, within which cells have a residue of their own. Others have that of the cell
@@ -72,10 +72,12 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     w = np.empty(24)
     h = min(grid.hz, min(grid.hy, grid.hx))
     least, most = MIN_RESIDUE * h, MAX_RESIDUE * h
+    furthest = 1.01 * OWN_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
     sy, sz = grid.nx, grid.ny * grid.nx
     for s in range(start, stop):
         out[s] = 0.0
-        if not has_own_residue(s, grid, band):
+        # The length of the foot, when psi was a distance.
+        if abs(band.psi[s]) > furthest or not has_own_residue(s, grid, band):
             continue
         pz, py, px = known_point(s, grid, band, motion)
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1

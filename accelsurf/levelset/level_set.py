@@ -367,7 +367,9 @@ class LevelSet:
         motion = np.ascontiguousarray(velocity, np.float32), float(dt)
         parallel, psi, slot = self.workers.parallel, self.dense.psi, self.dense.slot
         parallel(residues.own_residues, self.size, psi, self.grid, self.band, motion, self.residues)
-        parallel(residues.distant_residues, self.size, slot, self.grid, self.band, motion, self.residues)
+        # A smooth surface has none that count.
+        if self.residues.any():
+            parallel(residues.distant_residues, self.size, slot, self.grid, self.band, motion, self.residues)
 
     def _replace_band(self, band: Band) -> None:
         """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""
