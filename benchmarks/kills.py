@@ -3,7 +3,7 @@
 Each trial runs ``accelsurf segment --overwrite`` on a small image, into a folder with an earlier result. The settings
 change from run to run, so that old and new files differ, and so do their names.
 
-* kill: SIGKILL at a random moment of the whole run, or of the part in which files are written.
+* kill: SIGKILL at a random moment of the whole run, or while files are written, or while they are put in place.
 * interrupt: SIGINT, once or twice, or SIGTERM at such a moment.
 * disk: no file may grow beyond a random size, as on a full disk.
 
@@ -42,6 +42,8 @@ MESHES = ("ply", "stl", "obj,vtp")
 #: Exit code of a run that could not write.
 CANNOT_WRITE = 7
 SMALLEST, LARGEST = 60, 400_000  # bytes, of the limits of a file's size
+#: How long after the last draft a run may be killed: its files are synced and put in place meanwhile.
+MOVING_SECONDS = 0.06
 #: A signal that comes within this time of the end may be too late to change anything.
 TOO_LATE_SECONDS = 0.05
 
@@ -123,15 +125,17 @@ class Bench:
             time.sleep(0.002)
 
     def wait(self, program: subprocess.Popen[str]) -> str:
-        """Wait for a random moment, in every second trial one at which files are written; describe it."""
-        if self.random.random() < 0.5:
-            moment = self.random.uniform(0.0, self.seconds)
-            time.sleep(moment)
-            return f"{moment:.3f} s after the start"
-        self.wait_for_drafts(program)
-        moment = self.random.uniform(0.0, self.writing)
+        """Wait for a random moment: of the whole run, while files are written, or while they are put in place."""
+        part = self.random.choice(("start", "first draft", "last draft"))
+        longest = {"start": self.seconds, "first draft": self.writing, "last draft": MOVING_SECONDS}[part]
+        moment = self.random.uniform(0.0, longest)
+        if part == "first draft":
+            self.wait_for_drafts(program)
+        elif part == "last draft":
+            while program.poll() is None and not any(self.results.glob(f".*/new/{NAME}_report.json")):
+                time.sleep(0.0002)
         time.sleep(moment)
-        return f"{moment:.3f} s after the first draft"
+        return f"{moment:.4f} s after the {part}"
 
     def report(self) -> bytes:
         """The report, or nothing."""
