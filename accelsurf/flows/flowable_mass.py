@@ -71,6 +71,8 @@ class FlowableMass(Accelerated):
     #: Mass that the last motion took to the nodes of the balance, see `Prediction`; a total below 0: not known. And
     #: whether that motion's fields have not come yet.
     _expected, _least, _most, _moved = -1.0, np.zeros(0), np.zeros(0), False
+    #: Area and density that `_inertia` was asked for last, and its answer.
+    _inertia_of: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def __init__(self, gravity: float = 0.0, support: float | None = 0.0, **common: object) -> None:
         super().__init__(**common)  # type: ignore[arg-type]
@@ -126,7 +128,7 @@ class FlowableMass(Accelerated):
         """Continue with other settings; the mass is that of the present surface, after parts were added or removed."""
         super().continue_from(surface, before, forces_changed)
         assert isinstance(before, FlowableMass)
-        self.density *= np.float32(self.rho / before.rho)
+        self.density = self.density * np.float32(self.rho / before.rho)
         self.mass, self._expected = 0.0, -1.0
 
     def normal_velocity(self, surface: LevelSet) -> np.ndarray:
@@ -187,11 +189,11 @@ class FlowableMass(Accelerated):
         if transported:
             before = Prediction(self._expected, self._least, self._most)
             found = balance(surface, area * self.density, before)
-            self.density *= found.factor
+            self.density = self.density * found.factor
             self.mass += found.mass - before.total
-        np.maximum(self.density, np.float32(MIN_DENSITY * self.mass / total), out=self.density)
+        self.density = np.maximum(self.density, np.float32(MIN_DENSITY * self.mass / total))
         factor = self.mass / float((area * self.density).sum())
-        self.density *= np.float32(factor)
+        self.density = self.density * np.float32(factor)
         # On another grid a surface has another sum of areas; that is no mass that was lost.
         if transported:
             self._correction *= factor
@@ -203,8 +205,12 @@ class FlowableMass(Accelerated):
 
     def _inertia(self, area: np.ndarray) -> np.ndarray:
         """The density (n,) that forces accelerate: rho within its range."""
-        mean = float((area * self.density).sum()) / max(float(area.sum()), 1e-300)
-        return np.clip(self.density, np.float32(mean / DENSITY_RANGE), np.float32(mean * DENSITY_RANGE))
+        # Several energies of a step need it.
+        if self._inertia_of is None or self._inertia_of[0] is not area or self._inertia_of[1] is not self.density:
+            mean = float((area * self.density).sum()) / max(float(area.sum()), 1e-300)
+            clamped = np.clip(self.density, np.float32(mean / DENSITY_RANGE), np.float32(mean * DENSITY_RANGE))
+            self._inertia_of = area, self.density, clamped
+        return self._inertia_of[2]
 
     def _stretch(self, now: StepInput, normal: np.ndarray, dt: float) -> None:
         """Divide the density by the stretch of the area in the coming motion."""
