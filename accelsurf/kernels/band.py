@@ -159,6 +159,86 @@ def extend_outwards(start, stop, off, slots, shares, values):
         values[off[row]] = value
 
 
+@kernel(stage=Stage.EXTENSION)
+def quadratic_table(start, stop, slot, grid, band, front, off, table):
+    """As `outward_table`, with the quadratic interpolation around the node that is nearest to each foot.
+
+    Row i of ``table`` = (slots (m, 10) int32, shares (m, 10) float32) gets that node, its six neighbours and, for each
+    pair of axes, the node diagonally towards the foot: all within 1.7 voxels of the surface. With distances u >= 0 of
+    the foot, F + sum [u (u + 1)/2 (F_+ - F) + u (u - 1)/2 (F_- - F)] + sum u_i u_j (F_ij - F_i - F_j + F). Beyond the
+    border the values are those of the mirror image. Where one of the ten is not on the front, the mean of those that
+    are, by their weights in the linear interpolation there; all 0 where none is.
+    """
+    slots, shares = table
+    for row in range(start, stop):
+        s = off[row]
+        iz, iy, ix = unravel(band.cells[s], grid)
+        cz, uz, tz, az = nearest_node(iz + band.to_closest[s, 0] / grid.hz, grid.nz, grid.ny * grid.nx)
+        cy, uy, ty, ay = nearest_node(iy + band.to_closest[s, 1] / grid.hy, grid.ny, grid.nx)
+        cx, ux, tx, ax = nearest_node(ix + band.to_closest[s, 2] / grid.hx, grid.nx, 1)
+        c = cz + cy + cx
+        rest = 1.0 - uz * uz - uy * uy - ux * ux + uz * uy + uz * ux + uy * ux
+        known = put(slot, front, c, rest, slots, shares, row, 0)
+        known &= put(slot, front, c + tz, uz * (0.5 * (uz + 1.0) - uy - ux), slots, shares, row, 1)
+        known &= put(slot, front, c + ty, uy * (0.5 * (uy + 1.0) - uz - ux), slots, shares, row, 2)
+        known &= put(slot, front, c + tx, ux * (0.5 * (ux + 1.0) - uz - uy), slots, shares, row, 3)
+        known &= put(slot, front, c + az, 0.5 * uz * (uz - 1.0), slots, shares, row, 4)
+        known &= put(slot, front, c + ay, 0.5 * uy * (uy - 1.0), slots, shares, row, 5)
+        known &= put(slot, front, c + ax, 0.5 * ux * (ux - 1.0), slots, shares, row, 6)
+        known &= put(slot, front, c + tz + ty, uz * uy, slots, shares, row, 7)
+        known &= put(slot, front, c + ty + tx, uy * ux, slots, shares, row, 8)
+        known &= put(slot, front, c + tx + tz, ux * uz, slots, shares, row, 9)
+        if known:
+            continue
+        total = 0.0
+        for k in range(10):
+            shares[row, k] = 0.0
+        for corner in range(8):
+            i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+            share = (uz if i == 1 else 1.0 - uz) * (uy if j == 1 else 1.0 - uy) * (ux if k == 1 else 1.0 - ux)
+            if put(slot, front, c + i * tz + j * ty + k * tx, share, slots, shares, row, corner):
+                total += share
+            else:
+                shares[row, corner] = 0.0
+        scale = 1.0 / total if total > 0.0 else 0.0
+        for k in range(8):
+            shares[row, k] *= scale
+
+
+@kernel
+def nearest_node(p, n, stride):
+    """Nearest node to position ``p`` of an axis, as an offset in memory; the distance; the steps towards it and away.
+
+    At the border a step beyond it is none: the mirror image of the node is the node.
+    """
+    p = min(max(p, 0.0), n - 1.0)
+    node = int(p + 0.5)
+    back, ahead = (-stride if node > 0 else 0), (stride if node < n - 1 else 0)
+    if p < node:
+        return node * stride, node - p, back, ahead
+    return node * stride, p - node, ahead, back
+
+
+@kernel
+def put(slot, front, cell, share, slots, shares, row, k):
+    """Write the slot of ``cell`` and its share into a row of a table; slot 0 and False where it is not on the front."""
+    s = slot[cell]
+    known = s >= 0 and front[s]
+    slots[row, k] = s if known else 0
+    shares[row, k] = share
+    return known
+
+
+@kernel(stage=Stage.EXTENSION)
+def extend_quadratically(start, stop, off, slots, shares, values):
+    """Overwrite ``values`` at the cells ``off`` the front by the front's, as `quadratic_table` weighs them."""
+    for row in range(start, stop):
+        value = np.float32(0.0)
+        for k in range(10):
+            value += shares[row, k] * values[slots[row, k]]
+        values[off[row]] = value
+
+
 @kernel(stage=Stage.BAND)
 def drop_cells(start, stop, dense, cells, keep, gamma):
     """Remove the slots that ``keep`` (m,) bool does not mark from the dense arrays: psi = +-gamma (mm), slot = -1."""

@@ -15,6 +15,8 @@ from accelsurf.kernels.stages import Stage
 ITERATIONS = 3
 #: Largest distance of a departure point per axis, voxels: beyond it is another part of the surface.
 MAX_DEPARTURE = 2.0
+#: Part of a value by which cubic interpolation may go beyond the nodes around, in a field that must stay positive.
+LIMIT = 0.1
 
 
 @kernel
@@ -70,6 +72,26 @@ def linear_band_vector(values, slot, grid, position, out):
     for c in range(m):
         out[c] /= weight
     return True
+
+
+@kernel
+def limit(values, slot, grid, position, c, out):
+    """Clamp ``out[c]``, field ``c`` at ``position``, to the known values of the eight nodes around, +- `LIMIT`.
+
+    A positive field stays positive, and grows at no jump by more than that part; where it varies by less from voxel to
+    voxel, nothing changes.
+    """
+    iz = int(min(max(position[0], 0.0), grid.nz - 1.0))
+    iy = int(min(max(position[1], 0.0), grid.ny - 1.0))
+    ix = int(min(max(position[2], 0.0), grid.nx - 1.0))
+    low, high = np.inf, -np.inf
+    for i in range(iz, min(iz + 2, grid.nz)):
+        for j in range(iy, min(iy + 2, grid.ny)):
+            for k in range(ix, min(ix + 2, grid.nx)):
+                s = slot[(i * grid.ny + j) * grid.nx + k]
+                if s >= 0 and s < values.shape[0]:
+                    low, high = min(low, values[s, c]), max(high, values[s, c])
+    out[c] = min(max(out[c], low - LIMIT * abs(low)), high + LIMIT * abs(high))
 
 
 @kernel
@@ -237,15 +259,15 @@ def surface_gradient(start, stop, slot, grid, cells, front, field, out):
 def advect_fields(start, stop, slot, grid, band, motion, values, out):
     """Fields (n, m) of the new ``band`` advected from the old one, which ``slot`` still maps to.
 
-    ``motion`` = (velocity (n_old, 3), dt). Each cell gets the values at the point of the old surface that
-    moved to its foot. A cell with nothing known around that point has its own old values, or 0 when it was not in the
-    band.
+    ``motion`` = (velocity (n_old, 3), dt, limited). Each cell gets the values at the point of the old surface that
+    moved to its foot, the fields from column ``limited`` on within `LIMIT` of the values around that point. A cell
+    with nothing known there has its own old values, or 0 when it was not in the band.
     """
     w = np.empty(24)
     v = np.empty(3)
     target = np.empty(3)
     at = np.empty(3)
-    velocity, dt = motion
+    velocity, dt, limited = motion
     m = values.shape[1]
     found = np.empty(m)
     for s in range(start, stop):
@@ -257,6 +279,9 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
         departure_point(velocity, slot, grid, target, dt, (w, v), at)
         own = slot[cell]
         known = band_vector_at(values, slot, grid, at, w, found)
+        for c in range(limited, m):
+            if known:
+                limit(values, slot, grid, at, c, found)
         for c in range(m):
             if known:
                 out[s, c] = found[c]

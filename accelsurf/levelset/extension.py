@@ -43,6 +43,32 @@ def extension_table(surface: LevelSet, front: np.ndarray, off: np.ndarray) -> Ex
     return ExtensionTable(front, off, *table)
 
 
+class QuadraticExtension(NamedTuple):
+    """As `ExtensionTable`, with quadratic interpolation among the front's cells: `kernels.band.quadratic_table`.
+
+    A Laplacian divides the error of an extension by h^2: that of linear interpolation would not vanish with h.
+    """
+
+    front: np.ndarray
+    off: np.ndarray
+    slots: np.ndarray
+    shares: np.ndarray
+
+    def extend(self, workers: Workers, values: np.ndarray) -> None:
+        """Overwrite ``values`` (n,) at the slots ``off``."""
+        workers.parallel(band_kernels.extend_quadratically, self.off.size, self.off, self.slots, self.shares, values)
+
+
+def quadratic_extension(surface: LevelSet, front: np.ndarray) -> QuadraticExtension:
+    """Return the table by which the slots off the ``front`` (n,) read its cells."""
+    off = np.flatnonzero(~front).astype(np.int32)
+    table = np.empty((off.size, 10), np.int32), np.empty((off.size, 10), np.float32)
+    surface.workers.parallel(
+        band_kernels.quadratic_table, off.size, surface.dense.slot, surface.grid, surface.band, front, off, table
+    )
+    return QuadraticExtension(front, off, *table)
+
+
 def sampled(
     surface: LevelSet, new: Band, front: np.ndarray, fields: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
@@ -60,10 +86,13 @@ def sampled(
 def advected(
     surface: LevelSet, new: Band, fields: Sequence[np.ndarray], velocity: np.ndarray, dt: float
 ) -> list[np.ndarray]:
-    """Return fields (n_old,) on a new band, from the points that ``velocity`` (n_old, 3) moved there in ``dt``."""
+    """Return fields (n_old,) on a new band, from the points that ``velocity`` (n_old, 3) moved there in ``dt``.
+
+    The first three are the velocity's components; what it transports, such as a density, is interpolated and limited.
+    """
     values = np.stack(fields, axis=1).astype(np.float32, copy=False)
     out = np.empty((new.cells.size, len(fields)), np.float32)
     surface.workers.parallel(
-        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, (velocity, dt), values, out
+        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, (velocity, dt, 3), values, out
     )
     return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]

@@ -14,7 +14,14 @@ from accelsurf.kernels import differences, march, motion, region, transport
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
 from accelsurf.levelset.closest_points import find_closest_points
 from accelsurf.levelset.displacement import Displacement, Snapshot, displacement
-from accelsurf.levelset.extension import ExtensionTable, advected, extension_table, sampled
+from accelsurf.levelset.extension import (
+    ExtensionTable,
+    QuadraticExtension,
+    advected,
+    extension_table,
+    quadratic_extension,
+    sampled,
+)
 from accelsurf.levelset.threads import Workers
 
 #: Distance from the surface, in voxels, within which cells count as the front: forces, curvature and kicks
@@ -101,6 +108,7 @@ class LevelSet:
         self._set_half_width(half_width)
         self.workers = workers or Workers(1)
         self._extension: ExtensionTable | None = None
+        self._quadratic: QuadraticExtension | None = None
         self._measured: Measures | None = None
         self._fronts: dict[float, np.ndarray] = {}
         dense = np.array(psi, dtype=np.float32, order="C", copy=None if overwrite else True).ravel()
@@ -267,6 +275,12 @@ class LevelSet:
             self._extension = extension_table(self, front, np.flatnonzero(~front))
         self._extension.extend(self.workers, values)
 
+    def quadratic_extension(self, front: np.ndarray) -> QuadraticExtension:
+        """The extension from ``front`` (n,) that is accurate enough for second differences; cached."""
+        if self._quadratic is None or self._quadratic.front is not front:
+            self._quadratic = quadratic_extension(self, front)
+        return self._quadratic
+
     def redistance(
         self, fields: Sequence[np.ndarray] = (), advection: tuple[np.ndarray, float] | None = None
     ) -> BandChange:
@@ -317,7 +331,7 @@ class LevelSet:
 
     def _replace_band(self, band: Band) -> None:
         """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""
-        self.band, self._extension, self._measured, self._fronts = band, None, None, {}
+        self.band, self._extension, self._quadratic, self._measured, self._fronts = band, None, None, None, {}
 
     def restore(self, band: Band, inside: np.ndarray, inside_beyond_band: int, half_width: float) -> None:
         """Go back to an earlier surface on the same grid.

@@ -185,6 +185,67 @@ def test_extension_replaces_values_off_the_front_only(shape, on_front):
     assert found.any() == (0 < on_front < 1) or n < 20
 
 
+def quadratic_table(dense, grid, band, front):
+    off = np.flatnonzero(~front).astype(np.int32)
+    slots, shares = np.full((off.size, 10), -1, np.int32), np.full((off.size, 10), np.nan, np.float32)
+    band_kernels.quadratic_table(0, off.size, dense.slot, grid, band, front, off, (slots, shares))
+    return off, slots, shares
+
+
+@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (9, 1, 9)])
+def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape):
+    """In a complete band where one cell after the other is off the front, and the ten nodes around its foot are not."""
+    rng, last = np.random.default_rng(16), np.array(shape) - 1.0
+    foot = rng.uniform(-2.4, 2.4, (int(np.prod(shape)), 3)) * SPACING * (last > 0)
+    dense, band = reference.whole_band(np.ones(shape), foot)
+    front = np.ones(foot.shape[0], bool)
+    index = np.argwhere(np.ones(shape, bool))
+    at = index + foot / SPACING
+    a, b = rng.standard_normal((3, 3)) * np.outer(last > 0, last > 0), rng.standard_normal(3) * (last > 0)
+
+    def quadratic(p):
+        return np.einsum("ni,ij,nj->n", p, a, p) + p @ b + 1.0
+
+    values = quadratic(index.astype(float)).astype(np.float32)
+    tested = 0
+    for s in range(front.size):
+        nearest = np.floor(at[s] + 0.5)
+        inner = np.all((nearest >= 1) & (nearest <= last - 1) | (last == 0))
+        if not inner or np.abs(index[s] - nearest).max() < 2:
+            continue
+        front[s] = False
+        off, slots, shares = quadratic_table(dense, reference.grid_of(shape, SPACING), band, front)
+        front[s] = True
+        got = values.copy()
+        band_kernels.extend_quadratically(0, 1, off, slots, shares, got)
+        assert got[s] == pytest.approx(quadratic(at[s][None])[0], abs=2e-3)
+        tested += 1
+    assert tested > 3
+
+
+@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6)])
+def test_quadratic_extension_is_linear_where_a_node_is_missing(shape):
+    """By the nodes that are on the front, with weights of sum 1 or 0; a constant stays one."""
+    dense, band, present = scattered(shape, 7, share=0.7)
+    rng, grid = np.random.default_rng(17), reference.grid_of(shape, SPACING)
+    front = rng.random(band.cells.size) < 0.4
+    off, slots, shares = quadratic_table(dense, grid, band, front)
+    assert ((slots >= 0) & (slots < band.cells.size)).all() and front[slots[shares != 0]].all()
+    total = shares.sum(axis=1, dtype=float)
+    assert (np.isclose(total, 1.0, atol=1e-5) | (total == 0.0)).all()
+    on_grid, is_front = np.zeros(shape, np.float32), np.zeros(shape, bool)
+    values = rng.standard_normal(front.size).astype(np.float32)
+    on_grid[present], is_front[present] = values, front
+    at = np.clip(np.argwhere(present) + band.to_closest.astype(float) / SPACING, 0, np.array(shape) - 1.0)
+    got = values.copy()
+    band_kernels.extend_quadratically(0, off.size, off, slots, shares, got)
+    linear = (shares >= 0).all(axis=1) & (shares[:, 8:] == 0).all(axis=1)
+    assert linear.sum() > 0.5 * off.size
+    for s in off[linear]:
+        want, found = reference.known_linear(on_grid, is_front, at[s])
+        assert got[s] == pytest.approx(want if found else 0.0, abs=2e-5)
+
+
 def test_extension_of_one_field_by_the_table_of_another():
     """The table knows nothing of values: kept for the next field with the same mask."""
     shape = (5, 6, 7)

@@ -440,7 +440,7 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
     _, band = reference.whole_band(np.ones(shape), foot)
     out = np.full((n, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
-    transport.advect_fields(0, n, np.arange(n, dtype=np.int32), grid, band, (velocity, dt), values, out)
+    transport.advect_fields(0, n, np.arange(n, dtype=np.int32), grid, band, (velocity, dt, 2), values, out)
     # Clamped to the border.
     at = np.clip(indices(shape) + (foot - dt * uniform) / h, 0, last) * h
     np.testing.assert_allclose(out, at @ slopes.T + 1, atol=5e-5)
@@ -450,7 +450,7 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
 @pytest.mark.parametrize("columns", [1, 4])
 @pytest.mark.parametrize("share", [0.95, 0.3])
 def test_fields_are_carried_onto_another_band(shape, columns, share):
-    """Some of its cells are new, some have nothing known about their departure points."""
+    """Some of its cells are new, some have nothing known about their departure points; the last column is limited."""
     present, flow, velocity, slot = vectors_of(shape, 27, share=share, extra=4)
     values = np.random.default_rng(28).standard_normal((len(velocity), columns)).astype(np.float32)
     dense = np.zeros((*shape, columns), np.float32)
@@ -460,13 +460,15 @@ def test_fields_are_carried_onto_another_band(shape, columns, share):
     foot = (rng.uniform(-1.3, 1.3, (cells.size, 3)) * SPACING).astype(np.float32)
     band = Band(cells, np.ones(cells.size, np.float32), foot)
     out = np.full((cells.size, columns), np.nan, np.float32)
-    transport.advect_fields(0, cells.size, slot, grid, band, (velocity, dt), values, out)
+    transport.advect_fields(0, cells.size, slot, grid, band, (velocity, dt, columns - 1), values, out)
     seen = set()
     for s, cell in enumerate(indices(shape)[cells]):
         at = reference.departure(flow, present, SPACING, cell + foot[s].astype(float) / SPACING, dt)
         want, found = reference.band_vector(dense, present, at)
         if not found:
             want = dense[tuple(cell.astype(int))]  # 0 where it was not in the band
+        else:
+            want[-1] = reference.limited(dense[..., -1], present, at, want[-1], transport.LIMIT)
         np.testing.assert_allclose(out[s], want, atol=2e-4)
         seen.add((found, bool(present.flat[cells[s]])))
     assert (True, True) in seen
@@ -483,12 +485,30 @@ def test_cells_with_nothing_known_keep_their_own_values_or_get_none():
     far = np.tile(np.array([9.0, 3.0, 2.8], np.float32), (3, 1))
     band = Band(np.array([0, 1, 3]), np.ones(3, np.float32), far)
     out = np.full((3, 2), np.nan, np.float32)
-    transport.advect_fields(0, 3, slot, grid, band, (velocity, 0.5), values, out)
+    transport.advect_fields(0, 3, slot, grid, band, (velocity, 0.5, 2), values, out)
     np.testing.assert_array_equal(out, [[5, -6], [0, 0], [0, 0]])
     # With their feet beside the cell all three have its values.
     band.to_closest[:] = np.array([[0.3, 0.2, 0.1], [0.3, 0.2, -0.6], [0.3, 0.2, -2.0]], np.float32)
-    transport.advect_fields(0, 3, slot, grid, band, (velocity, 0.5), values, out)
+    transport.advect_fields(0, 3, slot, grid, band, (velocity, 0.5, 2), values, out)
     np.testing.assert_allclose(out, np.tile(values, (3, 1)), atol=1e-6)
+
+
+def test_a_positive_field_stays_positive_where_it_jumps():
+    """From 1 to 1e-3 in a voxel: the cubic interpolant is below 0 beside it. Only the second column is limited."""
+    n, grid = 12, reference.grid_of((1, 1, 12), (1.0, 1.0, 1.0))
+    values = np.where(np.arange(n) < 6, 1.0, 1e-3).astype(np.float32)
+    slot, shift = np.arange(n, dtype=np.int32), np.zeros((n, 3), np.float32)
+    shift[:, 2] = 0.4
+    _, band = reference.whole_band(np.ones((1, 1, n)), np.zeros((n, 3)))
+    out = np.empty((n, 2), np.float32)
+    both = np.stack([values, values], axis=1)
+    transport.advect_fields(0, n, slot, grid, band, (shift, 1.0, 1), both, out)
+    assert out[:, 0].min() < -0.01 and out[:, 0].max() > 1.01
+    assert 0.9e-3 <= out[:, 1].min() and out[:, 1].max() <= 1.1
+    # A smooth field is not touched.
+    smooth = np.exp(-0.2 * (np.arange(n) - 5.3) ** 2 / 9).astype(np.float32)
+    transport.advect_fields(0, n, slot, grid, band, (shift, 1.0, 1), np.stack([smooth, smooth], axis=1), out)
+    np.testing.assert_array_equal(out[:, 0], out[:, 1])
 
 
 def test_kernels_write_only_their_range():
@@ -505,7 +525,7 @@ def test_kernels_write_only_their_range():
     for call in (
         lambda out: transport.normals(7, 20, dense.psi, grid, band, out),
         lambda out: transport.surface_gradient(7, 20, dense.slot, grid, band.cells, front, (field, normal), out),
-        lambda out: transport.advect_fields(7, 20, dense.slot, grid, band, (velocity, 0.1), velocity, out),
+        lambda out: transport.advect_fields(7, 20, dense.slot, grid, band, (velocity, 0.1, 3), velocity, out),
     ):
         wide[:] = np.nan
         call(wide)

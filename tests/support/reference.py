@@ -112,6 +112,15 @@ def band_vector(values, present, position):
     return np.array([value for value, _ in found]), found[0][1]
 
 
+def limited(field, present, position, value, part):
+    """``value`` within the ``field`` (z, y, x) at the nodes around ``position`` that are ``present``, +- a ``part``."""
+    clamped = np.clip(position, 0, np.array(present.shape) - 1.0)
+    around = tuple(slice(int(p), int(p) + 2) for p in clamped)
+    known = field[around][present[around]]
+    low, high = known.min(), known.max()
+    return np.clip(value, low - part * abs(low), high + part * abs(high))
+
+
 # ------------------------------------------------------------------------------------------- closest points, distance
 
 
