@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from accelsurf.kernels import motion
 from accelsurf.levelset import LevelSet
 
-#: Largest number of stages s of a diffusion step. The free bound is that of s explicit stages: (s^2 + s)/2 times one.
-MAX_STAGES = 8
+#: Number k of the stage that is blended with the last, s, for s = 2 to 11 stages. Of the k that leave a step as long as
+#: it can be, those with which it damps the finest waves best (to 0.73 and less).
+BLENDED = (0, 0, 1, 0, 1, 2, 1, 2, 1, 2)
+MAX_STAGES = 1 + len(BLENDED)
+#: Part of the stable step that is used. It also bounds the error in time: at 12 voxels of radius a wave of degree 4
+#: decays within 5 % of its rate in the longest step.
+SAFETY = 0.9
 #: Free diffusion is a mixing length: D = at most MIXING x h x front speed. The surface then averages its speed over
 #: the same patch for each voxel travelled, whatever the step: a step cut short by another bound is not overdamped.
 MIXING = 16.0
@@ -21,7 +29,37 @@ def one_stage_diffusion(surface: LevelSet) -> float:
 
 def largest_diffusion(surface: LevelSet) -> float:
     """The largest amount D dt (mm2) for which one step of `diffuse` is stable."""
-    return 0.5 * MAX_STAGES * (MAX_STAGES + 1) * one_stage_diffusion(surface)
+    return SAFETY * STAGES[-1].amount * one_stage_diffusion(surface)
+
+
+class Polynomial(NamedTuple):
+    """Polynomial of a step: (1 - ``blend``) P_k(1 + z/``amount``) + ``blend`` P_s(1 + z/``amount``) for z = D dt Lap.
+
+    P_k and P_s are Legendre's. ``amount`` is the largest stable one, in those of one explicit stage; ``stages`` is s,
+    ``blended`` k.
+    """
+
+    stages: int
+    blended: int
+    blend: float
+    amount: float
+
+
+def stages_of(count: int) -> Polynomial:
+    """The polynomial of ``count`` stages that agrees with exp(z) to second order (one stage: 1 + z).
+
+    With S = s(s + 1), K = k(k + 1) and m = 2 x amount its slope is 1 if the mean of S and K is m, and its second
+    derivative if that of their squares is 2 m^2 + 2 m.
+    """
+    if count == 1:
+        return Polynomial(1, 0, 1.0, 1.0)
+    k = BLENDED[count - 2]
+    high, low = count * (count + 1.0), k * (k + 1.0)
+    m = 0.25 * (high + low - 2.0 + math.sqrt((high + low - 2.0) ** 2 - 8.0 * high * low))
+    return Polynomial(count, k, (m - low) / (high - low), 0.5 * m)
+
+
+STAGES = tuple(stages_of(count) for count in range(1, MAX_STAGES + 1))
 
 
 def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
@@ -34,26 +72,27 @@ def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
 
 
 def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float) -> None:
-    """Diffuse an extended field (n,) along the surface in place, by ``amount`` = D dt (mm2).
+    """Diffuse a field (n,), given on the ``front``, along the surface in place, by ``amount`` = D dt (mm2).
 
-    Runge-Kutta-Legendre of first order (Meyer, Balsara, Aslam 2012): s explicit stages make (s^2 + s)/2
-    times the amount of one, each a Laplacian and an extension; as few as ``amount`` needs, at most `MAX_STAGES`.
+    Runge-Kutta-Legendre (Meyer, Balsara, Aslam 2012): stage j is the Legendre polynomial P_j of the Laplacian, each a
+    Laplacian and an extension. Two of them combined are of second order, see `stages_of`; as few as ``amount`` needs.
     """
-    bound = one_stage_diffusion(surface)
-    s = 1
-    while s < MAX_STAGES and 0.5 * (s * s + s) * bound < amount:
-        s += 1
-    share = 2.0 / (s * s + s) * amount
-    older, old = field, field
+    bound = SAFETY * one_stage_diffusion(surface)
+    step = next((one for one in STAGES if one.amount * bound >= amount), STAGES[-1])
+    share = amount / step.amount
     on = np.flatnonzero(front).astype(np.int32)
     table = np.empty((on.size, 6), np.int32)
     parallel = surface.workers.parallel
     parallel(motion.neighbour_slots, on.size, surface.dense.slot, surface.grid, surface.band.cells, on, table)
-    for j in range(1, s + 1):
+    extension = surface.quadratic_extension(front)
+    extension.extend(surface.workers, field)
+    turn, blended = [field.copy(), np.zeros_like(field), np.zeros_like(field)], field
+    for j in range(1, step.stages + 1):
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
-        new = np.empty_like(field)
+        new, old, older = turn[j % 3], turn[(j - 1) % 3], turn[(j - 2) % 3]
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
         parallel(motion.diffusion_stage, on.size, on, table, surface.grid, (old, older), weights, new)
-        surface.extend_outwards(new, front)
-        older, old = old, new
-    field[:] = old
+        extension.extend(surface.workers, new)
+        if j == step.blended:
+            blended = new.copy()
+    field[:] = blended + np.float32(step.blend) * (turn[step.stages % 3] - blended)
