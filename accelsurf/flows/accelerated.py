@@ -99,7 +99,7 @@ class Accelerated(Flow):
 
     @abstractmethod
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
-        """The paper's T of two velocities half a step before and after."""
+        """1/2 int rho V . V' dA of two velocities; the paper's T of one."""
 
     def _energy_rates(self, area: np.ndarray, stages: tuple[np.ndarray, ...]) -> EnergyRates:
         """Energies from the velocities before, after diffusion, kick, noise and clipping."""
@@ -111,8 +111,11 @@ class Accelerated(Flow):
         def energy(velocity: np.ndarray) -> float:
             return energies[id(velocity)]
 
-        kinetic = self._kinetic(area, before, after)
-        self._detect_oscillation(kinetic)
+        self._detect_oscillation(self._kinetic(area, before, after))
+        # T at the time of the record, which is half a step from both velocities: that of their mean. Their product is
+        # below 0 where the velocity reverses. At rest ``before`` is the velocity at that time itself.
+        between = before if self.clock.at_rest else 0.5 * (before + after)
+        kinetic = self._kinetic(area, between, between)
         return EnergyRates(
             kinetic=kinetic,
             weight=w,
