@@ -9,13 +9,16 @@ import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.flows.diffusion import diffuse
+from accelsurf.flows.mass_balance import Prediction, balance, predict
 from accelsurf.flows.protocol import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.step_limits import cfl_bound, clip_speed, percentile, wave_bound
 from accelsurf.kernels import transport
 from accelsurf.levelset import LevelSet
 
-#: Density is kept within this factor of its mean: the force is f/rho, and the model has no pressure.
+#: The density that the force accelerates is at most this factor off its mean: the model has no pressure.
 DENSITY_RANGE = 20.0
+#: Lowest density, as a part of its mean; it only keeps the density above 0.
+MIN_DENSITY = 1e-4
 #: The area under a piece of surface may change by at most this factor in a step.
 STRETCH_RANGE = 2.0
 
@@ -38,9 +41,10 @@ class FlowableMass(Accelerated):
 
     The paper's system for surfaces in extended fields, psi with the corrected sign. Kick by the leap-frog (each
     surface element is accelerated by its own force: no curvature term); then psi, V, rho are advected semi-Lagrangian,
-    rho divided by the exact stretch of the area, and rho is rescaled to the mass of the start. What is rescaled is
-    reported (`mass_correction`): the error of the transport, and the mass of surface that vanished where fronts met
-    or a component was removed, which is distributed over the rest.
+    rho limited and divided by the exact stretch of the area. What the transport then lacks or has too much is
+    given back where it arose (`mass_balance`). Mass that flows through the border of the volume is gone, and what flows
+    in is added: `mass` in the trace changes by that alone. Mass of surface that vanished goes to the surface around, or
+    over all the rest where there is none: that alone is the `mass_correction` reported.
 
     With ``gravity`` g the mass potential U_mass = g A int 1/2 rho^2 dA acts as well,
     V_t -= w g [A grad_S rho + (1/2 A rho - P/rho) H N]. Its tension g (P - 1/2 A rho^2) is negative where
@@ -58,9 +62,17 @@ class FlowableMass(Accelerated):
     """
 
     name = "flowable-mass"
-    state_names = (*Accelerated.state_names, "velocity", "density", "mass", "_correction")
+    state_names = (
+        *Accelerated.state_names,
+        *("velocity", "density", "mass", "_correction", "_expected", "_least", "_most", "_moved"),
+    )
     velocity = np.zeros((0, 3), np.float32)
     density = np.zeros(0, np.float32)
+    #: Mass that the last motion took to the nodes of the balance, see `Prediction`; a total below 0: not known. And
+    #: whether that motion's fields have not come yet.
+    _expected, _least, _most, _moved = -1.0, np.zeros(0), np.zeros(0), False
+    #: Area and density that `_inertia` was asked for last, and its answer.
+    _inertia_of: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def __init__(self, gravity: float = 0.0, support: float | None = 0.0, **common: object) -> None:
         super().__init__(**common)  # type: ignore[arg-type]
@@ -81,13 +93,17 @@ class FlowableMass(Accelerated):
         """Velocity and density on the new band."""
         self.velocity = np.stack(fields[:3], axis=1)
         self.density = fields[3]
+        # Fields that do not come from a motion belong to another grid.
+        if not self._moved:
+            self._expected = -1.0
+        self._moved = False
 
     def start(self, surface: LevelSet) -> None:
         """At rest on ``surface`` with uniform density."""
         self.velocity = np.zeros((surface.size, 3), np.float32)
         self.density = np.full(surface.size, self.rho, np.float32)
         self.mass = 0.0
-        self._correction = 1.0
+        self._correction, self._expected, self._moved = 1.0, -1.0, False
         self._initialize(surface)
 
     def zero_momentum(self, area: np.ndarray) -> float:
@@ -112,8 +128,8 @@ class FlowableMass(Accelerated):
         """Continue with other settings; the mass is that of the present surface, after parts were added or removed."""
         super().continue_from(surface, before, forces_changed)
         assert isinstance(before, FlowableMass)
-        self.density *= np.float32(self.rho / before.rho)
-        self.mass = 0.0
+        self.density = self.density * np.float32(self.rho / before.rho)
+        self.mass, self._expected = 0.0, -1.0
 
     def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """V . N."""
@@ -126,7 +142,7 @@ class FlowableMass(Accelerated):
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Kick the velocity by the forces over the step around the present time."""
         surface, front, clock = now.surface, now.front, self.clock
-        self._rescale_density(now.area)
+        self._balance_mass(surface, now.area)
         normal = surface.normals()
         gravity = self._gravity_now(now)
         acceleration = self._acceleration(now, normal, gravity)
@@ -154,6 +170,7 @@ class FlowableMass(Accelerated):
         speed = (velocity * normal).sum(axis=1)
         front_speed = percentile(np.linalg.norm(velocity, axis=1), limits.percentile, front)
         surface.extend_outwards(speed, front)
+        self._expect_mass(surface, now.area * self.density, self.velocity, dt)
         self._stretch(now, normal, dt)
         clock.tick(dt)
         share = clipped / max(1, int(front.sum()))
@@ -161,18 +178,39 @@ class FlowableMass(Accelerated):
 
     # -- mass ----------------------------------------------------------------------------------------------
 
-    def _rescale_density(self, area: np.ndarray) -> None:
-        """Rescale the advected density to the mass of the start, within its range."""
+    def _balance_mass(self, surface: LevelSet, area: np.ndarray) -> None:
+        """Give the advected density the mass that the motion took to each place, and the total that has not left."""
         total = float(area.sum())
         if self.mass == 0.0:
             self.mass = float((area * self.density).sum())
         if total == 0.0:
             return
-        mean = self.mass / total
-        np.clip(self.density, mean / DENSITY_RANGE, mean * DENSITY_RANGE, out=self.density)
+        transported = self._expected >= 0.0
+        if transported:
+            before = Prediction(self._expected, self._least, self._most)
+            found = balance(surface, area * self.density, before)
+            self.density = self.density * found.factor
+            self.mass += found.mass - before.total
+        self.density = np.maximum(self.density, np.float32(MIN_DENSITY * self.mass / total))
         factor = self.mass / float((area * self.density).sum())
-        self.density *= np.float32(factor)
-        self._correction *= factor
+        self.density = self.density * np.float32(factor)
+        # On another grid a surface has another sum of areas; that is no mass that was lost.
+        if transported:
+            self._correction *= factor
+
+    def _expect_mass(self, surface: LevelSet, mass: np.ndarray, velocity: np.ndarray, dt: float) -> None:
+        """Note where the coming motion takes the ``mass`` (n,)."""
+        self._expected, self._least, self._most = predict(surface, mass, velocity, dt)
+        self._moved = True
+
+    def _inertia(self, area: np.ndarray) -> np.ndarray:
+        """The density (n,) that forces accelerate: rho within its range."""
+        # Several energies of a step need it.
+        if self._inertia_of is None or self._inertia_of[0] is not area or self._inertia_of[1] is not self.density:
+            mean = float((area * self.density).sum()) / max(float(area.sum()), 1e-300)
+            clamped = np.clip(self.density, np.float32(mean / DENSITY_RANGE), np.float32(mean * DENSITY_RANGE))
+            self._inertia_of = area, self.density, clamped
+        return self._inertia_of[2]
 
     def _stretch(self, now: StepInput, normal: np.ndarray, dt: float) -> None:
         """Divide the density by the stretch of the area in the coming motion."""
@@ -203,7 +241,7 @@ class FlowableMass(Accelerated):
     def _acceleration(self, now: StepInput, normal: np.ndarray, gravity: Gravity | None) -> np.ndarray:
         """Acceleration (n, 3) at the front, per weight w: f N/rho and the mass potential's."""
         surface = now.surface
-        density = np.maximum(self.density, np.float32(1e-30))
+        density = np.maximum(self._inertia(now.area), np.float32(1e-30))
         along = np.asarray(now.force, np.float32) / density
         if gravity is None:
             return np.asarray(along[:, None] * normal)
@@ -260,7 +298,7 @@ class FlowableMass(Accelerated):
         if gravity is not None:
             stiffness += max(float(gravity.tension[front].max(initial=0.0)), 0.0)
             sound = self.gravity * gravity.area * float(self.density[front].max(initial=0.0))
-        stiffness /= float(self.density[front].min(initial=self.rho))
+        stiffness /= float(self._inertia(now.area)[front].min(initial=self.rho))
         if self.clock.at_rest:
             dt = cfl_dt = self.clock.first_dt(peak, max(stiffness, sound), smallest, limits.cfl)
         else:
@@ -290,4 +328,4 @@ class FlowableMass(Accelerated):
 
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 int rho V . V' dA."""
-        return 0.5 * float((area * self.density * (one.astype(np.float64) * other).sum(axis=1)).sum())
+        return 0.5 * float((area * self._inertia(area) * (one.astype(np.float64) * other).sum(axis=1)).sum())

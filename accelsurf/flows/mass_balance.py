@@ -1,0 +1,89 @@
+"""Local balance of the mass on a moving surface: what was there before a motion is there after it, or has left."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf.kernels import mass_lattice
+from accelsurf.levelset import LevelSet
+
+#: Distance of the nodes at which masses are compared, in voxels of the largest spacing.
+STRIDE = 6.0
+#: In a step the balance may change a density by at most this factor.
+MAX_FACTOR = 2.0
+#: What the transport gives at the border is believed within this factor of what flows through it.
+BORDER_RANGE = 2.0
+
+
+class Prediction(NamedTuple):
+    """Mass that a motion takes to every node: ``total`` of all, the least and the most at each, (mz, my, mx)."""
+
+    total: float
+    least: np.ndarray
+    most: np.ndarray
+
+
+class Balance(NamedTuple):
+    """Result of a comparison: ``factor`` (n,) of the density, and ``mass``, the total that the surface should have."""
+
+    factor: np.ndarray
+    mass: float
+
+
+def lattice_shape(surface: LevelSet) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Voxels between nodes along z, y, x, and the number of nodes, one of them beyond either border."""
+    grid, far = surface.grid, STRIDE * surface.largest_spacing
+    stride = np.array([far / h for h in (grid.hz, grid.hy, grid.hx)])
+    return stride, tuple(3 + math.ceil((n - 1) / s) for n, s in zip(surface.shape, stride, strict=True))
+
+
+def predict(surface: LevelSet, mass: np.ndarray, velocity: np.ndarray, dt: float) -> Prediction:
+    """Where ``dt`` of motion takes the ``mass`` (n,) of the cells.
+
+    What flows through the border may be up to `BORDER_RANGE` times what the velocity (n, 3) there says.
+    """
+    motion = velocity, dt
+    there = _deposited(surface, mass, motion)
+    outflow = np.empty(surface.size, np.float32)
+    surface.workers.parallel(
+        mass_lattice.border_outflow, surface.size, surface.grid, surface.band.cells, motion, outflow
+    )
+    crossing = BORDER_RANGE * mass * np.clip(outflow, -1.0, 1.0)
+    least = most = there
+    if (crossing > 0.0).any():
+        least = np.maximum(there - _deposited(surface, crossing, motion), 0.0)
+    if (crossing < 0.0).any():
+        most = there + _deposited(surface, -crossing, motion)
+    return Prediction(float(there.sum()), least, most)
+
+
+def balance(surface: LevelSet, mass: np.ndarray, before: Prediction) -> Balance:
+    """Compare the ``mass`` (n,) that the transport gave the cells with what the prediction took there.
+
+    Every node gives back what it lacks, or takes what it has too much, in the shares in which the masses were added to
+    it: sum of mass x factor is the sum of what the nodes should have. Exceptions: nodes where nothing is left of the
+    surface, and nodes at the limit `MAX_FACTOR`; what they lack is missing in the sum.
+    """
+    motion = np.zeros((surface.size, 3), np.float32), 0.0
+    here = _deposited(surface, mass, motion)
+    wanted = np.clip(here, before.least, before.most)
+    # Where all is gone at the border, it has left.
+    wanted[(here <= 0.0) & (before.least < before.most)] = 0.0
+    ratio = np.divide(wanted, here, out=np.ones_like(here), where=here > 1e-6 * before.total / here.size)
+    np.clip(ratio, 1.0 / MAX_FACTOR, MAX_FACTOR, out=ratio)
+    factor = np.empty(surface.size, np.float32)
+    stride, _ = lattice_shape(surface)
+    surface.workers.parallel(
+        mass_lattice.lattice_factors, surface.size, surface.grid, surface.band, ratio, stride, factor
+    )
+    return Balance(factor, float(wanted.sum()))
+
+
+def _deposited(surface: LevelSet, mass: np.ndarray, motion: tuple[np.ndarray, float]) -> np.ndarray:
+    stride, shape = lattice_shape(surface)
+    lattice = np.zeros(shape)
+    surface.workers.serial(mass_lattice.deposit, surface.grid, surface.band, mass, motion, stride, lattice)
+    return lattice
