@@ -10,9 +10,9 @@ import numpy as np
 from accelsurf.kernels import motion
 from accelsurf.levelset import LevelSet
 
-#: Number k of the stage that is blended with the last, s, for s = 2 to 11 stages. Of the k that leave a step as long as
+#: Number k of the stage that is blended with the last, s, for s = 2 to 14 stages. Of the k that leave a step as long as
 #: it can be, those with which it damps the finest waves best (to 0.73 and less).
-BLENDED = (0, 0, 1, 0, 1, 2, 1, 2, 1, 2)
+BLENDED = (0, 0, 1, 0, 1, 2, 1, 2, 1, 2, 3, 4, 5)
 MAX_STAGES = 1 + len(BLENDED)
 #: Part of the stable step that is used. It also bounds the error in time: at 12 voxels of radius a wave of degree 4
 #: decays within 5 % of its rate in the longest step.
