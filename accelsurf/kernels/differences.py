@@ -141,9 +141,9 @@ def level_curvatures(slope, second, mixed):
 @kernel
 def mean_above_centre(psi, cell, iz, iy, ix, grid):
     """Mean of psi over a voxel less psi at its centre: sum of h_a^2 psi_aa over 24, mm."""
-    _, _, zz = axis_differences(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
-    _, _, yy = axis_differences(psi, cell, iy, grid.ny, grid.nx, grid.hy)
-    _, _, xx = axis_differences(psi, cell, ix, grid.nx, 1, grid.hx)
+    _, zz = axis_derivatives(psi, cell, iz, grid.nz, grid.ny * grid.nx, grid.hz)
+    _, yy = axis_derivatives(psi, cell, iy, grid.ny, grid.nx, grid.hy)
+    _, xx = axis_derivatives(psi, cell, ix, grid.nx, 1, grid.hx)
     return (grid.hz * grid.hz * zz + grid.hy * grid.hy * yy + grid.hx * grid.hx * xx) / 24.0
 
 

@@ -22,6 +22,7 @@ from accelsurf.levelset.extension import (
     quadratic_extension,
     sampled,
 )
+from accelsurf.levelset.measures import Measures
 from accelsurf.levelset.threads import Workers
 
 #: Distance from the surface, in voxels, within which cells count as the front: forces, curvature and kicks
@@ -42,20 +43,6 @@ class BandChange(NamedTuple):
     entered_inside: np.ndarray
     left_inside: np.ndarray
     fields: list[np.ndarray]
-
-
-class Measures(NamedTuple):
-    """What was measured on the band, see `LevelSet.fraction_and_area` and `LevelSet.curvature`.
-
-    ``fraction`` and ``area`` (n,); ``curvature`` and ``variation`` (n,), where they could be measured, as ``resolved``
-    (n,) says.
-    """
-
-    fraction: np.ndarray
-    area: np.ndarray
-    curvature: np.ndarray
-    variation: np.ndarray
-    resolved: np.ndarray
 
 
 class LevelSet:

@@ -575,8 +575,8 @@ def test_volume_of_small_balls_anywhere_on_the_grid(radius, most):
     h = (2.0, 1.0, 1.0)
     surface = LevelSet(ball((n // 2 + 5, n, n), h, radius, tuple(offset)), h)
     volume = surface.volume(surface.fraction_and_area()[0])
-    # The error is of fourth order in the largest spacing, 2.
-    assert volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=8 * most if radius > 2 else most)
+    # The error is of fourth order in the largest spacing; a radius of 2 is one voxel along z.
+    assert volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=8 * most if radius > 2 else 0.03)
 
 
 def test_volume_follows_the_band_as_it_moves():
