@@ -1,7 +1,7 @@
 """Does the surface depend on the order and direction in which a scan's axes are stored? All 48, with levels.
 
-Each case is one scan that is stored in 48 ways and segmented. The distance between two surfaces is psi of the first,
-interpolated linearly, at the vertices of the other's mesh, in voxels of the smallest spacing.
+Each case is one scan that is stored in 48 ways and segmented. The distance between two surfaces is the difference of
+their psi, interpolated linearly, at the vertices of their meshes, in voxels of the smallest spacing.
 """
 
 from __future__ import annotations
@@ -132,15 +132,22 @@ def ball(geometry: Any, box: Box, centre: tuple[float, float, float], radius: fl
     return ball_distance(box, geometry.spacing, geometry.world_to_index(centre), radius)
 
 
+def _psi_at(result: Result, part: Any, world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Psi of an object of a result at world points, linear between voxels."""
+    index = result.geometry.world_to_index(world) - [s.start or 0 for s in part.box]
+    return np.asarray(ndimage.map_coordinates(part.psi, index.T, order=1, mode="nearest"))
+
+
 def apart(one: Result, two: Result, scan: Volume) -> tuple[float, float]:
     """Mean and largest distance of the surfaces of two results, voxels."""
     distances = []
     for first, second in ((one, two), (two, one)):
         for a, b in zip(first.objects, second.objects, strict=True):
-            index = first.geometry.world_to_index(b.surface.vertices) - [s.start or 0 for s in a.box]
+            at = first.geometry.world_to_index(b.surface.vertices)
             # Half a voxel beyond the border are the caps of a surface that the border cuts.
-            index = index[((index >= 0) & (index <= np.array(a.psi.shape) - 1)).all(axis=1)]
-            distances.append(np.abs(ndimage.map_coordinates(a.psi, index.T, order=1, mode="nearest")))
+            at = at[((at >= 0) & (at <= np.array(first.geometry.shape) - 1)).all(axis=1)]
+            index = first.geometry.index_to_world(at)
+            distances.append(np.abs(_psi_at(first, a, index) - _psi_at(second, b, index)))
     every = np.concatenate(distances) / min(scan.geometry.steps)
     return float(every.mean()), float(every.max())
 

@@ -139,7 +139,7 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     loops = []
     for nodes in found:
         rows, columns = (np.interp(nodes[:-1, a], np.arange(len(places[a])), places[a]) for a in (0, 1))
-        zyx = on_edges(np.insert(np.stack([rows, columns], axis=1), axis, 0.0, axis=1), psi, margin)
+        zyx = on_edges(np.insert(np.stack([rows, columns], axis=1), axis, 0.0, axis=1), psi, geometry.spacing, margin)
         zyx = zyx[(zyx != np.roll(zyx, -1, axis=0)).any(axis=1)]
         numbers = np.arange(len(zyx))
         zyx = balanced(zyx, np.stack([numbers, np.roll(numbers, -1)], axis=1), psi, geometry.spacing)

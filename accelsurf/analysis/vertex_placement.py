@@ -36,7 +36,9 @@ MIN_SLOPE = 0.8
 MIN_COSINE = 0.5
 
 
-def on_edges(zyx: Floats, psi: NDArray[np.float32], margin: float) -> Floats:
+def on_edges(
+    zyx: Floats, psi: NDArray[np.float32], spacing: tuple[float, float, float], margin: float
+) -> Floats:
     """Move vertices along their edges of the grid to the zero of psi there.
 
     Parameters
@@ -45,6 +47,8 @@ def on_edges(zyx: Floats, psi: NDArray[np.float32], margin: float) -> Floats:
         Index positions where psi, linear along the edges, is 0.
     psi : ndarray, shape (nz, ny, nx)
         Level-set function, mm.
+    spacing : (hz, hy, hx)
+        mm.
     margin : float
         Values of psi closer to 0 count as so far from it.
 
@@ -60,12 +64,12 @@ def on_edges(zyx: Floats, psi: NDArray[np.float32], margin: float) -> Floats:
     for axis in range(3):
         which = np.flatnonzero(on_edge & between[:, axis])
         if which.size:
-            placed[which, axis] = _zeros_along(zyx[which], axis, psi, margin)
+            placed[which, axis] = _zeros_along(zyx[which], axis, psi, spacing[axis], margin)
     return placed
 
 
-def _zeros_along(zyx: Floats, axis: int, psi: NDArray[np.float32], margin: float) -> Floats:
-    """Positions along ``axis`` of the zeros between the nodes around each vertex."""
+def _zeros_along(zyx: Floats, axis: int, psi: NDArray[np.float32], h: float, margin: float) -> Floats:
+    """Positions along ``axis``, of spacing ``h``, of the zeros between the nodes around each vertex."""
     n = psi.shape[axis]
     index = _nearest(zyx, psi.shape)
     first = np.floor(zyx[:, axis]).astype(np.int64)
@@ -79,7 +83,8 @@ def _zeros_along(zyx: Floats, axis: int, psi: NDArray[np.float32], margin: float
     below, a, b, above = (node(k) for k in (-1, 0, 1, 2))
     a, b = (np.where(np.abs(v) < margin, np.where(v < 0, -margin, margin), v) for v in (a, b))
     low, high = below - 2 * a + b, a - 2 * b + above
-    agree = low * high > 0
+    # Second differences of a distance are at most 2 h: else psi is none, as where a region of interest cuts the object.
+    agree = (low * high > 0) & (np.maximum(np.abs(low), np.abs(high)) <= 2.01 * h)
     smaller = np.where(np.abs(low) < np.abs(high), low, high)
     cubic = agree & (np.abs(smaller) >= MIN_RATIO * np.maximum(np.abs(low), np.abs(high)))
     limited = np.where(agree, smaller, 0.0)
@@ -139,7 +144,9 @@ def balanced(
     # Around an edge or a corner of the object no curvature says where the surface is.
     cosine = (corner_normals * np.roll(corner_normals, -1, axis=1)).sum(axis=2).min(axis=1)
     smooth = known[faces].all(axis=1) & (cosine > MIN_COSINE)
-    gap = np.clip(np.where(smooth, gap, 0.0), -MAX_GAP * h.min(), MAX_GAP * h.min())
+    # The thickness of a single slice does not count.
+    most = MAX_GAP * min((step for step, n in zip(spacing, psi.shape, strict=True) if n > 1), default=h.min())
+    gap = np.clip(np.where(smooth, gap, 0.0), -most, most)
     # Caps are flat, and have no share in the rim's displacement.
     size[on_cap[faces].all(axis=1).any(axis=1)] = 0.0
 

@@ -61,7 +61,7 @@ def test_vertices_lie_on_the_surface_before_they_are_balanced() -> None:
     crossed = [psi[tuple(e.astype(int).T)] < 0 for e in ends]
     start = start[crossed[0] != crossed[1]]
     assert len(start) > 100
-    placed = on_edges(start, psi, MARGIN)
+    placed = on_edges(start, psi, (1.0, 1.0, 1.0), MARGIN)
     assert np.abs(np.linalg.norm(placed - centre, axis=1) - 5.0).max() < 0.003
 
 

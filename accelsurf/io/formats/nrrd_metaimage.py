@@ -144,7 +144,8 @@ def parse_metaimage(path: Path) -> RawHeader:
         offset = file.tell()
     pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
     fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
-    if len(fields) < len(pairs):
+    keys = [pair[0].strip() for pair in pairs if len(pair) == 2]
+    if len(set(keys)) < len(keys):
         raise InputError("the MetaImage header says the same key twice", hint="keep the one that is right")
     name = fields.get("ElementDataFile", "")
     if not name or next((k for k in fields if k in _META_SIZED), "") != "NDims" or min(map(len, pairs)) < 2:
