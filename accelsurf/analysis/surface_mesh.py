@@ -167,7 +167,8 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
     nodes, faces, _, _ = marching_cubes(block, level=0.0)
     zyx = np.stack([np.interp(nodes[:, a], np.arange(len(positions[a])), positions[a]) for a in range(3)], axis=1)
     zyx, faces = _merge_cap_edges(zyx, faces, geometry.shape)
-    zyx = balanced(on_edges(zyx, psi, geometry.spacing, NODE_MARGIN * min(geometry.spacing)), faces, psi, geometry.spacing)
+    zyx = on_edges(zyx, psi, geometry.spacing, NODE_MARGIN * min(geometry.spacing))
+    zyx = balanced(zyx, faces, psi, geometry.spacing)
     # skimage's triangles face outward in a right-handed (z, y, x); taken as (x, y, z) they are mirrored once, and
     # once more by a left-handed direction.
     if np.linalg.det(geometry.direction) > 0.0:
