@@ -34,7 +34,7 @@ class Balance(NamedTuple):
 
 
 def lattice_shape(surface: LevelSet) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Voxels between nodes along z, y, x, and the number of nodes, one of them beyond either border."""
+    """Voxels between nodes along z, y, x, and the number of nodes."""
     grid, far = surface.grid, STRIDE * surface.largest_spacing
     stride = np.array([far / h for h in (grid.hz, grid.hy, grid.hx)])
     return stride, tuple(3 + math.ceil((n - 1) / s) for n, s in zip(surface.shape, stride, strict=True))
