@@ -119,7 +119,7 @@ class Accelerated(Flow):
         self._detect_oscillation(self._kinetic(area, before, after))
         # T at the time of the record, which is half a step from both velocities: that of their mean. Their product is
         # below 0 where the velocity reverses. At rest ``before`` is the velocity at that time itself.
-        between = before if self.clock.at_rest else 0.5 * (before + after)
+        between = before if self.clock.at_rest else mean
         kinetic = self._kinetic(area, between, between)
         return EnergyRates(
             kinetic=kinetic,

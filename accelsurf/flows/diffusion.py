@@ -91,7 +91,7 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     walls = on[at_wall]
     # A value of the other sign beyond the wall, instead of the same: 2 less of it.
     to_wall = 2.0 / surface.grid[3 + component] ** 2 if walls.size else 0.0
-    extension = surface.quadratic_extension(front)
+    extension = surface.quadratic_extension(front, component)
     extension.extend(surface.workers, field)
     turn, blended = [field.copy(), np.zeros_like(field), np.zeros_like(field)], field
     for j in range(1, step.stages + 1):

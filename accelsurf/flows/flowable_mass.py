@@ -9,7 +9,7 @@ import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.flows.diffusion import diffuse
-from accelsurf.flows.mass_balance import Prediction, balance, predict
+from accelsurf.flows.mass_balance import Prediction, balance, layer_area, predict
 from accelsurf.flows.protocol import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.step_limits import cfl_bound, clip_speed, percentile, wave_bound
 from accelsurf.kernels import transport
@@ -142,9 +142,10 @@ class FlowableMass(Accelerated):
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Kick the velocity by the forces over the step around the present time."""
         surface, front, clock = now.surface, now.front, self.clock
-        self._balance_mass(surface, now.area)
+        layer = layer_area(surface)
+        self._balance_mass(surface, layer)
         normal = surface.normals()
-        gravity = self._gravity_now(now)
+        gravity = self._gravity_now(now._replace(area=layer))
         acceleration = self._acceleration(now, normal, gravity)
         dt, cfl_dt = self.stable_dt(now, acceleration, gravity, limits)
         if not math.isfinite(dt):
@@ -162,7 +163,7 @@ class FlowableMass(Accelerated):
         clipped = clip_speed(velocity, rates, dt, limits.cfl)
         energy_rates = self._energy_rates(now.area, (before, smoothed, kicked, noisy, velocity))._replace(
             mass_potential=0.0 if gravity is None else gravity.potential,
-            mass=float((now.area * self.density).sum()),
+            mass=self.mass,
             mass_correction=self._correction - 1.0,
             clamped=0.0 if gravity is None else gravity.clamped,
         )
@@ -170,7 +171,7 @@ class FlowableMass(Accelerated):
         speed = (velocity * normal).sum(axis=1)
         front_speed = percentile(np.linalg.norm(velocity, axis=1), limits.percentile, front)
         surface.extend_outwards(speed, front)
-        self._expect_mass(surface, now.area * self.density, self.velocity, dt)
+        self._expect_mass(surface, layer * self.density, self.velocity, dt)
         self._stretch(now, normal, dt)
         clock.tick(dt)
         share = clipped / max(1, int(front.sum()))
@@ -179,7 +180,10 @@ class FlowableMass(Accelerated):
     # -- mass ----------------------------------------------------------------------------------------------
 
     def _balance_mass(self, surface: LevelSet, area: np.ndarray) -> None:
-        """Give the advected density the mass that the motion took to each place, and the total that has not left."""
+        """Give the advected density the mass that the motion took to each place, and the total that has not left.
+
+        ``area`` (n,) is that of `layer_area`.
+        """
         total = float(area.sum())
         if self.mass == 0.0:
             self.mass = float((area * self.density).sum())

@@ -160,59 +160,83 @@ def extend_outwards(start, stop, off, slots, shares, values):
 
 
 @kernel(stage=Stage.EXTENSION)
-def quadratic_table(start, stop, slot, grid, band, front, off, table):
+def quadratic_table(start, stop, slot, grid, band, front, off, across, table):
     """As `outward_table`, with the quadratic interpolation around the node that is nearest to each foot.
 
-    Row i of ``table`` = (slots (m, 10) int32, shares (m, 10) float32) gets that node, its six neighbours and, for each
-    pair of axes, the node diagonally towards the foot: all within 1.7 voxels of the surface. With distances u >= 0 of
-    the foot, F + sum [u (u + 1)/2 (F_+ - F) + u (u - 1)/2 (F_- - F)] + sum u_i u_j (F_ij - F_i - F_j + F). Beyond the
-    border the values are those of the mirror image. Where one of the ten is not on the front, the mean of those that
-    are, by their weights in the linear interpolation there; all 0 where none is.
+    Row i of ``table`` = (slots (m, 10) int32, shares (m, 10) float32, mirrored (m,) int8) gets that node, its six
+    neighbours and, for each pair of axes, the node diagonally towards the foot: all within 1.7 voxels of the surface.
+    With distances u >= 0 of the foot, F + sum [u (u + 1)/2 (F_+ - F) + u (u - 1)/2 (F_- - F)] +
+    sum u_i u_j (F_ij - F_i - F_j + F). Beyond the border the values are those of the mirror image, with the other sign
+    beyond the borders across axis ``across`` (-1: none); bit a of ``mirrored`` is set where one beyond a border across
+    axis a counts. Where one of the ten is not on the front, the mean of those that are, by their weights in the linear
+    interpolation there; all 0 where none is.
     """
-    slots, shares = table
+    slots, shares, mirrored = table
     for row in range(start, stop):
         s = off[row]
         iz, iy, ix = unravel(band.cells[s], grid)
         cz, uz, tz, az = nearest_node(iz + band.to_closest[s, 0] / grid.hz, grid.nz, grid.ny * grid.nx)
         cy, uy, ty, ay = nearest_node(iy + band.to_closest[s, 1] / grid.hy, grid.ny, grid.nx)
         cx, ux, tx, ax = nearest_node(ix + band.to_closest[s, 2] / grid.hx, grid.nx, 1)
+        mirrored[row] = (tz * az == 0) + 2 * (ty * ay == 0) + 4 * (tx * ax == 0)
+        # Signs of the values towards the foot and away from it.
+        sz, oz = mirror_sign(tz, 0, across, grid.nz), mirror_sign(az, 0, across, grid.nz)
+        sy, oy = mirror_sign(ty, 1, across, grid.ny), mirror_sign(ay, 1, across, grid.ny)
+        sx, ox = mirror_sign(tx, 2, across, grid.nx), mirror_sign(ax, 2, across, grid.nx)
         c = cz + cy + cx
         rest = 1.0 - uz * uz - uy * uy - ux * ux + uz * uy + uz * ux + uy * ux
         known = put(slot, front, c, rest, slots, shares, row, 0)
-        known &= put(slot, front, c + tz, uz * (0.5 * (uz + 1.0) - uy - ux), slots, shares, row, 1)
-        known &= put(slot, front, c + ty, uy * (0.5 * (uy + 1.0) - uz - ux), slots, shares, row, 2)
-        known &= put(slot, front, c + tx, ux * (0.5 * (ux + 1.0) - uz - uy), slots, shares, row, 3)
-        known &= put(slot, front, c + az, 0.5 * uz * (uz - 1.0), slots, shares, row, 4)
-        known &= put(slot, front, c + ay, 0.5 * uy * (uy - 1.0), slots, shares, row, 5)
-        known &= put(slot, front, c + ax, 0.5 * ux * (ux - 1.0), slots, shares, row, 6)
-        known &= put(slot, front, c + tz + ty, uz * uy, slots, shares, row, 7)
-        known &= put(slot, front, c + ty + tx, uy * ux, slots, shares, row, 8)
-        known &= put(slot, front, c + tx + tz, ux * uz, slots, shares, row, 9)
-        if known:
-            continue
-        total = 0.0
-        for k in range(10):
-            shares[row, k] = 0.0
-        for corner in range(8):
-            i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
-            share = (uz if i == 1 else 1.0 - uz) * (uy if j == 1 else 1.0 - uy) * (ux if k == 1 else 1.0 - ux)
-            if put(slot, front, c + i * tz + j * ty + k * tx, share, slots, shares, row, corner):
-                total += share
-            else:
-                shares[row, corner] = 0.0
-        scale = 1.0 / total if total > 0.0 else 0.0
-        for k in range(8):
-            shares[row, k] *= scale
+        known &= put(slot, front, c + tz, sz * uz * (0.5 * (uz + 1.0) - uy - ux), slots, shares, row, 1)
+        known &= put(slot, front, c + ty, sy * uy * (0.5 * (uy + 1.0) - uz - ux), slots, shares, row, 2)
+        known &= put(slot, front, c + tx, sx * ux * (0.5 * (ux + 1.0) - uz - uy), slots, shares, row, 3)
+        known &= put(slot, front, c + az, oz * 0.5 * uz * (uz - 1.0), slots, shares, row, 4)
+        known &= put(slot, front, c + ay, oy * 0.5 * uy * (uy - 1.0), slots, shares, row, 5)
+        known &= put(slot, front, c + ax, ox * 0.5 * ux * (ux - 1.0), slots, shares, row, 6)
+        known &= put(slot, front, c + tz + ty, sz * sy * uz * uy, slots, shares, row, 7)
+        known &= put(slot, front, c + ty + tx, sy * sx * uy * ux, slots, shares, row, 8)
+        known &= put(slot, front, c + tx + tz, sx * sz * ux * uz, slots, shares, row, 9)
+        if not known:
+            put_linear(slot, front, c, ((uz, tz, sz), (uy, ty, sy), (ux, tx, sx)), slots, shares, row)
+
+
+@kernel
+def put_linear(slot, front, c, axes, slots, shares, row):
+    """Write the weights of the linear interpolation among the corners of a cube that are on the front into a row.
+
+    ``axes`` = for z, y, x: distance from the node at ``c``, step in memory to the next, sign of its value.
+    """
+    (uz, tz, sz), (uy, ty, sy), (ux, tx, sx) = axes
+    total = 0.0
+    for k in range(10):
+        shares[row, k] = 0.0
+    for corner in range(8):
+        i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+        share = (uz if i == 1 else 1.0 - uz) * (uy if j == 1 else 1.0 - uy) * (ux if k == 1 else 1.0 - ux)
+        sign = (sz if i == 1 else 1.0) * (sy if j == 1 else 1.0) * (sx if k == 1 else 1.0)
+        if put(slot, front, c + i * tz + j * ty + k * tx, sign * share, slots, shares, row, corner):
+            total += share
+        else:
+            shares[row, corner] = 0.0
+    scale = 1.0 / total if total > 0.0 else 0.0
+    for k in range(8):
+        shares[row, k] *= scale
+
+
+@kernel
+def mirror_sign(step, axis, across, n):
+    """-1 where there is no ``step`` as the border across ``axis`` is there and turns the values, else 1."""
+    return -1.0 if step == 0 and axis == across and n > 1 else 1.0
 
 
 @kernel
 def nearest_node(p, n, stride):
     """Nearest node to position ``p`` of an axis, as an offset in memory; the distance; the steps towards it and away.
 
-    At the border a step beyond it is none: the mirror image of the node is the node.
+    At the border a step beyond it is none: the mirror image of the node is the node. The border is half a voxel beyond
+    the last node; a foot further out is there.
     """
-    p = min(max(p, 0.0), n - 1.0)
-    node = int(p + 0.5)
+    p = min(max(p, -0.5), n - 0.5) if n > 1 else 0.0
+    node = min(int(p + 0.5), n - 1)
     back, ahead = (-stride if node > 0 else 0), (stride if node < n - 1 else 0)
     if p < node:
         return node * stride, node - p, back, ahead

@@ -10,14 +10,16 @@ from accelsurf.kernels.stages import Stage
 
 
 @kernel
-def lattice_weights(index, to_closest, h, motion, stride, count, w):
+def lattice_weights(index, shift, n, stride, count, w):
     """First of the three nodes of an axis around the point that a foot moves to, and their weights into ``w`` (3,).
 
-    ``index`` of the cell, ``to_closest`` and ``motion`` in mm; ``stride`` voxels between ``count`` nodes, the second at
-    the first voxel. A point beyond the border is at the border. The weights are those of the quadratic B-spline: not
-    below 0, with sum 1, and so smooth that a sum hardly depends on where the surface lies between the voxels.
+    The point is ``shift`` voxels from the cell ``index`` of ``n``; beyond the border it is at the border. ``stride``
+    voxels lie between the ``count`` nodes. Their middle is that of the volume: mirrored, it has the mirrored lattice.
+    The weights are those of the quadratic B-spline: not below 0, with sum 1, and so smooth that a sum hardly depends on
+    where the surface lies between the voxels.
     """
-    place = 1.0 + min(max((index + (to_closest + motion) / h) / stride, 0.0), count - 3.0)
+    middle = 0.5 * (n - 1)
+    place = 0.5 * (count - 1) + min(max(index + shift - middle, -middle), middle) / stride
     nearest = int(place + 0.5)
     t = place - nearest
     w[0], w[1], w[2] = 0.5 * (0.5 - t) ** 2, 0.75 - t * t, 0.5 * (0.5 + t) ** 2
@@ -39,9 +41,9 @@ def deposit(grid, band, mass, motion, stride, lattice):
             continue
         foot = band.to_closest[s]
         iz, iy, ix = unravel(band.cells[s], grid)
-        az = lattice_weights(iz, foot[0], grid.hz, dt * velocity[s, 0], stride[0], mz, wz)
-        ay = lattice_weights(iy, foot[1], grid.hy, dt * velocity[s, 1], stride[1], my, wy)
-        ax = lattice_weights(ix, foot[2], grid.hx, dt * velocity[s, 2], stride[2], mx, wx)
+        az = lattice_weights(iz, (foot[0] + dt * velocity[s, 0]) / grid.hz, grid.nz, stride[0], mz, wz)
+        ay = lattice_weights(iy, (foot[1] + dt * velocity[s, 1]) / grid.hy, grid.ny, stride[1], my, wy)
+        ax = lattice_weights(ix, (foot[2] + dt * velocity[s, 2]) / grid.hx, grid.nx, stride[2], mx, wx)
         for i in range(3):
             for j in range(3):
                 share = mass[s] * wz[i] * wy[j]
@@ -57,9 +59,9 @@ def lattice_factors(start, stop, grid, band, lattice, stride, out):
     for s in range(start, stop):
         foot = band.to_closest[s]
         iz, iy, ix = unravel(band.cells[s], grid)
-        az = lattice_weights(iz, foot[0], grid.hz, 0.0, stride[0], mz, wz)
-        ay = lattice_weights(iy, foot[1], grid.hy, 0.0, stride[1], my, wy)
-        ax = lattice_weights(ix, foot[2], grid.hx, 0.0, stride[2], mx, wx)
+        az = lattice_weights(iz, foot[0] / grid.hz, grid.nz, stride[0], mz, wz)
+        ay = lattice_weights(iy, foot[1] / grid.hy, grid.ny, stride[1], my, wy)
+        ax = lattice_weights(ix, foot[2] / grid.hx, grid.nx, stride[2], mx, wx)
         total = 0.0
         for i in range(3):
             for j in range(3):

@@ -57,14 +57,14 @@ def fraction_below_plane(psi, gz, gy, gx, grid):
 
 
 @kernel
-def smeared_area(d, voxels, gz, gy, gx, gauss, grid):
+def smeared_area(d, voxels, gz, gy, gx, gauss, grid, width):
     """Area (mm2) that a voxel at distance ``d`` mm, ``voxels`` in voxels along the normal, has of the surface.
 
-    The delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the distance, epsilon = `AREA_WIDTH`: smooth as the
+    The delta function (1 + cos(pi s/epsilon))/(2 epsilon) of the distance, epsilon = ``width`` voxels: smooth as the
     surface moves through the grid, where the areas of planes that cut voxels jump by a percent. The levels within
     epsilon have on average 1 + d^2 K times the area of the surface, which is taken out.
     """
-    if voxels >= AREA_WIDTH:
+    if voxels >= width:
         return 0.0
     if voxels > 0.01:
         mm = abs(d) / voxels
@@ -72,7 +72,7 @@ def smeared_area(d, voxels, gz, gy, gx, gauss, grid):
         along = voxels_along(gz, gy, gx, grid)
         # On a sheet through the voxel's centre the centred differences are 0: no direction is known.
         mm = np.sqrt(gz * gz + gy * gy + gx * gx) / along if along > 1e-6 else min(grid.hz, min(grid.hy, grid.hx))
-    delta = (1.0 + np.cos(np.pi * voxels / AREA_WIDTH)) / (2.0 * AREA_WIDTH * mm)
+    delta = (1.0 + np.cos(np.pi * voxels / width)) / (2.0 * width * mm)
     return delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
 
 
@@ -144,7 +144,39 @@ def measures(grid, d, voxels, level, within, diagonal, most):
     if abs(d) <= diagonal:
         fraction = fraction_below_plane(d + above, gz, gy, gx, grid)
     curvature = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
-    return fraction, smeared_area(d, voxels, gz, gy, gx, gauss, grid), curvature
+    return fraction, smeared_area(d, voxels, gz, gy, gx, gauss, grid, AREA_WIDTH), curvature
+
+
+@kernel
+def room_to_border(p, n, step):
+    """How far index ``p`` is from the outermost voxels' centres of an axis of ``n``, in steps of ``step`` voxels."""
+    if n == 1 or abs(step) < 1e-6:
+        return np.inf
+    return max(min(p, n - 1.0 - p), 0.0) / abs(step)
+
+
+@kernel(stage=Stage.FLOW)
+def wide_areas(start, stop, psi, grid, band, width, out):
+    """Area (mm2) of the surface at every slot, smeared over ``width`` voxels to either side, into ``out`` (n,).
+
+    Parts of the surface, a few voxels long, are measured the better the wider the layer. Where it would reach
+    the outermost voxels it is narrower, down to `AREA_WIDTH`: the same for all cells of a foot.
+    """
+    for s in range(start, stop):
+        foot = band.to_closest[s]
+        voxels = voxels_along(foot[0], foot[1], foot[2], grid)
+        out[s] = 0.0
+        if voxels < width:
+            iz, iy, ix = unravel(band.cells[s], grid)
+            gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
+            _, gauss = curvatures(psi, band.cells[s], iz, iy, ix, grid)
+            along = max(voxels_along(gz, gy, gx, grid), 1e-6)
+            fz, fy, fx = foot[0] / grid.hz, foot[1] / grid.hy, foot[2] / grid.hx
+            room = room_to_border(iz + fz, grid.nz, fz / voxels if voxels > 0.01 else gz / (grid.hz * along))
+            room = min(room, room_to_border(iy + fy, grid.ny, fy / voxels if voxels > 0.01 else gy / (grid.hy * along)))
+            room = min(room, room_to_border(ix + fx, grid.nx, fx / voxels if voxels > 0.01 else gx / (grid.hx * along)))
+            here = min(width, max(room, AREA_WIDTH))
+            out[s] = smeared_area(band.psi[s], voxels, gz, gy, gx, gauss, grid, here)
 
 
 @kernel(stage=Stage.ENERGY)

@@ -47,25 +47,37 @@ class QuadraticExtension(NamedTuple):
     """As `ExtensionTable`, with quadratic interpolation among the front's cells: `kernels.band.quadratic_table`.
 
     A Laplacian divides the error of an extension by h^2: that of linear interpolation would not vanish with h.
+    ``mirrored`` (m,) int8 has bit a set where values beyond a border across axis a count.
     """
 
     front: np.ndarray
     off: np.ndarray
     slots: np.ndarray
     shares: np.ndarray
+    mirrored: np.ndarray
 
     def extend(self, workers: Workers, values: np.ndarray) -> None:
         """Overwrite ``values`` (n,) at the slots ``off``."""
         workers.parallel(band_kernels.extend_quadratically, self.off.size, self.off, self.slots, self.shares, values)
 
+    def turned(self, surface: LevelSet, component: int) -> QuadraticExtension:
+        """The extension of a vector's ``component``: beyond the borders across that axis it has the other sign."""
+        rows = np.flatnonzero(self.mirrored & (1 << component))
+        if rows.size == 0:
+            return self
+        shares = self.shares.copy()
+        shares[rows] = quadratic_extension(surface, self.front, self.off[rows], component).shares
+        return self._replace(shares=shares)
 
-def quadratic_extension(surface: LevelSet, front: np.ndarray) -> QuadraticExtension:
-    """Return the table by which the slots off the ``front`` (n,) read its cells."""
-    off = np.flatnonzero(~front).astype(np.int32)
-    table = np.empty((off.size, 10), np.int32), np.empty((off.size, 10), np.float32)
-    surface.workers.parallel(
-        band_kernels.quadratic_table, off.size, surface.dense.slot, surface.grid, surface.band, front, off, table
-    )
+
+def quadratic_extension(
+    surface: LevelSet, front: np.ndarray, off: np.ndarray, component: int = -1
+) -> QuadraticExtension:
+    """Return the table by which the slots ``off`` (m,) read the cells of ``front`` (n,), see `turned` of the result."""
+    off = off.astype(np.int32)
+    table = np.empty((off.size, 10), np.int32), np.empty((off.size, 10), np.float32), np.empty(off.size, np.int8)
+    where = surface.dense.slot, surface.grid, surface.band
+    surface.workers.parallel(band_kernels.quadratic_table, off.size, *where, front, off, component, table)
     return QuadraticExtension(front, off, *table)
 
 

@@ -293,11 +293,14 @@ class LevelSet:
             self._extension = extension_table(self, front, np.flatnonzero(~front))
         self._extension.extend(self.workers, values)
 
-    def quadratic_extension(self, front: np.ndarray) -> QuadraticExtension:
-        """The extension from ``front`` (n,) that is accurate enough for second differences; cached."""
+    def quadratic_extension(self, front: np.ndarray, component: int = -1) -> QuadraticExtension:
+        """The extension from ``front`` (n,) that is accurate enough for second differences; cached.
+
+        Of a scalar, or (0, 1, 2) of a vector's component along z, y, x: the border mirrors it with the other sign.
+        """
         if self._quadratic is None or self._quadratic.front is not front:
-            self._quadratic = quadratic_extension(self, front)
-        return self._quadratic
+            self._quadratic = quadratic_extension(self, front, np.flatnonzero(~front))
+        return self._quadratic if component < 0 else self._quadratic.turned(self, component)
 
     def redistance(
         self, fields: Sequence[np.ndarray] = (), advection: tuple[np.ndarray, float] | None = None

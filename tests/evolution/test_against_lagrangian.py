@@ -32,12 +32,15 @@ FAST = (
 
 
 def assert_converges(name: str, problem: Problem, point: float, order: float) -> list[float]:
-    """On 32 and 64 voxels; returns the relative errors of the density."""
+    """On 32 and 64 voxels; returns the relative errors of the density.
+
+    Errors are in the finest spacing. The floor is a part of the largest, which the areas are measured with.
+    """
     found = problem.study((32, 64))
     mean, worst = found["mean_voxels"], found["point_voxels"]
     print(f"\n{name}: mean {mean}, worst {worst} h, order {found['order_of_mean']:.2f} (mean)")
     assert worst[-1] <= point
-    assert found["order_of_mean"] >= order or mean[-1] <= FLOOR
+    assert found["order_of_mean"] >= order or mean[-1] <= FLOOR * max(problem.coarser)
     return list(found["density_relative"])
 
 
@@ -64,7 +67,7 @@ def test_density_that_varies_fivefold() -> None:
 
 @pytest.mark.parametrize("name", ["y twice as coarse", "flowable, x twice as coarse"])
 def test_curves_on_a_grid_twice_as_coarse_along_one_axis(name: str) -> None:
-    """Measured .044 and .027 h at 64."""
+    """Measured .045 and .021 h at 64; flowable .0052 and .0040 h of the mean, 16 and 32 voxels along x."""
     assert_converges(name, STRETCHED[name], 0.06, 1.7)
 
 

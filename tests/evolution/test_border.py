@@ -17,7 +17,7 @@ from scipy.special import j1
 
 from accelsurf.energies import Geodesic, RegionField
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Sobolev
-from accelsurf.flows.diffusion import diffuse
+from accelsurf.flows.diffusion import diffuse, largest_diffusion
 from accelsurf.levelset import LevelSet
 from tests.support import exact
 from tests.support.exact import Case
@@ -283,8 +283,10 @@ def test_velocities_through_the_border_diffuse_as_in_the_mirrored_whole() -> Non
     surface = LevelSet(on.points[1].copy(), on.spacing)
     x = on.points[2].ravel()[surface.band.cells].astype(np.float32)
     through, along = x.copy(), x.copy()
+    amount = 8.0 / 32**2
+    assert 0.8 * largest_diffusion(surface) < amount < largest_diffusion(surface)
     for field, component in ((through, 2), (along, 1)):
-        diffuse(surface, surface.front(), field, 30.0 / 32**2, component)
+        diffuse(surface, surface.front(), field, amount, component)
     near = x < 0.2
     assert np.abs(through - x)[near].max() < 1e-5 and np.abs(along - x)[near].max() > 1.0 / 32
 

@@ -185,10 +185,11 @@ def test_extension_replaces_values_off_the_front_only(shape, on_front):
     assert found.any() == (0 < on_front < 1) or n < 20
 
 
-def quadratic_table(dense, grid, band, front):
+def quadratic_table(dense, grid, band, front, across=-1):
     off = np.flatnonzero(~front).astype(np.int32)
     slots, shares = np.full((off.size, 10), -1, np.int32), np.full((off.size, 10), np.nan, np.float32)
-    band_kernels.quadratic_table(0, off.size, dense.slot, grid, band, front, off, (slots, shares))
+    table = slots, shares, np.full(off.size, -1, np.int8)
+    band_kernels.quadratic_table(0, off.size, dense.slot, grid, band, front, off, across, table)
     return off, slots, shares
 
 
@@ -221,6 +222,38 @@ def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape)
         assert got[s] == pytest.approx(quadratic(at[s][None])[0], abs=2e-3)
         tested += 1
     assert tested > 3
+
+
+@pytest.mark.parametrize("share", [1.0, 0.6])
+@pytest.mark.parametrize(("axis", "across"), [(0, -1), (1, -1), (2, -1), (0, 0), (1, 1), (2, 2), (1, 2)])
+def test_quadratic_extension_at_the_border_is_that_of_the_mirrored_whole(axis, across, share):
+    """A part of the front is missing (``share``), as in the mirror; a component through it changes sign."""
+    rng, shape = np.random.default_rng(18), [5, 6, 7]
+    index = np.argwhere(np.ones(shape, bool))
+    foot = rng.uniform(-1.4, 1.4, (len(index), 3))
+    # Up to the face, half a voxel beyond the centres.
+    foot = np.clip(index + foot, -0.5, np.array(shape) - 0.5) - index
+    front = rng.random(len(index)) < 0.7 * share
+    values = rng.standard_normal(len(index)).astype(np.float32)
+    sign = -1.0 if axis == across else 1.0
+
+    def doubled(field, factor):
+        field = field.reshape(*shape, -1)
+        return np.concatenate([factor * np.flip(field, axis), field], axis).reshape(-1, field.shape[-1])
+
+    turn = np.where(np.arange(3) == axis, -1.0, 1.0)
+    wide = [n * (2 if a == axis else 1) for a, n in enumerate(shape)]
+    whole = (doubled(foot, turn) * SPACING, doubled(front, 1) != 0, doubled(values, sign))
+    found = []
+    for size, feet, on, field in ((shape, foot * SPACING, front, values), (wide, *whole)):
+        dense, band = reference.whole_band(np.ones(size), feet)
+        off, slots, shares = quadratic_table(dense, reference.grid_of(size, SPACING), band, on.ravel(), across)
+        got = field.ravel().astype(np.float32)
+        band_kernels.extend_quadratically(0, off.size, off, slots, shares, got)
+        found.append(got.reshape(size))
+    there = [slice(None)] * 3
+    there[axis] = slice(shape[axis], None)
+    np.testing.assert_allclose(found[0], found[1][tuple(there)], atol=2e-5)
 
 
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6)])

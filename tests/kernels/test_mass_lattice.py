@@ -28,12 +28,28 @@ def test_all_mass_is_on_the_lattice_with_its_centre(shape):
     mass_lattice.deposit(grid, band, mass, (velocity, dt), stride, lattice)
     assert lattice.sum() == pytest.approx(mass.sum()) and lattice.min() >= 0.0
     at = np.argwhere(np.ones(shape, bool)) + (band.to_closest + dt * velocity) / SPACING
-    # The last node but one may be beyond the border.
-    place = np.clip(at / stride, 0.0, np.array(lattice.shape) - 3.0)
+    middle = 0.5 * (np.array(shape) - 1.0)
+    place = np.clip(at - middle, -middle, middle) / stride
     for axis in range(3):
-        others = tuple(a for a in range(3) if a != axis)
-        centre = (lattice.sum(axis=others) * (np.arange(lattice.shape[axis]) - 1.0)).sum()
+        others, m = tuple(a for a in range(3) if a != axis), lattice.shape[axis]
+        centre = (lattice.sum(axis=others) * (np.arange(m) - 0.5 * (m - 1))).sum()
         assert centre == pytest.approx((mass * place[:, axis]).sum(), rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(13, 9, 12), (2, 20, 7)])
+def test_the_mirrored_volume_has_the_mirrored_lattice(shape):
+    """The nodes lie about the middle of the volume, wherever that is between the voxels."""
+    grid, band, stride, lattice, rng = scene(shape, 2)
+    mass, rest = rng.random(band.cells.size), (np.zeros((band.cells.size, 3), np.float32), 0.0)
+    mass_lattice.deposit(grid, band, mass, rest, stride, lattice)
+    feet = band.to_closest.reshape(*shape, 3)
+    for axis in range(3):
+        sign = np.where(np.arange(3) == axis, -1.0, 1.0)
+        _, turned = reference.whole_band(np.ones(shape), (np.flip(feet, axis) * sign).reshape(-1, 3))
+        other = np.zeros_like(lattice)
+        mirrored = np.ascontiguousarray(np.flip(mass.reshape(shape), axis)).ravel()
+        mass_lattice.deposit(grid, turned, mirrored, rest, stride, other)
+        np.testing.assert_allclose(np.flip(other, axis), lattice, rtol=1e-9, atol=1e-12)
 
 
 def test_what_is_read_is_the_transpose_of_what_is_added():

@@ -12,6 +12,7 @@ from tests.support import reference
 pytestmark = pytest.mark.nojit
 
 SPACING = (3.0, 1.0, 0.7)
+WIDTH = region.AREA_WIDTH
 DIRECTIONS = [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 1, 0), (0, 1, -2), (1, 1, 1), (-0.3, 0.8, 0.52), (0.05, 1, 0.02)]
 
 
@@ -57,7 +58,7 @@ def test_smeared_area_by_its_formula(d, voxels):
     """On a sphere: the delta function, less the part d^2 K by which the levels have more area."""
     spacing, r = (1.0, 1.0, 0.75), 9.0
     grid = reference.grid_of((5, 5, 5), spacing)
-    got = region.smeared_area(d, voxels, 0.0, 0.0, 1.0, (r + d) ** -2, grid)
+    got = region.smeared_area(d, voxels, 0.0, 0.0, 1.0, (r + d) ** -2, grid, WIDTH)
     mm = 0.75  # the normal lies along x
     delta = (1 + np.cos(np.pi * voxels / 1.5)) / (3 * mm) if voxels < 1.5 else 0.0
     assert got == pytest.approx(delta * (1 - d**2 / (r + d) ** 2) * np.prod(spacing), rel=1e-9, abs=1e-12)
@@ -66,7 +67,7 @@ def test_smeared_area_by_its_formula(d, voxels):
 @pytest.mark.parametrize("gauss", [9.0, -9.0])
 def test_smeared_area_changes_by_a_quarter_at_most_however_curved(gauss):
     grid = reference.grid_of((5, 5, 5), SPACING)
-    flat, curved = (region.smeared_area(0.5, 0.6, 0.3, -0.2, 0.9, k, grid) for k in (0.0, gauss))
+    flat, curved = (region.smeared_area(0.5, 0.6, 0.3, -0.2, 0.9, k, grid, WIDTH) for k in (0.0, gauss))
     assert curved == pytest.approx(flat * (1 - np.sign(gauss) / 4))
 
 
@@ -77,8 +78,8 @@ def test_smeared_area_beside_the_surface_takes_its_normal_from_the_gradient():
     per_mm = np.linalg.norm(n / SPACING)
     want = 2 / 3 * per_mm * np.prod(SPACING)
     for size in (1.0, 0.4, 7.0):
-        assert region.smeared_area(0.0, 0.0, *(size * n), 0.0, grid) == pytest.approx(want)
-    assert region.smeared_area(0.011 / per_mm, 0.011, *n, 0.0, grid) == pytest.approx(want, rel=1e-3)
+        assert region.smeared_area(0.0, 0.0, *(size * n), 0.0, grid, WIDTH) == pytest.approx(want)
+    assert region.smeared_area(0.011 / per_mm, 0.011, *n, 0.0, grid, WIDTH) == pytest.approx(want, rel=1e-3)
 
 
 def unwritten(n):
