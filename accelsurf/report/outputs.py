@@ -156,6 +156,11 @@ def make_writable(folder: Path) -> None:
         When it cannot.
     """
     try:
+        os.fspath(folder).encode()
+    except UnicodeEncodeError:
+        message = f"{folder}: the name of the folder is not valid UTF-8"
+        raise OutputError(message, "choose another folder with -o, or link to this one") from None
+    try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
