@@ -165,7 +165,7 @@ def make_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        reason = error.strerror or str(error)
+        reason = "it is a file" if isinstance(error, FileExistsError) else error.strerror or str(error)
         raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
 
 
