@@ -196,7 +196,7 @@ def _write(
     content = log.timed("mesh", lambda: outputs.preview_content(result, title))
     error, warnings = shortcoming(place.name, result, strict)
     log.warnings += warnings
-    target = place if error is None else place.beside_result(config)
+    target = place if error is None else _failed_place(place, config, error)
     names = target.names(config, result.geometry.slice_axis is not None)
     with outputs.naming_final(files):
         written = outputs.write_result(result, files.drafts, names, content, log.seconds)
@@ -209,6 +209,15 @@ def _write(
         _commit(target, files, error is not None)
     watcher.outcome = f"the {'result so far' if interrupted else 'result'} is written: {target.report_path.absolute()}"
     return Finished(target, config, result, log, code, error)
+
+
+def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Place:
+    """Where the files of a failed result go; raises its error where they would replace a result that is called so."""
+    target = place.beside_result(config)
+    if target is not place and result_sets.result_stands(target.folder, target.name, target.paths(config).values()):
+        say(f"warning: the result of this failed run is not written: {target.folder} has other files {target.name}_*")
+        raise error
+    return target
 
 
 def _commit(target: Place, files: FileSet, failed: bool) -> None:

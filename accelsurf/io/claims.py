@@ -77,8 +77,14 @@ def hidden_name(name: str) -> str:
     return f".{name}{SUFFIX}"
 
 
-def claim(folder: Path) -> Claim | None:
+def claim(folder: Path, made: bool = False) -> Claim | None:
     """Make a hidden folder, or inherit that of a dead process with what is in it; None where its owner lives.
+
+    Parameters
+    ----------
+    folder : Path
+    made : bool
+        Whether this process has just made it: it owns it then also where the file system has no locks.
 
     Raises
     ------
@@ -92,7 +98,7 @@ def claim(folder: Path) -> Claim | None:
         except FileNotFoundError:
             continue  # its owner removed it meanwhile
         try:
-            owned = _try_lock(lock, new)
+            owned = _try_lock(lock, new or made)
             if owned and _is_file(lock, folder / _LOCK):
                 return Claim(folder, lock)
         except BaseException:
@@ -113,7 +119,8 @@ def hidden_folders(parent: Path) -> Iterator[Path]:
     for name in sorted(found):
         folder = parent / name
         # One that has no lock is ours if nothing else is in it: its owner died right after making it.
-        if (folder / _LOCK).is_file() or _is_empty(folder):
+        # Folders of other users that may not be looked into are theirs.
+        if os.path.isfile(folder / _LOCK) or _is_empty(folder):
             yield folder
 
 

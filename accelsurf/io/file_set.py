@@ -13,6 +13,7 @@ import json
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -24,6 +25,8 @@ from accelsurf.io.signals import uninterrupted
 
 _JOURNAL = "journal.json"
 _NEW, _OLD = "new", "old"
+#: Another process looks for a moment whether the owner of a folder is dead, and holds its lock then.
+_TRIES, _TRY_SECONDS = 10, 0.03
 
 
 @dataclass(frozen=True)
@@ -118,15 +121,13 @@ def opened(folder: Path, name: str, unique: bool = False) -> Iterator[FileSet]:
     """
     stuck = recover(folder)
     hidden = folder / hidden_name(name)
-    if unique:
-        base = hidden.name.removesuffix(SUFFIX)
-        hidden = Path(tempfile.mkdtemp(prefix=f"{base}.", suffix=SUFFIX, dir=folder))
-    elif hidden in stuck:
+    if not unique and hidden in stuck:
         raise OutputError(
             f"{folder / name}: a run that was killed has put only some of its files in place, and they cannot be moved",
             f"is one of them open in another program? the others are in {hidden}",
         )
-    claimed = claim(hidden)
+    claimed = _claimed(hidden, unique)
+    hidden = hidden if claimed is None else claimed.folder
     if claimed is None or (hidden / _JOURNAL).exists():  # its owner has died since
         if claimed is not None:
             claimed.release()
@@ -143,6 +144,21 @@ def opened(folder: Path, name: str, unique: bool = False) -> Iterator[FileSet]:
                 claimed.remove()
 
 
+def _claimed(hidden: Path, unique: bool) -> Claim | None:
+    """Claim a hidden folder, or a new one with a name like it; None where another process keeps it."""
+    for _ in range(_TRIES):
+        place = hidden
+        if unique:
+            place = Path(
+                tempfile.mkdtemp(prefix=f"{hidden.name.removesuffix(SUFFIX)}.", suffix=SUFFIX, dir=hidden.parent)
+            )
+        claimed = claim(place, made=unique)
+        if claimed is not None:
+            return claimed
+        time.sleep(_TRY_SECONDS)
+    return None
+
+
 def recover(folder: Path) -> list[Path]:
     """Finish or remove what killed processes have left in a folder; processes that live are left alone.
 
@@ -157,7 +173,7 @@ def recover(folder: Path) -> list[Path]:
             claimed = claim(hidden)
         except OSError:
             claimed = None
-            if (hidden / _JOURNAL).exists():
+            if os.path.exists(hidden / _JOURNAL):  # False where one may not look
                 stuck.append(hidden)
         if claimed is None:
             continue
@@ -165,7 +181,7 @@ def recover(folder: Path) -> list[Path]:
             if (hidden / _JOURNAL).exists():
                 with uninterrupted():
                     _move(hidden, folder)
-        except (OSError, ValueError, TypeError):
+        except (OSError, ValueError, TypeError, RecursionError):  # or the journal is none of ours
             stuck.append(hidden)
             claimed.release()
         else:
@@ -218,9 +234,21 @@ def _write_journal(hidden: Path, journal: _Journal) -> None:
     sync_folder(hidden)
 
 
+def _read_journal(hidden: Path) -> _Journal:
+    """The journal in a hidden folder; a ValueError where it would move files of other folders.
+
+    A hidden folder may have come with somebody's data.
+    """
+    journal = _Journal(**json.loads((hidden / _JOURNAL).read_text(encoding="utf-8")))
+    for name in (*journal.files, *journal.remove, *(() if journal.last is None else (journal.last,))):
+        if name in ("", ".", "..") or os.path.basename(name) != name:
+            raise ValueError(f"{name} is not the name of a file")
+    return journal
+
+
 def _move(hidden: Path, folder: Path) -> None:
     """Do what the journal says; a move that fails puts everything back. May be repeated after a kill at any point."""
-    journal = _Journal(**json.loads((hidden / _JOURNAL).read_text(encoding="utf-8")))
+    journal = _read_journal(hidden)
     (hidden / _OLD).mkdir(exist_ok=True)
     if not journal.undo:
         try:

@@ -156,11 +156,16 @@ def make_writable(folder: Path) -> None:
         When it cannot.
     """
     try:
+        os.fspath(folder).encode()
+    except UnicodeEncodeError:
+        message = f"{folder}: the name of the folder is not valid UTF-8"
+        raise OutputError(message, "choose another folder with -o, or link to this one") from None
+    try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        reason = error.strerror or str(error)
+        reason = "it is a file" if isinstance(error, FileExistsError) else error.strerror or str(error)
         raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
 
 

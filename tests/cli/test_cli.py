@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -322,6 +323,18 @@ def test_a_failing_run_leaves_a_good_result(words, code, scans, tmp_path, capsys
     assert {"ball_failed_report.json", *(os.path.basename(one["path"]) for one in failed["outputs"])} == others
     assert run(*good, *START, *steps) == 0
     assert {path.name for path in tmp_path.iterdir()} == set(before)
+
+
+@pytest.mark.parametrize(("words", "code"), [(("--strict",), 4), (("--cfl", "-1"), 2)])
+def test_a_failing_run_leaves_the_result_of_an_image_that_is_called_failed(words, code, scans, tmp_path, capsys):
+    out, steps = tmp_path / "out", ("--max-steps", 1)
+    shutil.copy(scans / "ball.nii.gz", tmp_path / "ball_failed.nii.gz")
+    assert run("segment", scans / "ball.nii.gz", "-o", out, *START, *steps) == 0
+    assert run("segment", tmp_path / "ball_failed.nii.gz", "-o", out, *START, *steps) == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert run("segment", scans / "ball.nii.gz", "-o", out, *START, *steps, "--overwrite", *words) == code
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert "is the report of a result" in capsys.readouterr().err
 
 
 def test_overwrite_takes_away_what_the_earlier_run_wrote_and_nothing_else(scans, tmp_path):

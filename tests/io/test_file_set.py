@@ -1,5 +1,6 @@
 """Sets of files at every point at which the process that writes them can be killed, and at every move that can fail."""
 
+import errno
 import hashlib
 import json
 import os
@@ -11,6 +12,7 @@ import pytest
 from accelsurf.errors import OutputError
 from accelsurf.io import claims, file_set
 from accelsurf.io.file_set import opened, recover
+from accelsurf.io.files import write_bytes
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are forked")
 
@@ -196,3 +198,86 @@ def test_long_names_have_a_short_hidden_folder(tmp_path):
         (files.drafts / name).write_bytes(b"1")
         files.commit()
     assert content(tmp_path) == {name: b"1"} and len(os.fsencode(claims.hidden_name(name))) < 200
+
+
+def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
+    """A single file has a hidden folder with a name that nobody else has: it needs no lock."""
+    import fcntl
+
+    def no_locks(number, operation):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", no_locks)
+    write_bytes(tmp_path / "a", b"1")
+    with opened(tmp_path, "scan") as files:
+        write_bytes(files.drafts / "b", b"2")
+        with pytest.raises(OutputError, match="another run is writing there now"), opened(tmp_path, "scan"):
+            pytest.fail("two owners")
+        files.commit()
+    assert content(tmp_path) == {"a": b"1", "b": b"2"} and not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize("unique", [False, True])
+def test_a_process_that_only_looks_for_dead_ones_is_waited_for(unique, tmp_path, monkeypatch):
+    """Between the making of a folder and its lock, another process may take it for that of a dead one."""
+    real = claims._try_lock
+    looked = []
+
+    def try_lock(lock, new):
+        looked.append(lock)
+        return len(looked) > 2 and real(lock, new)
+
+    monkeypatch.setattr(claims, "_try_lock", try_lock)
+    with opened(tmp_path, "scan", unique=unique) as files:
+        (files.drafts / "a").write_bytes(b"1")
+        files.commit()
+    monkeypatch.undo()
+    recover(tmp_path)
+    assert content(tmp_path) == {"a": b"1"} and not list(tmp_path.glob(".*"))
+
+
+def test_folders_of_other_users_are_left_alone(tmp_path, monkeypatch):
+    """One cannot look into them: in a shared folder every command ended with "Permission denied"."""
+    theirs = tmp_path / ".theirs.abc.accelsurf"
+    theirs.mkdir()
+    (theirs / "lock").write_bytes(b"")
+    real_stat, real_open = os.stat, os.open
+
+    def refuse(real):
+        def call(path, *args, **kwargs):
+            if ".theirs." in str(path) and not str(path).endswith(".accelsurf"):
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return real(path, *args, **kwargs)
+
+        return call
+
+    monkeypatch.setattr(os, "stat", refuse(real_stat))
+    monkeypatch.setattr(os, "open", refuse(real_open))
+    assert recover(tmp_path) == []
+    file_set.finish_killed_runs(tmp_path)
+    write_bytes(tmp_path / "a", b"1")
+    assert content(tmp_path) == {"a": b"1"}
+
+
+@pytest.mark.parametrize(
+    "journal",
+    [
+        json.dumps({"files": ["../stolen"], "remove": [], "last": None}),
+        json.dumps({"files": [], "remove": ["../kept"], "last": None}),
+        json.dumps({"files": ["a"], "remove": [], "last": ".."}),
+        "[" * 100_000,
+        "[]",
+        '{"files": [1], "remove": [], "last": null}',
+    ],
+)
+def test_a_journal_moves_no_files_of_other_folders(journal, tmp_path):
+    """A hidden folder may have come with data from elsewhere."""
+    (tmp_path / "kept").write_bytes(b"1")
+    hidden = tmp_path / "data" / ".scan.accelsurf"
+    (hidden / "new").mkdir(parents=True)
+    (hidden / "lock").write_bytes(b"")
+    (hidden / "stolen").write_bytes(b"2")
+    (hidden / "journal.json").write_text(journal)
+    assert recover(tmp_path / "data") == [hidden]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "kept"]
+    assert (hidden / "stolen").exists()

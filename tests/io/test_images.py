@@ -1,3 +1,4 @@
+import ctypes
 import hashlib
 import os
 import struct
@@ -302,6 +303,23 @@ def test_available_memory_without_proc(monkeypatch):
 
     monkeypatch.setattr(images.Path, "read_text", no_file)
     assert io.available_memory() == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def test_available_memory_on_windows(monkeypatch):
+    """It has no `os.sysconf`: no image could be read there."""
+
+    class Kernel:
+        def GlobalMemoryStatusEx(self, status):
+            assert status._obj.length == 64  # as Windows demands
+            status._obj.available = 123 << 30
+
+    def no_file(self, *args, **kwargs):
+        raise FileNotFoundError(2, "No such file", str(self))
+
+    monkeypatch.setattr(images.Path, "read_text", no_file)
+    monkeypatch.delattr(os, "sysconf")
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: Kernel())
+    assert io.available_memory() == 123 << 30
 
 
 def test_memory_that_runs_out_all_the_same(tmp_path, monkeypatch):

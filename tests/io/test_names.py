@@ -44,6 +44,12 @@ def test_the_command_line_survives_a_name_that_is_not_utf8(tmp_path):
         assert "UTF-8" in json.loads(path.read_text())["error"]["message"]
 
 
+def test_a_folder_for_outputs_that_is_not_utf8_is_refused_before_the_run(tmp_path):
+    with pytest.raises(OutputError, match="the name of the folder is not valid UTF-8"):
+        outputs.make_writable(tmp_path / BAD)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_report_holds_any_name():
     text = document.to_json({"path": BAD})
     assert json.loads(text.encode("utf-8").decode("utf-8"))["path"] == BAD
