@@ -17,7 +17,7 @@ from accelsurf.kernels.simd.cubic import cubic
 from accelsurf.kernels.stages import Stage
 
 #: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together
-#: by this much in a redistancing, and a surface at rest moves by no more.
+#: by this much in a redistancing, about which a surface at rest moves, after the first one.
 MIN_RESIDUE = 3e-4
 #: Largest residue, voxels: beyond it the point is not on the surface any more.
 MAX_RESIDUE = 0.5
@@ -43,6 +43,16 @@ def has_own_residue(s, grid, band):
     """Whether slot ``s`` is within `OWN_RESIDUE` of the surface."""
     fz, fy, fx = band.to_closest[s, 0] / grid.hz, band.to_closest[s, 1] / grid.hy, band.to_closest[s, 2] / grid.hx
     return fz * fz + fy * fy + fx * fx <= OWN_RESIDUE * OWN_RESIDUE
+
+
+@kernel
+def is_well_inside(p, n):
+    """Whether coordinate ``p`` of a position is in none of the outermost intervals of its axis of ``n`` voxels.
+
+    There the cubic takes its nodes from one side, and beyond psi is only continued: what it is there is the error of
+    that, which a surface on its way out must not keep. Shorter axes are interpolated from all their voxels.
+    """
+    return n < 2 or (n < 4 and 0.0 <= p <= n - 1.0) or 1.0 <= p <= n - 2.0
 
 
 @kernel
@@ -80,6 +90,8 @@ def own_residues(start, stop, psi, grid, band, motion, out):
         if abs(band.psi[s]) > furthest or not has_own_residue(s, grid, band):
             continue
         pz, py, px = known_point(s, grid, band, motion)
+        if not (is_well_inside(pz, grid.nz) and is_well_inside(py, grid.ny) and is_well_inside(px, grid.nx)):
+            continue
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             at = (bz * grid.ny + by) * grid.nx + bx

@@ -9,6 +9,8 @@ from accelsurf.kernels.grid import step_of
 
 #: The part of the surface beyond a ridge must be closer by this many voxels to be taken.
 MIN_GAIN = 0.02
+#: Psi may rise by this many voxels on the side that a ridge came from and has left: a step is half a voxel at most.
+PASSED = 0.25
 #: Shortest foot, voxels, whose direction is a normal.
 MIN_LENGTH = 0.1
 
@@ -25,13 +27,20 @@ def beyond_ridge(s, psi, slot, grid, band, near, guess):
     foot, old = band.to_closest, band.psi
     least = np.sqrt(guess[0] * guess[0] + guess[1] * guess[1] + guess[2] * guess[2]) - MIN_GAIN * h
     inside = psi[band.cells[s]] < 0.0
+    # So that psi counts away from the surface on either side of it.
+    sign = -1.0 if inside else 1.0
+    own = sign * psi[band.cells[s]]
     found, scale = -1, 0.0
     for side in range(6):
-        other = slot[near[side]] if near[side] >= 0 else -1
+        # Where psi rises along the axis no ridge has come across the cell: most cells need no more than this.
+        one, two = near[side], near[side ^ 1]
+        towards, back = sign * psi[max(one, 0)], sign * psi[two] if two >= 0 else 0.0
+        if one < 0 or max(towards, back - PASSED * h) > own or towards < 0.0:
+            continue
+        other = slot[near[side]]
         if other < 0 or (old[other] < 0.0) != inside or abs(old[other]) < MIN_LENGTH * h:
             continue
-        same = foot[other, 0] * foot[s, 0] + foot[other, 1] * foot[s, 1] + foot[other, 2] * foot[s, 2] >= 0.0
-        if same or (psi[near[side]] < 0.0) != inside:
+        if foot[other, 0] * foot[s, 0] + foot[other, 1] * foot[s, 1] + foot[other, 2] * foot[s, 2] >= 0.0:
             continue
         oz, oy, ox = step_of(side, grid)
         along = (oz * foot[other, 0] + oy * foot[other, 1] + ox * foot[other, 2]) / abs(old[other])

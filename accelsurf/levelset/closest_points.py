@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from accelsurf.kernels import march
+from accelsurf.kernels import march, residues
 
 if TYPE_CHECKING:
     from accelsurf.levelset.level_set import LevelSet
@@ -39,9 +39,10 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
     cells, to_closest, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
     cells[:n] = surface.band.cells
     inner, found = float(surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx)), np.empty(n, np.int8)
-    residue, limited = np.zeros(room, np.float32), surface.residues is None
-    if surface.residues is not None:
-        residue[:n] = surface.residues
+    residue, known_residues = np.zeros(room, np.float32), surface.residues
+    limited = known_residues is None
+    if known_residues is not None:
+        residue[:n] = known_residues
     parallel(march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found)
     parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
     size = n
@@ -73,3 +74,15 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
     later = np.unique(np.concatenate([open_slots[:0], *improved]))
     parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited))
     return ClosestPoints(cells, to_closest, state, size)
+
+
+def find_residues(surface: LevelSet, velocity: np.ndarray, dt: float) -> np.ndarray:
+    """Residues (n,) float32 of psi at the closest points of the band, moved by ``dt`` of ``velocity`` (n, 3) since."""
+    parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
+    motion = np.ascontiguousarray(velocity, np.float32), float(dt)
+    out = np.empty(surface.size, np.float32)
+    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, out)
+    # A smooth surface has none that count.
+    if out.any():
+        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, out)
+    return out

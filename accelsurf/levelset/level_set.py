@@ -12,7 +12,7 @@ from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels import differences, march, motion, region, residues, transport
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
-from accelsurf.levelset.closest_points import find_closest_points
+from accelsurf.levelset.closest_points import find_closest_points, find_residues
 from accelsurf.levelset.displacement import Displacement, Snapshot, displacement
 from accelsurf.levelset.extension import (
     ExtensionTable,
@@ -68,9 +68,6 @@ class LevelSet:
         As given, and as it is with unequal spacings; voxels.
     inside_beyond_band : int
         Number of voxels inside that are not in the band.
-    residues : ndarray (n,) float32 or None
-        Value (mm) of the interpolant of psi at the closest point of every cell, see `kernels.residues`. None until psi
-        is a distance.
 
     Notes
     -----
@@ -121,10 +118,10 @@ class LevelSet:
         voxels = self.dense.psi.size
         inside = int(self.workers.block_sums(region.inside_count, voxels, 1, self.dense.psi)[0])
         self.inside_beyond_band = inside - int(np.count_nonzero(self.band.psi < 0))
-        self.residues: np.ndarray | None = None
+        self._residues: np.ndarray | None = None
+        self._was_distance = False
         self.redistance()
         self.workers.parallel(band_kernels.flatten_beyond, voxels, self.dense, self.gamma)
-        self._find_residues(self.band.to_closest, 0.0)
 
     # -- properties ----------------------------------------------------------------------------------------
 
@@ -244,6 +241,7 @@ class LevelSet:
 
         |grad psi| by Godunov's upwind choice at the front; 1 further off, where psi was a distance.
         """
+        self._find_residues()
         norm = np.empty(self.size, np.float32)
         front = self.front()
         parallel = self.workers.parallel
@@ -259,7 +257,8 @@ class LevelSet:
         self.workers.parallel(transport.advect_psi, self.size, self.dense, self.grid, self.band, velocity, dt, out)
         self.dense.psi[self.band.cells] = out
         # The interpolation at the departure points errs too: what it leaves at the points that V moved is known now.
-        self._find_residues(velocity, dt)
+        self._residues = None
+        self._find_residues((velocity, dt))
 
     def normals(self) -> np.ndarray:
         """Inward unit normal N (n, 3), z y x, of the surface at the closest point of every cell."""
@@ -272,6 +271,7 @@ class LevelSet:
 
         Between `advance` and `redistance`: signs are flipped, distances follow in the latter.
         """
+        self._find_residues()
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
         inside_before = self.dense.psi[self.band.cells] < 0
         peak, where = np.empty(self.size, np.bool_), (self.dense, self.grid, self.band)
@@ -282,7 +282,7 @@ class LevelSet:
         if inside + outside:
             flipped, slot = inside_before != (self.dense.psi[self.band.cells] < 0), self.dense.slot
             self.workers.parallel(
-                residues.drop_residues, self.size, slot, self.grid, self.band, flipped, self.residues
+                residues.drop_residues, self.size, slot, self.grid, self.band, flipped, self._residues
             )
         return int(inside + outside)
 
@@ -344,26 +344,32 @@ class LevelSet:
         parallel(band_kernels.drop_cells, total, self.dense, cells, keep, self.gamma)
         parallel(band_kernels.store_band, size, self.dense, new)
         self._replace_band(new)
-        self._find_residues(new.to_closest, 0.0)
         self._fronts = {FRONT_WIDTH: front}
         if advection is None:
             for field in extended:
                 self.extend_outwards(field, front)
         return change
 
-    def _find_residues(self, velocity: np.ndarray, dt: float) -> None:
-        """Residues of psi at the closest points of the band, moved by ``dt`` of ``velocity`` (n, 3) since."""
-        self.residues = np.empty(self.size, np.float32)
-        motion = np.ascontiguousarray(velocity, np.float32), float(dt)
-        parallel, psi, slot = self.workers.parallel, self.dense.psi, self.dense.slot
-        parallel(residues.own_residues, self.size, psi, self.grid, self.band, motion, self.residues)
-        # A smooth surface has none that count.
-        if self.residues.any():
-            parallel(residues.distant_residues, self.size, slot, self.grid, self.band, motion, self.residues)
+    @property
+    def residues(self) -> np.ndarray | None:
+        """Psi (mm) interpolated at the closest point of every cell, (n,) float32, see `kernels.residues`.
+
+        None until psi is a distance.
+        """
+        if self._was_distance:
+            self._find_residues()
+        return self._residues
+
+    def _find_residues(self, motion: tuple[np.ndarray, float] | None = None) -> None:
+        """Find the residues if they are not known: of psi as a distance, or moved by ``motion`` = (velocity, dt)."""
+        if self._residues is None:
+            self._residues = find_residues(self, *((self.band.to_closest, 0.0) if motion is None else motion))
 
     def _replace_band(self, band: Band) -> None:
         """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""
         self.band, self._extension, self._quadratic, self._measured, self._fronts = band, None, None, None, {}
+        # Found when psi moves, as `advect` replaces them.
+        self._residues, self._was_distance = None, True
 
     def restore(self, band: Band, inside: np.ndarray, inside_beyond_band: int, half_width: float) -> None:
         """Go back to an earlier surface on the same grid.
@@ -385,7 +391,6 @@ class LevelSet:
         self.inside_beyond_band = inside_beyond_band
         self.workers.parallel(band_kernels.store_band, band.cells.size, self.dense, band)
         self._replace_band(band)
-        self._find_residues(band.to_closest, 0.0)
 
     def reinitialize(self, half_width: float) -> None:
         """Redistance the dense psi after a change from outside: any function is valid, as in the constructor."""

@@ -36,7 +36,7 @@ def test_balls_stay_where_they_are(size, most):
 
 
 def test_inside_and_outside_turned_round_give_the_same_surface():
-    """Not only the same displacement: the same bytes but for the sign, in motion too."""
+    """Not only the same displacement: the same psi but for the sign and rounding, in motion too."""
     for kind, size in (("slab", 2), ("cylinder", 1.5)):
         psi = exact_distance(kind, size, 4)
         surfaces = [LevelSet(sign * psi, (1, 1, 1)) for sign in (1, -1)]
