@@ -16,8 +16,8 @@ import numpy as np
 
 from accelsurf.errors import InputError
 
-#: Version of the format; raised when it changes.
-FORMAT = 1
+#: Version of the format; raised when it changes, or the fields of a record or the state of a flow do.
+FORMAT = 2
 _TREE = "tree"
 
 
