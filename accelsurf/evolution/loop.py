@@ -243,13 +243,13 @@ class Evolution:
             potential = state.potential
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
         if reason is not None:
+            if decision != "stay" and surface.size:
+                state.fields = StepFields(surface.band.cells, self._force()[1], np.zeros(surface.size, np.float32))
             return self._end(reason, columns, began)
         restarted = self.restart is not None and self.restart.is_due(potential, self.history[state.first :])
         if restarted:
             state.budget.record_loss(flow.zero_momentum(area))
-        front = surface.front(flow.stencil_width(surface))
-        curvature = surface.curvature(front)
-        force = self.energy.force(surface, front, surface.area_variation(front, curvature))
+        front, force, curvature = self._force()
         plan = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self._limits_now())
         if not plan.dt > 0:
             return self._end(("converged", "no force acts on the surface"), columns, began)
@@ -274,6 +274,13 @@ class Evolution:
             removed_components=removed,
             seconds=time.perf_counter() - began,
         )
+
+    def _force(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The front that the flow needs, and force and curvature there, all (n,)."""
+        front = self.surface.front(self.flow.stencil_width(self.surface))
+        curvature = self.surface.curvature(front)
+        variation = self.surface.area_variation(front, curvature)
+        return front, self.energy.force(self.surface, front, variation), curvature
 
     def _columns(self, n: int, potential: float, fraction: np.ndarray, area: np.ndarray) -> dict[str, Any]:
         """The columns of a record that say where the surface is."""

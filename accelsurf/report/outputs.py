@@ -128,7 +128,7 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
     OutputError
         When an output exists and may not be replaced, or nothing can be written there.
     """
-    longest = max((path.name for path in paths.values()), key=lambda name: len(os.fsencode(name)))
+    longest = max((path.name for path in paths.values()), key=lambda name: len(os.fsencode(name)), default="")
     if len(os.fsencode(longest)) > MAX_NAME_BYTES:
         raise OutputError(
             f"{longest}: the name of an output would have {len(os.fsencode(longest))} bytes, at most {MAX_NAME_BYTES} "

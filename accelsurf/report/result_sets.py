@@ -64,7 +64,7 @@ def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
     for name, checksum in _entries(document["outputs"] if document is not None else ()):
         path = report.parent / name
         try:
-            if name not in besides and path.is_file() and sha256(path) == checksum:
+            if name not in besides and os.path.isfile(path) and sha256(path) == checksum:
                 found.append(name)
         except AccelsurfError:
             continue

@@ -112,6 +112,7 @@ def test_a_voxel_offset_below_one_of_a_nifti(tmp_path):
         ("image", ".nrrd", (b"spacings: 1 2 3", b"spacings: 1 2_0 3"), "3 finite numbers"),
         ("image", ".mha", (b"ElementSpacing = 1 2 3", b"ElementSpacing = 1 2 3\nElementSpacing = 1 1 1"), "twice"),
         ("image", ".nrrd", (b"spacings: 1 2 3", b"spacings: 1 1e300 3"), "at most"),
+        ("image", ".mha", (b"MSB = False\nElementSp", b"MSB = \nElementSp"), "no value for"),
         ("image", ".mha", (b"MSB = False\nElementSp", b"MSB = False\nCompressedDataSize =\nElementSp"), "damaged"),
     ],
 )

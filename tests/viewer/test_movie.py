@@ -243,3 +243,10 @@ def test_without_any_driver_one_line_says_what_is_missing(image, tmp_path):
     assert done.returncode == 8 and len(done.stderr.splitlines()) == 2, done.stderr
     assert "neither a screen nor EGL nor OSMesa" in done.stderr and "apt install libosmesa6" in done.stderr
     assert not (tmp_path / "a.png").exists()
+
+
+def test_a_report_that_names_an_image_no_system_can_have(tmp_path):
+    config = {"config": {}, "input": {"path": "v" * 5000, "sha256": None}, "status": "ok", "outputs": [1]}
+    (tmp_path / "a_report.json").write_text(json.dumps(config))
+    with pytest.raises(InputError, match="is not there any more"):
+        movie_file.run_of_folder(tmp_path)

@@ -45,8 +45,9 @@ def test_the_surface_is_that_of_the_mesh_that_is_saved():
     psi[tuple(slice(o, o + n) for o, n in zip(surface.offset, surface.psi.shape, strict=True))] = surface.psi
     saved = extract(psi, volume.geometry)
     mesh = shapes.isosurface(surface, volume.geometry)
-    assert np.allclose(mesh.bounds[::2], saved.bounds[0], atol=1e-3)
-    assert np.allclose(mesh.bounds[1::2], saved.bounds[1], atol=1e-3)
+    # What is shown is linear between voxels; the mesh lies so that it has the volume, h^2/(6 r) further out at most.
+    assert np.allclose(mesh.bounds[::2], saved.bounds[0], atol=0.06)
+    assert np.allclose(mesh.bounds[1::2], saved.bounds[1], atol=0.06)
     assert mesh.area == pytest.approx(saved.area, rel=0.01)
 
 

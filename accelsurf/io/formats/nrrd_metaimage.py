@@ -54,6 +54,8 @@ _META_SIZED = frozenset(
     "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
     "CenterOfRotation AnatomicalOrientation".split()
 )
+# Without a value libraries take either.
+_META_FLAGS = ("BinaryData", "BinaryDataByteOrderMSB", "ElementByteOrderMSB", "CompressedData")
 
 
 def parse_nrrd(path: Path) -> RawHeader:
@@ -153,6 +155,9 @@ def parse_metaimage(path: Path) -> RawHeader:
             "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
             hint="is it the right file, and whole?",
         )
+    for flag in _META_FLAGS:
+        if fields.get(flag) == "":
+            raise InputError(f"the MetaImage header has no value for {flag}", hint="give it True or False")
     try:
         sizes = _whole(fields["DimSize"])
         item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")]

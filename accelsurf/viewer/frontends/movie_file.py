@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -267,7 +268,7 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         raise InputError(message, "run accelsurf segment again") from None
     if str(settings.get("energy", "")).startswith("custom: "):
         raise InputError(f"{path}: the energy was one of your own ({settings['energy']})", "make the movie in Python")
-    if not image.is_file():
+    if not os.path.isfile(image):  # False for a name that no file can have, too
         raise InputError(f"{path}: the image {image} is not there any more", "give the image and --config instead")
     if checksum is not None and io.sha256(image) != checksum:
         raise InputError(f"{image}: has changed, it is not the image of {path.name} any more", "run segment again")
