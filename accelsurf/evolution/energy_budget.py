@@ -7,11 +7,9 @@ from typing import Any
 
 from accelsurf.flows import EnergyRates
 
-#: Columns of the trace that the budget gives.
-COLUMNS = (
-    "kinetic", "mass_potential", "weight", "friction_work", "smoothing_work", "noise_work", "mass", "mass_correction",
-    "clamped_fraction",
-)
+#: Those columns of the trace that the flow's mass gives, and all that the budget gives.
+MASS_COLUMNS = ("mass_potential", "mass", "mass_correction", "clamped_fraction")
+COLUMNS = ("kinetic", "weight", "friction_work", "smoothing_work", "noise_work", *MASS_COLUMNS)
 
 
 @dataclass

@@ -318,6 +318,9 @@ class Evolution:
         entries["weight"] = self.flow.weight
         if columns.get("returned"):
             entries["kinetic"], entries["smoothing_work"] = 0.0, self.state.budget.smoothing
+            assert self.state.lowest is not None
+            then = self.history[self.state.lowest.step]
+            entries.update({key: getattr(then, key) for key in energy_budget.MASS_COLUMNS})
         return StepRecord(
             **columns, **entries, dt=0.0, cfl_dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0,
             diffusion=0.0, cells_visited=0, restarted=False, removed_components=0, seconds=time.perf_counter() - began,

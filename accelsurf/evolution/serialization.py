@@ -16,8 +16,8 @@ import numpy as np
 
 from accelsurf.errors import InputError
 
-#: Version of the format; raised when it changes.
-FORMAT = 1
+#: Version of the format; raised when it changes, or the fields of a record or the state of a flow do.
+FORMAT = 2
 _TREE = "tree"
 
 
@@ -39,7 +39,7 @@ def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
     """
     arrays: dict[str, np.ndarray] = {}
     names = {kind: name for name, kind in types.items()}
-    tree = json.dumps({"format": FORMAT, "state": _encode(value, arrays, names)})
+    tree = json.dumps({"format": FORMAT, "records": _layout(types), "state": _encode(value, arrays, names)})
     stream = io.BytesIO()
     np.savez(stream, **{_TREE: np.frombuffer(tree.encode(), np.uint8)}, **arrays)  # type: ignore[arg-type]
     return stream.getvalue()
@@ -61,6 +61,8 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
                 raise InputError(
                     f"a checkpoint of format {tree['format']} was given, expected {FORMAT}", "run from the start again"
                 )
+            if tree["records"] != _layout(types):
+                raise InputError("a checkpoint of another version of accelsurf was given", "run from the start again")
             return _decode(tree["state"], lambda name: arrays[name], types)
     except InputError:
         raise
@@ -96,6 +98,16 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], names: Mapping[type, str]
         kind = "tuple" if isinstance(value, tuple) else "list"
         return {kind: [_encode(item, arrays, names) for item in value]}
     raise TypeError(f"a state has a {type(value).__name__}, which cannot be saved")
+
+
+def _layout(types: Mapping[str, type]) -> dict[str, list[str]]:
+    """Names of the fields of each type: values are read back by their place."""
+    return {
+        name: [field.name for field in dataclasses.fields(kind)]
+        if dataclasses.is_dataclass(kind)
+        else list(kind._fields)  # type: ignore[attr-defined]
+        for name, kind in types.items()
+    }
 
 
 def _values(record: Any) -> list[Any]:

@@ -112,7 +112,8 @@ class Checkpoint(NamedTuple):
     def nbytes(self) -> int:
         """Upper bound of its memory, bytes: without records, with arrays that checkpoints may share."""
         fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
-        before, acting = self.loop.snapshot, self.loop.fields
-        shared = (12 * before.psi.size if before else 0) + (16 * acting.speed.size if acting else 0)
+        acting = self.loop.fields
+        shared = sum(12 * one.psi.size for one in (self.loop.snapshot, self.loop.earlier) if one)
+        shared += 16 * acting.speed.size if acting else 0
         shared += self.loop.lowest.nbytes if self.loop.lowest is not None else 0
         return self.surface.nbytes + fields + 8 * len(self.loop.history) + shared

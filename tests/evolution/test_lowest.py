@@ -149,3 +149,31 @@ def test_a_checkpoint_has_the_lowest_state():
     want = run(one)
     other.restore(kept)
     assert np.array_equal(run(other), want) and np.array_equal(one.surface.psi, other.surface.psi)
+
+
+def test_the_last_record_has_the_mass_of_the_surface_that_it_went_back_to():
+    """A ball that grows out of the volume: its mass changes, and what the record shows is that of its surface."""
+    z, y, x = np.indices((N, N, N)) - 9.5
+    psi = np.sqrt(z**2 + y**2 + (x + 7.0) ** 2)
+    evolution = Evolution(
+        LevelSet(psi - 4.0, (1.0, 1.0, 1.0)), Misled(psi - 6.0), FlowableMass(), max_steps=45, rule=StopRule()
+    )
+    run(evolution)
+    last, steps = evolution.history[-1], evolution.history[:-1]
+    then = steps[int(np.argmin([record.potential for record in steps]))]
+    assert last.returned and then.step < steps[-1].step
+    assert (last.mass, last.mass_correction) == (then.mass, then.mass_correction)
+    assert abs(steps[-1].mass - then.mass) > 0.01 * then.mass
+
+
+def test_the_memory_of_a_checkpoint_counts_both_snapshots_of_the_stop_rule():
+    evolution = Evolution(
+        LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=60, rule=StopRule(window=4)
+    )
+    for _ in range(10):
+        evolution.step()
+    kept = evolution.checkpoint()
+    assert kept.loop.earlier is not None
+    without = kept._replace(loop=kept.loop.copy())
+    without.loop.earlier = None
+    assert kept.nbytes - without.nbytes == 12 * kept.loop.earlier.psi.size

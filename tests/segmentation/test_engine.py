@@ -5,6 +5,7 @@ many.
 import functools
 import json
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,8 +16,11 @@ from accelsurf.analysis.metrics import dice
 from accelsurf.cli import execute
 from accelsurf.energies import ChanVese
 from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.evolution import serialization
+from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.segmentation import run_checkpoint
 from accelsurf.segmentation.api import result_of, segment, segment_objects
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import load_checkpoint, save_checkpoint
@@ -264,6 +268,26 @@ def test_a_checkpoint_of_another_run_is_refused(pair, tmp_path):
     ]
     for run in others:
         with run, pytest.raises(InputError, match="of another image or of other settings"):
+            load_checkpoint(path, run)
+
+
+def test_a_checkpoint_of_another_version_is_refused(pair, tmp_path, monkeypatch):
+    """Values of records are read by their place: a field more would shift those that follow."""
+    volume, starts, _ = pair
+    path = tmp_path / "run.checkpoint"
+    with Run(volume, RunConfig(max_steps=5), objects=starts) as run:
+        run.step()
+        with monkeypatch.context() as old:
+            old.setattr(serialization, "FORMAT", 1)
+            save_checkpoint(path, run.checkpoint(), run)
+        with pytest.raises(InputError, match="format 1 was given, expected 2"):
+            load_checkpoint(path, run)
+        save_checkpoint(path, run.checkpoint(), run)
+        assert load_checkpoint(path, run).step == 1
+        fields = [name for name in StepRecord._fields if name != "returned"]
+        older = NamedTuple("StepRecord", [(name, object) for name in fields])
+        monkeypatch.setitem(run_checkpoint.TYPES, "StepRecord", older)
+        with pytest.raises(InputError, match="another version of accelsurf"):
             load_checkpoint(path, run)
 
 
