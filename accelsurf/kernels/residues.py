@@ -17,7 +17,7 @@ from accelsurf.kernels.simd.cubic import cubic
 from accelsurf.kernels.stages import Stage
 
 #: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together
-#: by this much in a redistancing, about which a surface at rest moves, after the first one.
+#: by this much in a redistancing.
 MIN_RESIDUE = 3e-4
 #: Largest residue, voxels: beyond it the point is not on the surface any more.
 MAX_RESIDUE = 0.5
