@@ -46,16 +46,6 @@ def has_own_residue(s, grid, band):
 
 
 @kernel
-def is_well_inside(p, n):
-    """Whether coordinate ``p`` of a position is in none of the outermost intervals of its axis of ``n`` voxels.
-
-    There the cubic takes its nodes from one side, and beyond psi is only continued: what it is there is the error of
-    that, which a surface on its way out must not keep. Shorter axes are interpolated from all their voxels.
-    """
-    return n < 2 or (n < 4 and 0.0 <= p <= n - 1.0) or 1.0 <= p <= n - 2.0
-
-
-@kernel
 def corner(i, grid, pz, py, px):
     """Raveled cell of corner ``i``, 0 .. 7, of the cube of voxel centres around a position, within the volume."""
     iz = min(max(np.int64(np.floor(pz)) + (i >> 2), 0), grid.nz - 1)
@@ -90,8 +80,6 @@ def own_residues(start, stop, psi, grid, band, motion, out):
         if abs(band.psi[s]) > furthest or not has_own_residue(s, grid, band):
             continue
         pz, py, px = known_point(s, grid, band, motion)
-        if not (is_well_inside(pz, grid.nz) and is_well_inside(py, grid.ny) and is_well_inside(px, grid.nx)):
-            continue
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             at = (bz * grid.ny + by) * grid.nx + bx
