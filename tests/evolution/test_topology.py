@@ -54,7 +54,7 @@ def within(points: np.ndarray, on: Lattice) -> np.ndarray:
 
 @pytest.mark.parametrize("model", ["descent", "constant-density"])
 def test_a_ball_that_grows_out_of_the_volume_stays_one(model: str) -> None:
-    """Out through three faces and their edges: 0.013 h in the mean; a few points at the volume's edges 0.063 and 0.092 h.
+    """Out through three faces and their edges: mean 0.013 h; a few points at the edges 0.063 and 0.092 h.
 
     The second differences there are those of a parabola through three voxels (record 0033).
     """
