@@ -20,7 +20,7 @@ from accelsurf.kernels.stages import Stage
 #: by this much in a redistancing.
 MIN_RESIDUE = 3e-4
 #: Largest residue, voxels: beyond it the point is not on the surface any more.
-MAX_RESIDUE = 0.5
+MAX_RESIDUE = 0.1
 #: Distance from the surface, voxels, within which cells have a residue of their own. Others have that of the cell
 #: nearest their foot: their feet then lie on the same surface as those beside it.
 OWN_RESIDUE = 1.0
