@@ -76,7 +76,7 @@ def test_residues_are_the_interpolant_at_the_points_that_are_known(shape):
     counts = own & inside.any(axis=1) & ~inside.all(axis=1) & (np.abs(value) <= most)
     want = np.where(counts, np.sign(value) * np.maximum(np.abs(value) - least, 0), 0)
     clear = np.abs(np.abs(value) - most) > 1e-4
-    assert counts.sum() > 2
+    assert counts.sum() > 1
     np.testing.assert_allclose(out[own & clear], want[own & clear], atol=2e-5)
     nearest = np.clip(np.floor(place + 0.5).astype(int), 0, np.array(shape) - 1)
     nearest = np.ravel_multi_index(nearest.T, shape)
