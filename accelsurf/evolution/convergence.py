@@ -31,10 +31,10 @@ class StopRule(NamedTuple):
     before (oscillation within the window does not count), and no more than the share ``far`` of it lies further away
     than `levelset.FAR`: a small part may still move while the rest does not. By the trend of the last windows
     `HORIZON` more of them would move it by at most ``further`` voxels more than one: slow creep goes on, oscillation
-    stays in place. The kinetic energy is below ``kinetic`` of w times the decrease of the potential so far, or the last
-    step moved the surface by less than `STILL` voxels (a start at the minimum decreases nothing) and a kinetic energy
-    above `LEVEL_KINETIC` of it falls. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`, the window is
-    longer in proportion.
+    stays in place. The kinetic energy is below ``kinetic`` of w times the decrease of the potential so far, or the
+    last step moved the surface by less than `STILL` voxels (a start at the minimum decreases nothing) and a kinetic
+    energy above `LEVEL_KINETIC` of it falls. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`,
+    the window is longer in proportion.
     """
 
     window: int = 20
