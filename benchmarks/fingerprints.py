@@ -3,7 +3,7 @@
     scripts/fingerprints --save before.json          on the code as it was
     scripts/fingerprints --compare before.json       with the change: every run whose bytes differ is named
 
-`benchmarks/results/fingerprints.json` has those of version 0.1.0, which the present code still gives.
+`benchmarks/results/fingerprints.json` has those of the present code.
 
 A fingerprint is the SHA-256 of labels, psi, mesh or contours, and of the trace without its seconds. Compiled code may
 round otherwise on another kind of processor or with another numpy or numba: both are kept in the file, and a comparison
