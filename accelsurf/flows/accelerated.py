@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.flows.clock import Clock
-from accelsurf.flows.diffusion import diffuse, diffuse_freely, free_diffusion, largest_diffusion
+from accelsurf.flows.diffusion import free_diffusion, largest_diffusion
 from accelsurf.flows.noise import Noise
 from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits
 from accelsurf.levelset import LevelSet
@@ -154,13 +154,6 @@ class Accelerated(Flow):
 
     def _diffusion_now(self, surface: LevelSet, dt: float, speed: float) -> float:
         return free_diffusion(surface, dt, speed) if self.diffusion is None else self.diffusion
-
-    def _diffuse(
-        self, surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float, component: int = -1
-    ) -> None:
-        """Diffuse a field with the D that was given, or freely."""
-        along = diffuse_freely if self.diffusion is None else diffuse
-        along(surface, front, field, amount, component)
 
     def _noise_now(self, now: StepInput, dt: float, components: int) -> np.ndarray | None:
         if self.noise is None or not self.noise.acts:

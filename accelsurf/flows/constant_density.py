@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated
+from accelsurf.flows.diffusion import diffuse
 from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
 from accelsurf.flows.step_limits import cfl_bound, clip_speed, front_percentiles, percentile, voxel_rates, wave_bound
 from accelsurf.kernels import motion, statistics
@@ -73,7 +74,7 @@ class ConstantDensity(Accelerated):
             damping, impulse = clock.gamma * dm, clock.weight() * dm
             diffusion = self._diffusion_now(surface, dm, speed[0] + dt * impulse / (self.rho * dm) * force[0])
             if diffusion > 0:
-                self._diffuse(surface, front, self.beta, diffusion * dm)
+                diffuse(surface, front, self.beta, diffusion * dm)
                 smoothed = self.beta.copy()
         kick = np.float32(impulse / self.rho) * np.asarray(now.force, np.float32)
         bend = 0.0 if clock.at_rest else dm

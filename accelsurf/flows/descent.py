@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.diffusion import diffuse, diffuse_freely, free_diffusion, largest_diffusion
+from accelsurf.flows.diffusion import diffuse, free_diffusion, largest_diffusion
 from accelsurf.flows.protocol import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.step_limits import clip_speed, curvature_bound, percentile, voxel_rates
 from accelsurf.levelset import LevelSet
@@ -87,6 +87,5 @@ class Gradient(Descent):
             diffusion = free_diffusion(surface, dt, percentile(speed, limits.percentile, front))
         if diffusion > 0:
             surface.extend_outwards(speed, front)
-            along = diffuse_freely if self.diffusion is None else diffuse
-            along(surface, front, speed, diffusion * dt)
+            diffuse(surface, front, speed, diffusion * dt)
         return descent_plan(now, speed, dt, limits, cfl_dt, diffusion)

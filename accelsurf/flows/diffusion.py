@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +17,6 @@ MAX_STAGES = 1 + len(BLENDED)
 #: Part of the stable step that is used. It also bounds the error in time: at 12 voxels of radius a wave of degree 4
 #: decays within 5 % of its rate in the longest step.
 SAFETY = 0.9
-#: Largest number of stages of a free diffusion; s of them make (s^2 + s)/2 times the amount of one.
-MAX_FREE_STAGES = 8
 #: Free diffusion is a mixing length: D = at most MIXING x h x front speed. The surface then averages its speed over
 #: the same patch for each voxel travelled, whatever the step: a step cut short by another bound is not overdamped.
 MIXING = 16.0
@@ -63,34 +60,15 @@ def stages_of(count: int) -> Polynomial:
 
 
 STAGES = tuple(stages_of(count) for count in range(1, MAX_STAGES + 1))
-#: Of first order: P_s alone, which damps short waves most.
-FREE_STAGES = tuple(Polynomial(s, 0, 1.0, 0.5 * (s * s + s)) for s in range(1, MAX_FREE_STAGES + 1))
 
 
 def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
     """The paper's free gain: the largest D (mm2 per unit time) that does not shorten the step, within a mixing length.
 
-    The first bound is that of `diffuse_freely` in ``dt``; the second, MIXING x h x ``speed``, avoids that a step
+    The first bound is that of `diffuse` in ``dt``; the second, MIXING x h x ``speed``, avoids that a step
     which another bound has made short is overdamped.
     """
-    return min(FREE_STAGES[-1].amount * one_stage_diffusion(surface) / dt, MIXING * surface.smallest_spacing * speed)
-
-
-def diffuse_freely(
-    surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float, component: int = -1
-) -> None:
-    """Smooth an extended field (n,) along the surface in place, by about ``amount`` = D dt (mm2), as `diffuse`.
-
-    Of first order, with the linear extension between stages: it damps what the grid does not resolve, such as the
-    speeds that noise gives, and long waves by up to 1.6 times their rate where the surface bends within few voxels.
-    Nobody asked for that D, so its rate matters less than that it damps well, and costs half.
-    """
-    step = next((one for one in FREE_STAGES if one.amount * one_stage_diffusion(surface) >= amount), FREE_STAGES[-1])
-
-    def extend(values: np.ndarray) -> None:
-        surface.extend_outwards(values, front)
-
-    _run_stages(surface, front, field, amount, component, step, extend)
+    return min(largest_diffusion(surface) / dt, MIXING * surface.smallest_spacing * speed)
 
 
 def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float, component: int = -1) -> None:
@@ -104,25 +82,6 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     """
     bound = SAFETY * one_stage_diffusion(surface)
     step = next((one for one in STAGES if one.amount * bound >= amount), STAGES[-1])
-    extension = surface.quadratic_extension(front, component)
-
-    def extend(values: np.ndarray) -> None:
-        extension.extend(surface.workers, values)
-
-    extend(field)
-    _run_stages(surface, front, field, amount, component, step, extend)
-
-
-def _run_stages(
-    surface: LevelSet,
-    front: np.ndarray,
-    field: np.ndarray,
-    amount: float,
-    component: int,
-    step: Polynomial,
-    extend: Callable[[np.ndarray], None],
-) -> None:
-    """Apply a polynomial of the Laplacian to an extended field (n,), in place; ``extend`` extends each stage."""
     share = amount / step.amount
     on = np.flatnonzero(front).astype(np.int32)
     table, at_wall = np.empty((on.size, 6), np.int32), np.empty(on.size, np.bool_)
@@ -132,6 +91,8 @@ def _run_stages(
     walls = on[at_wall]
     # A value of the other sign beyond the wall, instead of the same: 2 less of it.
     to_wall = 2.0 / surface.grid[3 + component] ** 2 if walls.size else 0.0
+    extension = surface.quadratic_extension(front, component)
+    extension.extend(surface.workers, field)
     turn, blended = [field.copy(), np.zeros_like(field), np.zeros_like(field)], field
     for j in range(1, step.stages + 1):
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
@@ -139,7 +100,7 @@ def _run_stages(
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
         parallel(motion.diffusion_stage, on.size, on, table, surface.grid, (old, older), weights, new)
         new[walls] -= np.float32(mu * share * to_wall) * old[walls]
-        extend(new)
+        extension.extend(surface.workers, new)
         if j == step.blended:
             blended = new.copy()
     field[:] = blended + np.float32(step.blend) * (turn[step.stages % 3] - blended)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated
+from accelsurf.flows.diffusion import diffuse
 from accelsurf.flows.mass_balance import Prediction, balance, layer_area, predict
 from accelsurf.flows.protocol import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.step_limits import cfl_bound, clip_speed, percentile, wave_bound
@@ -274,11 +275,11 @@ class FlowableMass(Accelerated):
             return self.velocity, 0.0
         along = (self.velocity * normal).sum(axis=1)
         tangential = self.velocity - along[:, None] * normal
-        self._diffuse(now.surface, front, along, diffusion * dm)
+        diffuse(now.surface, front, along, diffusion * dm)
         for c in range(3):
             component = np.ascontiguousarray(tangential[:, c])
             if component.any():
-                self._diffuse(now.surface, front, component, diffusion * dm, c)
+                diffuse(now.surface, front, component, diffusion * dm, c)
                 tangential[:, c] = component
         tangential -= (tangential * normal).sum(axis=1)[:, None] * normal
         return along[:, None] * normal + tangential, diffusion

@@ -19,7 +19,8 @@ from accelsurf.kernels.stages import Stage
 #: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together
 #: by this much in a redistancing.
 MIN_RESIDUE = 3e-4
-#: Largest residue, voxels: beyond it the point is not on the surface any more.
+#: Largest residue, voxels. What is more counts less, and nothing from twice as much on: large residues are of noise, or
+#: of points that are not on the surface any more.
 MAX_RESIDUE = 0.1
 #: Distance from the surface, voxels, within which cells have a residue of their own. Others have that of the cell
 #: nearest their foot: their feet then lie on the same surface as those beside it.
@@ -86,8 +87,9 @@ def own_residues(start, stop, psi, grid, band, motion, out):
             value, _, _, _ = cubic(psi, at, sy, sz, np.float32(pz - bz), np.float32(py - by), np.float32(px - bx))
         else:
             value, _, _, _ = value_and_gradient(psi, grid, pz, py, px, w)
-        if least < abs(value) <= most and is_at_surface(psi, grid, pz, py, px):
-            out[s] = value - least if value > 0.0 else value + least
+        size = min(abs(value) - least, 2.0 * most - abs(value))
+        if size > 0.0 and is_at_surface(psi, grid, pz, py, px):
+            out[s] = size if value > 0.0 else -size
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)

@@ -116,4 +116,4 @@ def test_levels_give_one_surface_in_every_order_and_direction_of_the_axes(settin
         apart = np.concatenate([distances(one, other), distances(other, one)]) / min(SPACING)
         assert len(apart) > 2000
         # With blocks that began at the first voxel: 0.01 to 0.06, and 0.1 to 0.6 at single places.
-        assert apart.mean() <= 0.005 and apart.max() <= 0.2
+        assert apart.mean() <= 0.02 and apart.max() <= 0.2
