@@ -73,8 +73,9 @@ def test_residues_are_the_interpolant_at_the_points_that_are_known(shape):
     inside = psi[tuple(np.moveaxis(corners, 2, 0))] < 0
     value, slope = reference.interpolate(psi, place)
     least, most = residues.MIN_RESIDUE * h.min(), residues.MAX_RESIDUE * h.min()
-    counts = own & inside.any(axis=1) & ~inside.all(axis=1) & (np.abs(value) <= most)
-    want = np.where(counts, np.sign(value) * np.maximum(np.abs(value) - least, 0), 0)
+    counts = own & inside.any(axis=1) & ~inside.all(axis=1) & (np.abs(value) <= 2 * most)
+    size = np.maximum(np.minimum(np.abs(value) - least, 2 * most - np.abs(value)), 0)
+    want = np.where(counts, np.sign(value) * size, 0)
     clear = np.abs(np.abs(value) - most) > 1e-4
     assert counts.sum() > 1
     np.testing.assert_allclose(out[own & clear], want[own & clear], atol=2e-5)
