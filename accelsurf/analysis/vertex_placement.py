@@ -133,7 +133,7 @@ def balanced(
     """
     h = np.array(spacing)
     on_cap = _on_cap(zyx, psi.shape)
-    normals, known = _normals(zyx, psi, h)
+    normals, known = _normals(zyx, on_cap, psi, h)
     # The surface meets the outer faces at a right angle, as psi is continued there: its rim moves on the face.
     normals[on_cap] = 0.0
     corners, corner_normals = (zyx * h)[faces], normals[faces]
@@ -163,9 +163,10 @@ def _per_vertex(faces: NDArray[np.integer], values: Floats, n: int) -> Floats:
     return np.asarray(sum(np.bincount(faces[:, k], values, n) for k in range(faces.shape[1])))
 
 
-def _normals(zyx: Floats, psi: NDArray[np.float32], h: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _normals(
+    zyx: Floats, on_cap: NDArray[np.bool_], psi: NDArray[np.float32], h: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Outward unit normals (n, 3) by centred differences, linear between the two nodes of an edge; where known (n,)."""
-    on_cap = _on_cap(zyx, psi.shape)
     low = np.clip(np.floor(np.where(on_cap, np.rint(zyx), zyx)).astype(np.int64), 0, np.array(psi.shape) - 1)
     part = np.where(on_cap, 0.0, zyx - low).max(axis=1)
     high = np.clip(np.ceil(np.where(on_cap, low, zyx)).astype(np.int64), 0, np.array(psi.shape) - 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from accelsurf.settings.wording import shown
+from accelsurf.settings.wording import escaped, shown
 
 #: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
 MAX_ERROR, MAX_HINT = 390, 1000
@@ -37,5 +37,5 @@ def printable(text: str, length: int) -> str:
     for _ in range(2):  # escapes make it longer again
         if len(text) > length:
             text = text[: length // 2 - 2] + "..." + text[2 - length // 2 :]
-        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+        text = escaped(text)
     return text

@@ -67,9 +67,7 @@ def staging(path: Path) -> Iterator[FileSet]:
             hint=f"does the folder {path.parent} exist, is it writable, is there space on the disk?",
         ) from error
     except RuntimeError as error:
-        raise OutputError(
-            f"{path}: cannot be written ({_itk_reason(error)})", hint="is there space on the disk?"
-        ) from error
+        raise OutputError(f"{path}: cannot be written ({_itk_reason(error)})", hint=SPACE_HINT) from error
 
 
 def write_bytes(path: Path, content: bytes) -> None:

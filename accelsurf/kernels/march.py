@@ -15,15 +15,13 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.closest import FOUND, LIMITED, OFFSET, closest_points, crossing_point, feet_memory
 from accelsurf.kernels.foot_checks import is_between_signs, is_near_volume
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
-from accelsurf.kernels.ridge import MIN_LENGTH, beyond_ridge
+from accelsurf.kernels.ridge import MIN_GAIN, MIN_LENGTH, beyond_ridge
 from accelsurf.kernels.stages import Stage
 
 #: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
 OPEN, FROZEN, EDGE = 0, 1, 2
 #: A foot may lie this many voxels beyond the border; a surface further out has left the volume.
 MARGIN = 1.0
-#: A cell adopts the foot of a neighbour when that is closer by this many voxels.
-MIN_GAIN = 0.02
 #: A cell enters when it is at most this much beyond the band, voxels, by its neighbour's tangent plane.
 SLACK = 0.1
 

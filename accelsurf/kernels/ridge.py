@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import step_of
 
-#: The part of the surface beyond a ridge must be closer by this many voxels to be taken.
+#: A cell takes another foot, of a neighbour or beyond a ridge, when that is closer by this many voxels.
 MIN_GAIN = 0.02
 #: Psi may rise by this many voxels on the side that a ridge came from and has left: a step is half a voxel at most.
 PASSED = 0.25

@@ -23,9 +23,19 @@ def shown(value: Any) -> str:
     """
     text = value if isinstance(value, str) and value else json.dumps(value, default=str)
     # Of a long text no more is looked at than can be shown.
-    text = text[: MAX_SHOWN + 1]
-    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+    text = escaped(text[: MAX_SHOWN + 1])
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 1] + "…"
+
+
+def escaped(text: str) -> str:
+    r"""A text with the characters that a terminal does not print written as escapes.
+
+    Examples
+    --------
+    >>> escaped("a" + chr(27))
+    'a\\x1b'
+    """
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def nearest(given: Any, names: Iterable[str]) -> str:

@@ -12,6 +12,7 @@ from scipy.special import i1
 from tests.support import exact
 from tests.support.exact import jinc
 from tests.support.lagrangian import Curve, Law, derivative, ellipse, parameter, solve, star
+from tests.support.lagrangian_cases import lopsided, uneven
 
 TIMES = (0.5, 1.0, 1.5)
 
@@ -20,18 +21,6 @@ def well(points: np.ndarray) -> np.ndarray:
     """Case B's and X's 0.5 (r^2 - 0.36)/r."""
     r = np.hypot(*points.T)
     return np.asarray(0.5 * (r**2 - 0.36) / r)
-
-
-def lopsided(points: np.ndarray) -> np.ndarray:
-    """A force without any symmetry."""
-    x, y = points.T
-    return np.asarray(0.6 * (x**2 + 1.6 * y**2 - 0.3 * x * y + 0.5 * x**3 - 0.35))
-
-
-def uneven(points: np.ndarray) -> np.ndarray:
-    """A force around the axis that is not the same above and below; smooth on the axis, so even in r."""
-    r, z = points.T
-    return np.asarray(0.6 * (r**2 + 1.6 * z**2 - 0.4 * z * r**2 + 0.5 * z**3 - 0.35))
 
 
 def lopsided_energy(curve: Curve) -> float:

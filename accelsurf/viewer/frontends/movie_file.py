@@ -200,7 +200,7 @@ def _mp4(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
             writer.send(np.ascontiguousarray(frame))
             count += 1
     except OSError as error:
-        raise OutputError(f"{path.name}: ffmpeg failed ({error})", "is there space on the disk?") from error
+        raise OutputError(f"{path.name}: ffmpeg failed ({error})", SPACE_HINT) from error
     finally:
         writer.close()
     return count
