@@ -18,10 +18,18 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS, MESH_FORMATS, label_h
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.volumes import VOLUME, VOLUME_FORM, volume_mm3
 
 #: A length in voxels, as it is written.
 VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
 RUN, FILES = SettingGroup.RUN, SettingGroup.FILES
+
+
+def _volume(value: Any) -> Any:
+    """Refuse a volume of 0."""
+    if isinstance(value, str) and VOLUME_FORM.fullmatch(value):
+        volume_mm3(value)
+    return value
 
 
 def _one_or_many(value: Any) -> Any:
@@ -71,7 +79,8 @@ class SettingFields(BaseModel):
     )
     energy: Annotated[str, BeforeValidator(_expression)] = setting(
         "chan-vese",
-        "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'.",
+        "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'. "
+        "With --inside it is seeded unless given.",
         entry=SettingEntry(RUN, metavar="EXPRESSION", choice=True, names=_term_names),
     )
     flow: Annotated[str, OneOf(lambda: FLOWS)] = setting(
@@ -82,7 +91,7 @@ class SettingFields(BaseModel):
     start: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
         ("center",),
         "First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, seed:X,Y,Z,R, label:FILE, threshold:LO,HI, "
-        "largest:LO,HI, otsu, mesh:FILE or center. "
+        "largest:LO,HI, otsu, mesh:FILE, center, or clicks (what --inside says; the default with it). "
         "Coordinates in world mm (LPS), or voxel indices (x,y,z) with the suffix vox. Several are united.",
         entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
         min_length=1,
@@ -91,7 +100,8 @@ class SettingFields(BaseModel):
         None,
         "Several objects at once, in place of --start: a label map on the image's grid with the first voxels of each "
         "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
-        "id,x_vox,y_vox,z_vox,r_vox. They never overlap.",
+        "id,x_vox,y_vox,z_vox,r_vox. They never overlap. With a column side (inside or outside) its rows are clicks, "
+        "as --inside; then r may be left out, and id 0 is no object.",
         entry=SettingEntry(RUN, metavar="FILE", fixed=True),
     )
     mask: str | None = setting(
@@ -340,6 +350,40 @@ class SettingFields(BaseModel):
     edit: Annotated[tuple[Edit, ...], BeforeValidator(edits_of)] = setting(
         (),
         "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
-        "(or remove=; with object=ID among several objects); in TOML tables [[edit]].",
+        "(or remove=), 'step=40 inside=point:X,Y,Z' (or outside=, repeated; with object=ID "
+        "among several objects); in TOML tables [[edit]].",
         entry=SettingEntry(RUN, metavar="CHANGE", repeated=True, fixed=True),
+    )
+    inside: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+        (),
+        "Voxels that are in the object, and stay in it: point:X,Y,Z, stroke:FILE, or written as a start. With --inside "
+        "and neither --start nor --energy the program chooses everything. Each is a click of its own.",
+        entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
+    )
+    outside: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+        (),
+        "Voxels that are not in the object, and stay out of it, written as --inside; with --objects in none of them.",
+        entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
+    )
+    box: str | None = setting(
+        None,
+        "Box around the object, X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox: nothing "
+        "outside of it is in the object, and energies learn from what lies around it.",
+        entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
+    )
+    size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(_volume)] = setting(
+        None,
+        "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
+        "not bound the result.",
+        entry=SettingEntry(RUN, metavar="VOLUME", scope="term", fixed=True),
+    )
+    keep_state: Literal["auto", "yes", "no"] = setting(
+        "auto",
+        "Also write the state of the run, from which accelsurf refine goes on; auto does with clicks.",
+        entry=SettingEntry(FILES, metavar="auto|yes|no", fixed=True),
+    )
+    stop_at_rest: bool = setting(
+        False,
+        "End the run where the surface first comes to rest, before it breaks through to something else.",
+        entry=SettingEntry(RUN, fixed=True),
     )
