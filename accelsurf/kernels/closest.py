@@ -14,8 +14,8 @@ MAX_ITERATIONS = 6
 #: The iteration ends once a correction is below this many voxels: the first, which knows nothing of the
 #: curvature and leaves distance x curvature of it, and the later ones, which leave its square. Further than a voxel
 #: off, where the foot is only read from, the first may be larger in proportion to the distance.
-FIRST_TOLERANCE = 0.015
-TOLERANCE = 0.05
+FIRST_TOLERANCE = 0.1
+TOLERANCE = 0.1
 #: Smallest |grad psi|^2: below it the zero level of psi is not determined.
 MIN_SLOPE2 = 0.04
 #: Longest correction in one iteration, voxels: the interpolant is trusted only near the front.

@@ -364,7 +364,10 @@ def remove_components(dense, grid, band, most, depth):
     # In two ranges, as two threads would.
     for start, stop in ((0, 100), (100, band.cells.size)):
         band_kernels.find_peaks(start, stop, dense, grid, band, depth, peak)
-    return band_kernels.small_components(dense, grid, band, np.flatnonzero(peak), most)
+    turned, before = np.zeros(band.cells.size, np.bool_), dense.psi[band.cells] < 0
+    found = band_kernels.small_components(dense, grid, band, np.flatnonzero(peak), most, turned)
+    np.testing.assert_array_equal(turned, before != (dense.psi[band.cells] < 0))
+    return found
 
 
 @pytest.mark.parametrize("sign", [1, -1])
