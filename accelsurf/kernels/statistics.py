@@ -28,9 +28,10 @@ def magnitude_at_rank(values, where, rank):
     alike = np.empty(histogram[top] + 1, np.uint32)
     count = 0
     for i in range(bits.shape[0]):
-        # The last place takes what does not count.
-        alike[count] = bits[i] & sign
-        count += where[i] and (alike[count] >> first) == top
+        size = bits[i] & sign
+        # The next place takes it also where it does not count.
+        alike[count] = size
+        count += np.int64(where[i]) & np.int64((size >> first) == top)
     found = np.uint32(top) << first
     for width, shift in ((11, 9), (9, 0)):
         histogram[:] = 0

@@ -294,7 +294,7 @@ class LevelSet:
         self._extension.extend(self.workers, values)
 
     def quadratic_extension(self, front: np.ndarray, component: int = -1) -> QuadraticExtension:
-        """The extension from ``front`` (n,) to the cells beside it that is accurate enough for second differences; cached.
+        """The extension from ``front`` (n,) to the cells beside it, accurate enough for second differences; cached.
 
         Of a scalar, or (0, 1, 2) of a vector's component along z, y, x: the border mirrors it with the other sign.
         """
