@@ -68,10 +68,10 @@ def guess_feet(first, count, dense, grid, band, guide, scratch, out):
     """First guesses of ``count`` feet from slot ``first`` on.
 
     ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,), around (6,)); ``out`` = (guesses (3, m),
-    rows z, y, x, 0 where there is none; beside (m,) bool; offset (m,) float32). ``beside`` marks the cells with a neighbour on the
-    other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above
-    ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where there is a
-    residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
+    rows z, y, x, 0 where there is none; beside (m,) bool; offset (m,) float32). ``beside`` marks the cells with a
+    neighbour on the other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where
+    |psi| was above ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where
+    there is a residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
     """
     psi = dense.psi
     inner, residue = guide
