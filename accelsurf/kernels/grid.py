@@ -48,9 +48,9 @@ class DenseArrays(NamedTuple):
 @kernel
 def unravel(cell, grid):
     """Index (z, y, x) of a raveled cell."""
-    # Division of integers takes longer than all the rest. Half a cell more is never within rounding of a whole number.
-    row = np.int64((cell + 0.5) * (1.0 / grid.nx))
-    iz = np.int64((row + 0.5) * (1.0 / grid.ny))
+    # Unsigned: rounding towards minus infinity would cost a second division.
+    row = np.int64(np.uint64(cell) // np.uint64(grid.nx))
+    iz = np.int64(np.uint64(row) // np.uint64(grid.ny))
     return iz, row - iz * grid.ny, cell - row * grid.nx
 
 
