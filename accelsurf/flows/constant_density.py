@@ -79,12 +79,12 @@ class ConstantDensity(Accelerated):
         kick = np.float32(impulse / self.rho) * np.asarray(now.force, np.float32)
         bend = 0.0 if clock.at_rest else dm
         surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, front, (damping, bend))
-        kicked = self.beta
+        # Copies: the speeds are clipped in place.
+        kicked = noisy = self.beta.copy()
         noise = self._noise_now(now, dm, 1)
         if noise is not None:
-            kicked = self.beta.copy()
             self.beta += noise[:, 0]
-        noisy = self.beta.copy()
+            noisy = self.beta.copy()
         clipped = clip_speed(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
         energy_rates = self._energy_rates(now.area, (before, smoothed, kicked, noisy, self.beta))
         energy_rates = energy_rates._replace(mass=self.rho * float(now.area.sum()))

@@ -74,8 +74,8 @@ def free_diffusion(surface: LevelSet, dt: float, speed: float) -> float:
 def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: float, component: int = -1) -> None:
     """Diffuse a field (n,), given on the ``front``, along the surface in place, by ``amount`` = D dt (mm2).
 
-    No flux passes the volume's border: the field is mirrored there. A vector's ``component`` along an axis (0, 1, 2)
-    changes its sign in the mirror of the two borders across that axis.
+    Off the front the field is as before, or extended. No flux passes the volume's border: the field is mirrored there.
+    A vector's ``component`` along an axis (0, 1, 2) changes its sign in the mirror of the two borders across that axis.
 
     Runge-Kutta-Legendre (Meyer, Balsara, Aslam 2012): stage j is the Legendre polynomial P_j of the Laplacian, each a
     Laplacian and an extension. Two of them combined are of second order, see `stages_of`; as few as ``amount`` needs.
@@ -100,7 +100,9 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
         parallel(motion.diffusion_stage, on.size, on, table, surface.grid, (old, older), weights, new)
         new[walls] -= np.float32(mu * share * to_wall) * old[walls]
-        extension.extend(surface.workers, new)
+        if j < step.stages:
+            extension.extend(surface.workers, new)
         if j == step.blended:
             blended = new.copy()
-    field[:] = blended + np.float32(step.blend) * (turn[step.stages % 3] - blended)
+    last, blended = turn[step.stages % 3][on], blended[on]
+    field[on] = blended + np.float32(step.blend) * (last - blended)

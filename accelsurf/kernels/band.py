@@ -160,6 +160,21 @@ def extend_outwards(start, stop, off, slots, shares, values):
 
 
 @kernel(stage=Stage.EXTENSION)
+def beside_front(start, stop, slot, grid, cells, front, off, out):
+    """Whether each of the slots ``off`` (m,) has a 6-neighbour on the front, into ``out`` (m,) bool."""
+    near = np.empty(6, np.int64)
+    for row in range(start, stop):
+        cell = cells[off[row]]
+        iz, iy, ix = unravel(cell, grid)
+        neighbours(cell, iz, iy, ix, grid, near)
+        out[row] = False
+        for side in range(6):
+            other = slot[near[side]] if near[side] >= 0 else -1
+            if other >= 0 and front[other]:
+                out[row] = True
+
+
+@kernel(stage=Stage.EXTENSION)
 def quadratic_table(start, stop, slot, grid, band, front, off, across, table):
     """As `outward_table`, with the quadratic interpolation around the node that is nearest to each foot.
 
@@ -319,12 +334,12 @@ def is_peak(psi, grid, cell, near):
 
 
 @kernel(stage=Stage.BAND)
-def small_components(dense, grid, band, peaks, most, held):
+def small_components(dense, grid, band, peaks, most, held, turned):
     """Flip the sign of psi on every component, inside or outside, of at most ``most`` cells and none of ``held``.
 
     Each has a cell that no 6-neighbour on its side exceeds in |psi|, among the slots ``peaks``; the flood starts there
     and stops beyond ``most`` cells. A component that touches the border of the volume counts like any other.
-    ``held`` are raveled cells in rising order.
+    ``held`` are raveled cells in rising order; ``turned`` (n,) bool gets which slots have another sign than before.
     Returns (components removed inside, outside, cells flipped).
     """
     psi = dense.psi
@@ -344,6 +359,9 @@ def small_components(dense, grid, band, peaks, most, held):
             continue
         for i in range(count):
             psi[flood[i]] = -psi[flood[i]]
+            slot = dense.slot[flood[i]]
+            if slot >= 0:
+                turned[slot] = not turned[slot]
         flipped += count
         if inside:
             removed_inside += 1

@@ -67,40 +67,43 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
 def guess_feet(first, count, dense, grid, band, guide, scratch, out):
     """First guesses of ``count`` feet from slot ``first`` on.
 
-    ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,)); ``out`` = (guesses (3, m), rows z, y, x,
-    0 where there is none; beside (m,) bool; offset (m,) float32). ``beside`` marks the cells with a neighbour on the
-    other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above
-    ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where there is a
-    residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
+    ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,), around (6,)); ``out`` = (guesses (3, m),
+    rows z, y, x, 0 where there is none; beside (m,) bool; offset (m,) float32). ``beside`` marks the cells with a
+    neighbour on the other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where
+    |psi| was above ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where
+    there is a residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
     """
     psi = dense.psi
     inner, residue = guide
-    near, guess = scratch
+    near, guess, around = scratch
     guesses, beside, offset = out
-    least = MIN_LENGTH * min(grid.hz, min(grid.hy, grid.hx))
+    plane = grid.ny * grid.nx
+    shortest = MIN_LENGTH * min(grid.hz, min(grid.hy, grid.hx))
     for i in range(count):
         s = first + i
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)
-        neighbours(cell, iz, iy, ix, grid, near)
         value = psi[cell]
+        # Beyond the border as in the cell.
+        a, b = psi[cell - plane if iz > 0 else cell], psi[cell + plane if iz < grid.nz - 1 else cell]
+        c, d = psi[cell - grid.nx if iy > 0 else cell], psi[cell + grid.nx if iy < grid.ny - 1 else cell]
+        e, f = psi[cell - 1 if ix > 0 else cell], psi[cell + 1 if ix < grid.nx - 1 else cell]
+        around[0], around[1], around[2], around[3], around[4], around[5] = a, b, c, d, e, f
         inside = value < 0.0
-        crossed = False
-        for side in range(6):
-            if near[side] >= 0 and (psi[near[side]] < 0.0) != inside:
-                crossed = True
-        beside[i] = crossed
+        crossed = ((a < 0.0) ^ inside) | ((b < 0.0) ^ inside) | ((c < 0.0) ^ inside)
+        beside[i] = crossed | ((d < 0.0) ^ inside) | ((e < 0.0) ^ inside) | ((f < 0.0) ^ inside)
         offset[i] = residue[s]
-        ratio = value / band.psi[s] if abs(band.psi[s]) > (inner if residue[s] == 0.0 else least) else 0.0
+        ratio = value / band.psi[s] if abs(band.psi[s]) > (inner if residue[s] == 0.0 else shortest) else 0.0
         for axis in range(3):
             guess[axis] = ratio * band.to_closest[s, axis]
         if residue[s] != 0.0 and ratio != 0.0:
-            other = beyond_ridge(s, psi, dense.slot, grid, band, near, guess)
+            other = beyond_ridge(s, (iz, iy, ix), dense.slot, grid, band, (value, around), guess)
             if other >= 0:
                 offset[i] = residue[other]
         unknown = guess[0] == 0.0 and guess[1] == 0.0 and guess[2] == 0.0
         # Beyond the border psi is only continued, at the band's edge from where it is no distance.
         if unknown or not is_near_volume(grid, iz, iy, ix, guess, 0.0):
+            neighbours(cell, iz, iy, ix, grid, near)
             if not first_guess(psi, grid, cell, iz, iy, ix, near, guess):
                 guess[0], guess[1], guess[2] = 0.0, 0.0, 0.0
         guesses[0, i], guesses[1, i], guesses[2, i] = guess[0], guess[1], guess[2]
@@ -118,6 +121,7 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     psi = dense.psi
     near = np.empty(6, np.int64)
     guess = np.empty(3)
+    around = np.empty(6, np.float32)
     plane = np.empty(3)
     w = np.empty(24)
     memory, feet, status = feet_memory()
@@ -127,20 +131,20 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     beside = np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
-        guess_feet(first, count, dense, grid, band, (inner, residue), (near, guess), (feet, beside, offset))
+        guess_feet(first, count, dense, grid, band, (inner, residue), (near, guess, around), (feet, beside, offset))
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
         for i in range(count):
             s = first + i
             cell = band.cells[s]
             iz, iy, ix = unravel(cell, grid)
             guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
-            found = status[i] == FOUND and is_near_volume(grid, iz, iy, ix, guess, MARGIN)
+            within = is_near_volume(grid, iz, iy, ix, guess, 0.0)
+            found = status[i] == FOUND and (within or is_near_volume(grid, iz, iy, ix, guess, MARGIN))
             bound = -1.0
             if beside[i]:
                 neighbours(cell, iz, iy, ix, grid, near)
                 bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
             # Beyond the border psi is only continued, and so is its jump to +-gamma.
-            within = is_near_volume(grid, iz, iy, ix, guess, 0.0)
             state[s] = accept_foot(psi[cell], grid, plane, bound, guess, found, 0.5 if within else 0.9)
             if within and not beside[i] and state[s] == FROZEN:
                 if not is_between_signs(psi, grid, iz, iy, ix, guess):

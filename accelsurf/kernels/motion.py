@@ -8,6 +8,7 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
 from accelsurf.kernels.interpolate import linear_at, linear_cell, value_at
+from accelsurf.kernels.simd.cubic import cubic_value
 from accelsurf.kernels.stages import Stage
 
 
@@ -22,7 +23,14 @@ def sample_image(start, stop, image, grid, band, front, out):
             pz = iz + band.to_closest[s, 0] / grid.hz
             py = iy + band.to_closest[s, 1] / grid.hy
             px = ix + band.to_closest[s, 2] / grid.hx
-            out[s] = value_at(image, grid, pz, py, px, w)
+            bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
+            # Well inside the volume, without the cases and the slopes of value_at.
+            if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
+                at = (bz * grid.ny + by) * grid.nx + bx
+                uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+                out[s] = cubic_value(image, at, grid.nx, grid.ny * grid.nx, uz, uy, ux)
+            else:
+                out[s] = value_at(image, grid, pz, py, px, w)
 
 
 @kernel(stage=Stage.ENERGY)
@@ -138,6 +146,11 @@ def diffusion_stage(start, stop, on, table, grid, stages, weights, out):
 @kernel(stage=Stage.FLOW)
 def voxel_rates(start, stop, grid, band, front, beta, out):
     """Speed of every front cell in voxels along its normal per unit time, |beta| |n/h| (0 elsewhere)."""
+    if grid.hz == grid.hy and grid.hy == grid.hx:
+        per_mm = np.float32(1.0 / grid.hz)
+        for s in range(start, stop):
+            out[s] = abs(beta[s]) * per_mm if front[s] else np.float32(0.0)
+        return
     for s in range(start, stop):
         out[s] = 0.0
         if front[s]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
+from accelsurf.kernels.cosine import bump, sine_of_pi
 from accelsurf.kernels.differences import (
     curvature_at_foot,
     curvatures,
@@ -72,7 +73,7 @@ def smeared_area(d, voxels, gz, gy, gx, gauss, grid, width):
         along = voxels_along(gz, gy, gx, grid)
         # On a sheet through the voxel's centre the centred differences are 0: no direction is known.
         mm = np.sqrt(gz * gz + gy * gy + gx * gx) / along if along > 1e-6 else min(grid.hz, min(grid.hy, grid.hx))
-    delta = (1.0 + np.cos(np.pi * voxels / width)) / (2.0 * width * mm)
+    delta = bump(voxels / width) / (2.0 * width * mm)
     return delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
 
 
@@ -195,7 +196,8 @@ def smear_band(start, stop, grid, band, epsilon, fraction):
         elif x >= 1.0:
             fraction[s] = 0.0
         else:
-            fraction[s] = 0.5 * (1.0 - x - np.sin(np.pi * x) / np.pi)
+            folded = x if abs(x) <= 0.5 else (1.0 - x if x > 0.0 else -1.0 - x)
+            fraction[s] = 0.5 * (1.0 - x - sine_of_pi(folded) / np.pi)
 
 
 @kernel(stage=Stage.ENERGY)

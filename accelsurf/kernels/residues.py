@@ -13,7 +13,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import unravel
 from accelsurf.kernels.interpolate import value_and_gradient
-from accelsurf.kernels.simd.cubic import cubic
+from accelsurf.kernels.simd.cubic import cubic_value
 from accelsurf.kernels.stages import Stage
 
 #: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together
@@ -59,6 +59,13 @@ def corner(i, grid, pz, py, px):
 def is_at_surface(psi, grid, pz, py, px):
     """Whether psi has both signs around an index position: what has lost its inside must not be held in place."""
     inside = 0
+    iz, iy, ix = np.int64(np.floor(pz)), np.int64(np.floor(py)), np.int64(np.floor(px))
+    if 0 <= iz < grid.nz - 1 and 0 <= iy < grid.ny - 1 and 0 <= ix < grid.nx - 1:
+        a = (iz * grid.ny + iy) * grid.nx + ix
+        b = a + grid.ny * grid.nx
+        for at in (a, a + grid.nx, b, b + grid.nx):
+            inside += (psi[at] < 0.0) + (psi[at + 1] < 0.0)
+        return 0 < inside < 8
     for i in range(8):
         inside += 1 if psi[corner(i, grid, pz, py, px)] < 0.0 else 0
     return 0 < inside < 8
@@ -82,10 +89,10 @@ def own_residues(start, stop, psi, grid, band, motion, out):
             continue
         pz, py, px = known_point(s, grid, band, motion)
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
-        # Well inside the volume, without the cases that value_and_gradient is for, in half the time.
+        # Well inside the volume, without the cases and the slopes of value_and_gradient.
         if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
             at = (bz * grid.ny + by) * grid.nx + bx
-            value, _, _, _ = cubic(psi, at, sy, sz, np.float32(pz - bz), np.float32(py - by), np.float32(px - bx))
+            value = cubic_value(psi, at, sy, sz, np.float32(pz - bz), np.float32(py - by), np.float32(px - bx))
         else:
             value, _, _, _ = value_and_gradient(psi, grid, pz, py, px, w)
         size = min(abs(value) - least, 2.0 * most - abs(value))

@@ -14,27 +14,37 @@ def magnitude_at_rank(values, where, rank):
     """The ``rank``-th smallest (from 0) of |values| (float32) where ``where`` is set; exact.
 
     The bits of positive floats are in the order of the floats: three histograms, each of the next bits of those that
-    agree with the bits found so far, tell the value.
+    agree with the bits found so far, tell the value. Those that agree with the first are few, and put together.
     """
     bits = values.view(np.uint32)
-    histogram = np.empty(2048, np.int64)
-    found = np.uint32(0)
-    above = np.uint32(31)
-    for part in range(3):
-        width, shift = (11, 20) if part == 0 else ((11, 9) if part == 1 else (9, 0))
+    histogram = np.zeros(2048, np.int64)
+    sign, first = np.uint32(0x7FFFFFFF), np.uint32(20)
+    for i in range(bits.shape[0]):
+        histogram[(bits[i] & sign) >> first] += where[i]
+    top = 0
+    while rank >= histogram[top]:
+        rank -= histogram[top]
+        top += 1
+    alike = np.empty(histogram[top] + 1, np.uint32)
+    count = 0
+    for i in range(bits.shape[0]):
+        size = bits[i] & sign
+        # The next place takes it also where it does not count.
+        alike[count] = size
+        count += np.int64(where[i]) & np.int64((size >> first) == top)
+    found = np.uint32(top) << first
+    for width, shift in ((11, 9), (9, 0)):
         histogram[:] = 0
         mask = np.uint32((1 << width) - 1)
-        for i in range(bits.shape[0]):
-            if where[i]:
-                size = bits[i] & np.uint32(0x7FFFFFFF)
-                if part == 0 or (size >> above) == (found >> above):
-                    histogram[(size >> np.uint32(shift)) & mask] += 1
+        above = np.uint32(shift + width)
+        for i in range(count):
+            if (alike[i] >> above) == (found >> above):
+                histogram[(alike[i] >> np.uint32(shift)) & mask] += 1
         at = 0
         while rank >= histogram[at]:
             rank -= histogram[at]
             at += 1
         found |= np.uint32(at) << np.uint32(shift)
-        above = np.uint32(shift)
     out = np.empty(1, np.uint32)
     out[0] = found
     return out.view(np.float32)[0]

@@ -70,6 +70,15 @@ class QuadraticExtension(NamedTuple):
         return self._replace(shares=shares)
 
 
+def cells_beside(surface: LevelSet, front: np.ndarray) -> np.ndarray:
+    """Slots (m,) off the ``front`` (n,) with a 6-neighbour on it: a Laplacian there needs no others."""
+    off = np.flatnonzero(~front)
+    beside = np.empty(off.size, np.bool_)
+    where = surface.dense.slot, surface.grid, surface.band.cells
+    surface.workers.parallel(band_kernels.beside_front, off.size, *where, front, off, beside)
+    return off[beside]
+
+
 def quadratic_extension(
     surface: LevelSet, front: np.ndarray, off: np.ndarray, component: int = -1
 ) -> QuadraticExtension:

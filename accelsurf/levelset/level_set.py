@@ -18,6 +18,7 @@ from accelsurf.levelset.extension import (
     ExtensionTable,
     QuadraticExtension,
     advected,
+    cells_beside,
     extension_table,
     quadratic_extension,
     sampled,
@@ -274,16 +275,15 @@ class LevelSet:
         """
         self._find_residues()
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
-        inside_before = self.dense.psi[self.band.cells] < 0
         peak, where = np.empty(self.size, np.bool_), (self.dense, self.grid, self.band)
+        flipped = np.zeros(self.size, np.bool_)
         self.workers.parallel(band_kernels.find_peaks, self.size, *where, depth, peak)
         inside, outside, _ = self.workers.serial(
-            band_kernels.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED, held
+            band_kernels.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED, held, flipped
         )
         if inside + outside:
-            flipped, slot = inside_before != (self.dense.psi[self.band.cells] < 0), self.dense.slot
             self.workers.parallel(
-                residues.drop_residues, self.size, slot, self.grid, self.band, flipped, self._residues
+                residues.drop_residues, self.size, self.dense.slot, self.grid, self.band, flipped, self._residues
             )
         return int(inside + outside)
 
@@ -295,12 +295,12 @@ class LevelSet:
         self._extension.extend(self.workers, values)
 
     def quadratic_extension(self, front: np.ndarray, component: int = -1) -> QuadraticExtension:
-        """The extension from ``front`` (n,) that is accurate enough for second differences; cached.
+        """The extension from ``front`` (n,) to the cells beside it, accurate enough for second differences; cached.
 
         Of a scalar, or (0, 1, 2) of a vector's component along z, y, x: the border mirrors it with the other sign.
         """
         if self._quadratic is None or self._quadratic.front is not front:
-            self._quadratic = quadratic_extension(self, front, np.flatnonzero(~front))
+            self._quadratic = quadratic_extension(self, front, cells_beside(self, front))
         return self._quadratic if component < 0 else self._quadratic.turned(self, component)
 
     def redistance(

@@ -193,6 +193,23 @@ def quadratic_table(dense, grid, band, front, across=-1):
     return off, slots, shares
 
 
+@pytest.mark.parametrize("shape", [(5, 6, 7), (1, 9, 12)])
+def test_cells_beside_the_front_have_a_neighbour_on_it(shape):
+    """A neighbour along an axis, that is in the band; the other end of a row is none."""
+    dense, band, present = scattered(shape, 7, share=0.7)
+    front = np.random.default_rng(20).random(band.cells.size) < 0.2
+    off, on_grid = np.flatnonzero(~front), np.zeros(shape, bool)
+    on_grid[present] = front
+    cross = ndimage.generate_binary_structure(3, 1)
+    want = ndimage.binary_dilation(on_grid, cross)[present][off]
+    got = np.ones(off.size, bool)
+    where = dense.slot, reference.grid_of(shape, SPACING), band.cells
+    for start, stop in ((0, 20), (20, off.size)):
+        band_kernels.beside_front(start, stop, *where, front, off, got)
+    np.testing.assert_array_equal(got, want)
+    assert 0 < want.sum() < want.size
+
+
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (9, 1, 9)])
 def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape):
     """In a complete band where one cell after the other is off the front, and the ten nodes around its foot are not."""
@@ -364,7 +381,11 @@ def remove_components(dense, grid, band, most, depth, held=()):
     # In two ranges, as two threads would.
     for start, stop in ((0, 100), (100, band.cells.size)):
         band_kernels.find_peaks(start, stop, dense, grid, band, depth, peak)
-    return band_kernels.small_components(dense, grid, band, np.flatnonzero(peak), most, np.array(held, np.int64))
+    turned, before = np.zeros(band.cells.size, np.bool_), dense.psi[band.cells] < 0
+    cells = np.array(held, np.int64)
+    found = band_kernels.small_components(dense, grid, band, np.flatnonzero(peak), most, cells, turned)
+    np.testing.assert_array_equal(turned, before != (dense.psi[band.cells] < 0))
+    return found
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -26,6 +26,11 @@ def call_cubic(array, at, sy, sz, uz, uy, ux):
 
 
 @kernel
+def call_value(array, at, sy, sz, uz, uy, ux):
+    return cubic_kernels.cubic_value(array, at, sy, sz, np.float32(uz), np.float32(uy), np.float32(ux))
+
+
+@kernel
 def call_rows(values, rows, uz, uy, ux):
     return cubic_kernels.cubic_rows(values, rows, np.float32(uz), np.float32(uy), np.float32(ux))
 
@@ -69,6 +74,7 @@ def test_value_and_slopes_as_the_plain_form_and_as_lagranges(shape):
             plain = cubic_kernels.plain_cubic(array.ravel(), int(base @ (sz, sy, 1)), sy, sz, *map(float, u))
             want, bound = lagrange(nodes, u)
             assert (np.abs(np.array(got) - want) <= ROUNDING * bound).all()
+            assert abs(call_value(array.ravel(), int(base @ (sz, sy, 1)), sy, sz, *u) - want[0]) <= ROUNDING * bound[0]
             np.testing.assert_allclose(plain, want, rtol=0, atol=1e-12 * bound.max())
 
 

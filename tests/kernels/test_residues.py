@@ -109,6 +109,7 @@ def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
         dense.psi[:] = np.abs(along - shift) - 1
         guess = -abs(-1 - along[cell] + shift) * normal
         before = guess.copy()
-        other = beyond_ridge(cell, dense.psi, dense.slot, grid, band, near, guess)
+        now = dense.psi[cell], dense.psi[near]
+        other = beyond_ridge(cell, (4, 4, 4), dense.slot, grid, band, now, guess)
         assert (other >= 0) == moves
         np.testing.assert_allclose(guess, (1 + shift - along[cell]) * normal if moves else before, atol=1e-6)

@@ -100,6 +100,11 @@ def plain_cubic(array: Any, at: int, sy: int, sz: int, uz: float, uy: float, ux:
     )
 
 
+def plain_cubic_value(array: Any, at: int, sy: int, sz: int, uz: float, uy: float, ux: float) -> float:
+    """`cubic_value` for the interpreter."""
+    return plain_cubic(array, at, sy, sz, uz, uy, ux)[0]
+
+
 def plain_cubic_rows(values: Any, rows: Any, uz: float, uy: float, ux: float) -> float:
     """`cubic_rows` for the interpreter."""
     nodes = np.array([values[r : r + 4] for r in rows[:16]]).reshape(4, 4, 4).astype(np.float64)
@@ -142,6 +147,31 @@ def _cubic(typing_context, array, at, sy, sz, uz, uy, ux):
 
 
 @intrinsic
+def _cubic_value(typing_context, array, at, sy, sz, uz, uy, ux):
+    _check(array, types.float32)
+    signature = types.float32(
+        array, types.intp, types.intp, types.intp, types.float32, types.float32, types.float32
+    )
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        e = _Emitter(builder)
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        at, sy, sz = args[1:4]
+        wz, wy, wx = (e.weights(u) for u in args[4:7])
+        planes = []
+        for _ in range(4):
+            row, rows = at, []
+            for _ in range(4):
+                rows.append(e.load_four(data, row))
+                row = builder.add(row, sy)
+            planes.append(e.combined(rows, wy))
+            at = builder.add(at, sz)
+        return e.dot(e.combined(planes, wz), wx)
+
+    return signature, generate
+
+
+@intrinsic
 def _cubic_rows(typing_context, values, rows, uz, uy, ux):
     _check(values, types.float32)
     _check(rows, types.int64)
@@ -165,6 +195,8 @@ def _cubic_rows(typing_context, values, rows, uz, uy, ux):
 #: (uz, uy, ux) voxels from node ``at``, the first of four along each axis; strides ``sy`` and ``sz``. No index is
 #: checked, not even with NUMBA_BOUNDSCHECK.
 cubic: Any = plain_cubic if numba.config.DISABLE_JIT else _cubic
+#: ``cubic_value``: the value alone.
+cubic_value: Any = plain_cubic_value if numba.config.DISABLE_JIT else _cubic_value
 #: ``cubic_rows(values, rows, uz, uy, ux)``: the value alone, the sixteen rows of four nodes beginning at ``rows``
 #: (int64, z by z) in float32 ``values``.
 cubic_rows: Any = plain_cubic_rows if numba.config.DISABLE_JIT else _cubic_rows
