@@ -12,6 +12,8 @@ from accelsurf.report.canvas import GRID, INK, PALE, SOLID, Box, Canvas, Dashes,
 
 #: Height of the numbers at the ticks, of labels and of titles, pixels.
 TICK_SIZE, LABEL_SIZE, TITLE_SIZE = 11, 12, 14
+#: A side shorter than this has no room for a label along it, pixels.
+MIN_FOR_LABEL = 60
 
 
 class Axes:
@@ -70,7 +72,8 @@ class Axes:
             self.canvas.text((left - 7, y), text, TICK_SIZE, INK, "rm")
         self.canvas.rectangle(self.box, outline=PALE)
         self.canvas.text(((left + right) / 2, bottom + 24), xlabel, LABEL_SIZE, INK, "ma")
-        self.canvas.text((left - 52, (top + bottom) / 2), ylabel, LABEL_SIZE, color, "mm", upward=True)
+        if bottom - top > MIN_FOR_LABEL:
+            self.canvas.text((left - 52, (top + bottom) / 2), ylabel, LABEL_SIZE, color, "mm", upward=True)
 
     def right_scale(self, label: str, color: str) -> None:
         """Draw the ticks and label of ``y`` at the right side instead."""

@@ -321,9 +321,7 @@ def volume_text(mm3: float) -> str:
     return f"{mm3:.4g} mm3" if mm3 >= 0.01 or mm3 <= 0 else f"{mm3 * 1e9:.4g} um3"
 
 
-def preview_content(
-    result: Result, title: str, reference: Any = None, late_growth: tuple[float, float, float] | None = None
-) -> PreviewContent:
+def preview_content(result: Result, title: str, reference: Any = None) -> PreviewContent:
     """Return what a picture of a result shows.
 
     Parameters
@@ -333,8 +331,6 @@ def preview_content(
         Its heading.
     reference : ndarray, optional
         Labels to draw as a second contour.
-    late_growth : (float, float, float), optional
-        Index (z, y, x) of the place that grew fastest in the last part of the run.
     """
     is_2d = result.geometry.slice_axis is not None
     return PreviewContent(
@@ -348,7 +344,7 @@ def preview_content(
         anatomical=is_anatomical(result.volume.metadata),
         reference=reference,
         objects=_object_shapes(result) if result.has_ids else (),
-        late_growth=late_growth,
+        late_growth=result.late_growth,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.given import psi_of, split_given
+from accelsurf.segmentation.late_growth import LateGrowth
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
@@ -181,10 +183,14 @@ def segment_objects(
 
 def _result_at_end(run: Run, on_step: Callable[[StepRecord, int], bool | None] | None) -> Result:
     """Run to the end, or until ``on_step`` returns true."""
+    growth = LateGrowth(run.volume.geometry.shape)
     for step in run:
+        own = next(one for one in run.objects if one.id == step.object_id)
+        z, y, x = (a + b for a, b in zip(own.corner, run.prepared.first, strict=True))
+        growth.watch(step, (z, y, x))
         if on_step is not None and on_step(step.record, step.object_id):
             run.request_stop()
-    return result_of(run)
+    return replace(result_of(run), late_growth=growth.place())
 
 
 def _run_of(

@@ -185,6 +185,8 @@ class Result:
         Number of edits of ``config`` that were applied.
     resolved_settings : dict
         Values used for settings that depend on image and grid: see `accelsurf.report.document`.
+    late_growth : (float, float, float) or None
+        Index (z, y, x) of the place where the surfaces grew fastest in the last part of the run; None when none grew.
     """
 
     objects: tuple[SegmentedObject, ...]
@@ -202,6 +204,7 @@ class Result:
     edits_done: int = 0
     given: tuple[str, ...] = ()
     resolved_settings: dict[str, Any] = field(default_factory=dict)
+    late_growth: tuple[float, float, float] | None = None
 
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)

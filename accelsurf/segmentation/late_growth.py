@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import Step
+from accelsurf.grid.boxes import Corner
 
 #: The last part of a run: so much of its steps on the finest grid.
 LAST_SHARE = 0.25
@@ -26,8 +27,7 @@ class LateGrowth:
     Parameters
     ----------
     shape : (nz, ny, nx)
-        Of the image. Surfaces on another grid (a coarser level, a part of the image) are left out: a picture then
-        shows the largest section instead.
+        Of the image.
     """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
@@ -37,16 +37,24 @@ class LateGrowth:
             lambda: deque(maxlen=MAX_STEPS)
         )
 
-    def watch(self, step: Step) -> None:
-        """Read the growth of a step."""
+    def watch(self, step: Step, first: Corner) -> None:
+        """Read the growth of a step on the finest grid.
+
+        Parameters
+        ----------
+        step : Step
+        first : (int, int, int)
+            Index (z, y, x) in the image of the first voxel of the surface's grid.
+        """
         fields = step.fields
-        if fields is None or step.record.level or step.surface.shape != self._shape or not fields.cells.size:
+        if fields is None or step.record.level or not fields.cells.size:
             return
         # The speed is along the inward normal: below 0 the surface grows.
         motion = np.clip(-fields.speed * np.float32(step.record.dt), 0.0, None)
         grown = np.flatnonzero(motion > 0)
-        z, y, x = np.unravel_index(fields.cells[grown], self._shape)
-        block = np.ravel_multi_index((z // BLOCK, y // BLOCK, x // BLOCK), self._blocks)
+        places = np.unravel_index(fields.cells[grown], step.surface.shape)
+        z, y, x = ((at + corner) // BLOCK for at, corner in zip(places, first, strict=True))
+        block = np.ravel_multi_index((z, y, x), self._blocks)
         names, place = np.unique(block, return_inverse=True)
         self._growth[step.object_id].append((names, np.bincount(place, motion[grown], len(names))))
 
