@@ -94,7 +94,8 @@ def _place(geometry: Geometry, at: tuple[float, float, float] | None, labels: ND
     if at is not None:
         return tuple(int(v) for v in np.rint(geometry.world_to_index(at)))
     if labels is not None and labels.any():
-        return tuple(int(np.median(np.flatnonzero((labels > 0).any(axis=tuple({0, 1, 2} - {axis}))))) for axis in range(3))
+        filled = [np.flatnonzero((labels > 0).any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+        return tuple(int(np.median(one)) for one in filled)
     return tuple(n // 2 for n in geometry.shape)
 
 

@@ -21,7 +21,18 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, DisplayOrientation
 from accelsurf.report.axes import Axes, round_step
 from accelsurf.report.canvas import (
-    DARK, GREEN, OBJECT_COLORS, ORANGE, SKY, SOLID, VERMILION, YELLOW, Box, Canvas, Dashes, text_width,
+    DARK,
+    GREEN,
+    OBJECT_COLORS,
+    ORANGE,
+    SKY,
+    SOLID,
+    VERMILION,
+    YELLOW,
+    Box,
+    Canvas,
+    Dashes,
+    text_width,
 )
 from accelsurf.report.grey_window import GreyWindow
 from accelsurf.report.preview_content import ClickMark, PreviewContent
@@ -74,13 +85,6 @@ class Slice:
         x = self.up.first[horizontal] + np.asarray(columns, float) * self.up.spacing[horizontal]
         y = self.up.first[vertical] + np.asarray(rows, float) * self.up.spacing[vertical]
         return self.axes.to_canvas(np.stack([np.atleast_1d(x), np.atleast_1d(y)], axis=1))
-
-    def has(self, rows: float, columns: float) -> bool:
-        """Whether a voxel of the slice is shown."""
-        return all(
-            low <= at < high
-            for at, (low, high) in zip((rows, columns), (self.ranges[a] for a in IN_PLANE[self.view.plane]), strict=True)
-        )
 
 
 def open_slice(
@@ -219,8 +223,8 @@ def click_color(mark: ClickMark, colors: Mapping[int, str]) -> str:
 def draw_click(shown: Slice, mark: ClickMark, colors: Mapping[int, str]) -> None:
     """Draw a click where it cuts the slice: the outline of its voxels, and + for inside, x for outside."""
     at = displayed(mark.place, shown.geometry)
-    low = displayed(tuple(part.start for part in mark.box), shown.geometry)[shown.view.plane]  # type: ignore[arg-type]
-    high = displayed(tuple(part.stop - 1 for part in mark.box), shown.geometry)[shown.view.plane]  # type: ignore[arg-type]
+    low = displayed(tuple(part.start for part in mark.box), shown.geometry)[shown.view.plane]
+    high = displayed(tuple(part.stop - 1 for part in mark.box), shown.geometry)[shown.view.plane]
     if not min(low, high) <= shown.view.index <= max(low, high):
         return
     color = click_color(mark, colors)

@@ -131,7 +131,7 @@ def late_view(content: PreviewContent) -> SliceView | None:
     if content.late_growth is None:
         return None
     plane = native_plane(content.geometry)
-    return SliceView(plane, round(displayed(content.late_growth, content.geometry)[plane]), "fastest late growth")
+    return SliceView(plane, round(displayed(content.late_growth, content.geometry)[plane]), "latest growth")
 
 
 def click_views(content: PreviewContent) -> list[SliceView]:

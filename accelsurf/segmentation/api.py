@@ -186,8 +186,7 @@ def _result_at_end(run: Run, on_step: Callable[[StepRecord, int], bool | None] |
     growth = LateGrowth(run.volume.geometry.shape)
     for step in run:
         own = next(one for one in run.objects if one.id == step.object_id)
-        z, y, x = (a + b for a, b in zip(own.corner, run.prepared.first, strict=True))
-        growth.watch(step, (z, y, x))
+        growth.watch(step, run.grid, own.corner, run.prepared.first)
         if on_step is not None and on_step(step.record, step.object_id):
             run.request_stop()
     return replace(result_of(run), late_growth=growth.place())

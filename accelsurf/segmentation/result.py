@@ -186,7 +186,7 @@ class Result:
     resolved_settings : dict
         Values used for settings that depend on image and grid: see `accelsurf.report.document`.
     late_growth : (float, float, float) or None
-        Index (z, y, x) of the place where the surfaces grew fastest in the last part of the run; None when none grew.
+        Index (z, y, x) of the place where the surfaces grew most in the last quarter of their growth; None without any.
     """
 
     objects: tuple[SegmentedObject, ...]
