@@ -20,7 +20,7 @@ from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import object_files, preview, tables
 from accelsurf.report.document import describe_objects
-from accelsurf.report.preview_content import ObjectShape, PreviewContent
+from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.report.result_sets import is_failure_report
 from accelsurf.settings.file_formats import (
     DEFAULT_IMAGE_FORMAT,
@@ -345,6 +345,7 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         reference=reference,
         objects=_object_shapes(result) if result.has_ids else (),
         late_growth=result.late_growth,
+        clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
     )
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord, Stop
-from accelsurf.grid.boxes import Box
-from accelsurf.grid.clicks import SIDES
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of
+from accelsurf.grid.clicks import SIDES, Clicks
 from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
 from accelsurf.segmentation.late_growth import LateGrowth
@@ -273,6 +273,7 @@ def result_of(run: Run) -> Result:
         kernels=run.seconds_by_kernel(),
         edits_done=run.edits_done,
         given=run.given,
+        clicks=_clicks_of(run),
         warnings=run.level_warnings
         + [
             f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
@@ -280,6 +281,18 @@ def result_of(run: Run) -> Result:
         ]
         + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
     )
+
+
+def _clicks_of(run: Run) -> Clicks | None:
+    """The clicks in force, on the image's grid."""
+    if run.clicks is None:
+        return None
+    clicks = []
+    for click in run.clicks.clicks:
+        z, y, x = (a + b for a, b in zip(corner_of(click.box), run.prepared.first, strict=True))
+        corner: Corner = (z, y, x)
+        clicks.append(click._replace(box=box_at(corner, click.mask.shape)))
+    return Clicks(tuple(clicks), run.volume.geometry.shape)
 
 
 def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
