@@ -36,8 +36,6 @@ SCALE_PERCENTILES = (0.5, 99.5)
 MAX_RANGES = 1e15
 #: Least margin, voxels, of the region of a run around the box of --box: what is learned of the surroundings lies there.
 AROUND_BOX = 10
-#: Settings that name voxels to learn from.
-TRAINING = ("foreground", "background")
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +154,9 @@ def preprocess(
     distance = _mask_distance(config, given, whole, box)
     said = placed([*_clicks_of(config, first, smoothed, has_ids), *clicks], first, box, distance, None)
     start = given["start"] if "start" in given else _first_surface(config, first, smoothed, said, box)
-    foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
+    training = _training_voxels("foreground", config, given, first, smoothed), _training_voxels(
+        "background", config, given, first, smoothed
+    )
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     is_part = geometry.shape != whole.shape
     around = smoothed if is_part else None  # the result shows it
@@ -164,13 +164,10 @@ def preprocess(
     del smoothed, start
     images, scales = _scaled_channels(values, volumes, presmooth, box)
     del values
-    context, learns = _context(config, volumes, (images, scales), box, psi, (foreground, background))
-    if said.clicks:
-        limits = None if distance is None else np.asarray(distance < 0)
-        size = None if config.size is None else volume_mm3(config.size)
-        context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config)))
-        if not has_ids and config.start == (starts.CLICKS,) and "start" not in given and uses_model(config):
-            psi = _start_within(context.with_clicks(said).model_start(), distance, config, "of the clicks' model")
+    context, learns = _context(config, volumes, (images, scales), box, psi, training, distance)
+    if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
+        context = context.with_clicks(said)
+        psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
     shown = psi.copy() if whole.slice_axis is not None else None
     prepared = PreprocessedInput(
         tuple(volumes), box, geometry, tuple(images), context, distance, said if said.clicks else None, presmooth,
@@ -191,6 +188,7 @@ def _context(
     box: Box,
     psi: NDArray[np.float32],
     training: tuple[Mask | None, Mask | None],
+    distance: NDArray[np.float32] | None,
 ) -> tuple[ImageContext, bool]:
     """What energies need of the image, and whether a model of the energy is learned once."""
     (images, scales), (foreground, background) = channels, training
@@ -203,6 +201,9 @@ def _context(
         None if background is None else _crop(background, box), None, _raw_values(volumes, box, scales),
         is_start=from_start,
     )
+    size = None if config.size is None else volume_mm3(config.size)
+    limits = None if distance is None else np.asarray(distance < 0)
+    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config)))
     # Likelihood learns from --foreground once; with update=yes it refuses it.
     return context, learns or any(term.name == "likelihood" for term in terms)
 
