@@ -273,7 +273,7 @@ def result_of(run: Run) -> Result:
         kernels=run.seconds_by_kernel(),
         edits_done=run.edits_done,
         given=run.given,
-        clicks=_clicks_of(run),
+        clicks=clicks_of_run(run),
         warnings=run.level_warnings
         + [
             f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
@@ -283,8 +283,8 @@ def result_of(run: Run) -> Result:
     )
 
 
-def _clicks_of(run: Run) -> Clicks | None:
-    """The clicks in force, on the image's grid."""
+def clicks_of_run(run: Run) -> Clicks | None:
+    """Return the clicks in force, on the image's grid."""
     if run.clicks is None:
         return None
     clicks = []
