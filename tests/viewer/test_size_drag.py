@@ -13,7 +13,7 @@ from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.core.size_drag import Dragging, SizeDrag
 from accelsurf.viewer.scene.shapes import contour
 
 SHAPE, SPACING = (20, 36, 40), (2.0, 1.0, 1.0)
@@ -60,6 +60,24 @@ def test_a_farther_drag_is_a_larger_object_and_the_press_is_in_every_one(pressed
         assert (shown | ~before).all() and shown[10, 18, 18]
         before = shown
     assert int(inside_of(drag, 2000.0).sum()) * 2.0 == pytest.approx(2000.0, rel=0.02)
+
+
+def test_more_is_computed_when_a_drag_comes_near_the_end_of_what_is_known():
+    volume, _ = scan()
+    with Session(volume, RunConfig(start=PRESS)) as session:
+        small = session.press(PRESS, 400).result()
+        assert len(small.order) == 400 and not small.is_near_end(3.0) and small.is_near_end(5.5)
+        assert small.volume_of(8.0) == 800.0  # all that is known
+        dragging = Dragging(lambda ball, voxels=400: session.press(ball, voxels), PRESS)
+        session.wait(60)
+        assert len(dragging.at(3.0).order) == 400
+        for _ in range(4):
+            found = dragging.at(10.0)
+            session.wait(60)
+        assert len(found.order) > 4 * 400 and found.volume_of(10.0) == pytest.approx(4189, rel=1e-3)
+        # What was known before does not change.
+        shown = np.isfinite(small.times)
+        assert np.array_equal(small.times[shown], found.times[shown])
 
 
 def test_releasing_begins_the_run_that_the_same_settings_begin(tmp_path):

@@ -21,7 +21,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.frame import Frame, histories_of_run
-from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.core.timeline import Timeline
 from accelsurf.viewer.core.view_slot import ViewSlot
@@ -188,18 +188,19 @@ class Session:
         """
         return self._do(lambda timeline: timeline.add_click(side, where, object_id))
 
-    def press(self, ball: str) -> Future[SizeDrag]:
+    def press(self, ball: str, voxels: int = FIRST_VOXELS) -> Future[SizeDrag]:
         """Begin to drag the size of an object from a ball in it, ``ball:X,Y,Z,R``.
 
         The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
-        that a drag never waits for a step. `release` ends it.
+        that a drag never waits for a step. They reach ``voxels`` voxels; `size_drag.Dragging` asks for more when a
+        drag needs them. `release` ends it.
 
         Raises
         ------
         UsageError, InputError
             From the Future, when it is no ball or lies outside the volume, or the run has several objects.
         """
-        return self._do(lambda timeline: timeline.press(ball))
+        return self._do(lambda timeline: timeline.press(ball, voxels))
 
     def release(self, drag_mm: float) -> Future[None]:
         """Begin another run from what was pressed, with the size that a drag of so many mm stands for.

@@ -8,6 +8,8 @@ up in the order of arrival, and shown in a slice by comparing the stored times t
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +24,11 @@ from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.initialization.clicks import read_clicks
 from accelsurf.segmentation.run import Run
 
-#: Largest part of the image that a drag can reach.
-MAX_SHARE = 0.5
+#: Voxels that a press reaches at first, and by which factor it reaches farther when a drag comes near its end: the
+#: first outline shows at once, and the whole of a large organ costs a third more.
+FIRST_VOXELS, FARTHER = 250_000, 4
+#: A drag comes near the end of what was reached at this part of its volume.
+NEAR_END = 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +59,7 @@ class SizeDrag:
     thickness: float | None = None
 
     @classmethod
-    def of_press(cls, run: Run, ball: str) -> SizeDrag:
+    def of_press(cls, run: Run, ball: str, voxels: int = FIRST_VOXELS) -> SizeDrag:
         """Compute the arrival times from a ball.
 
         Parameters
@@ -63,6 +68,8 @@ class SizeDrag:
             Its image and settings are used; it is not changed.
         ball : str
             ``ball:X,Y,Z,R``.
+        voxels : int, optional
+            How many are reached.
 
         Raises
         ------
@@ -87,19 +94,26 @@ class SizeDrag:
         where = tuple(axis + part.start for axis, part in zip(np.nonzero(click.mask), click.box, strict=True))
         seeds = np.ravel_multi_index(where, shape).astype(np.int64)
         tissue = learn(smooth, spacing, click)
-        times, order = arrival(field, tissue, seeds, max_count=max(int(MAX_SHARE * field.size), len(seeds)))
+        times, order = arrival(field, tissue, seeds, max_count=voxels)
         axis = geometry.slice_axis
         thickness = None if axis is None else geometry.spacing[axis]
         return cls(ball, times.reshape(shape), order, run.prepared.first, geometry.voxel_volume, thickness)
 
+    def is_near_end(self, drag_mm: float) -> bool:
+        """Whether a drag is about as large as what was reached, and more can be."""
+        reached = len(self.order) * self.voxel_mm3
+        return len(self.order) < self.times.size and self._wanted(drag_mm) > NEAR_END * reached
+
+    def _wanted(self, drag_mm: float) -> float:
+        """Volume of a ball or disc, mm3."""
+        if self.thickness is not None:
+            return math.pi * drag_mm**2 * self.thickness
+        return 4.0 / 3.0 * math.pi * drag_mm**3
+
     def volume_of(self, drag_mm: float) -> float:
         """Volume, mm3, that a drag so far from the press stands for."""
-        if self.thickness is not None:
-            wanted = math.pi * drag_mm**2 * self.thickness
-        else:
-            wanted = 4.0 / 3.0 * math.pi * drag_mm**3
         seeds = int(np.searchsorted(self.times.ravel()[self.order[:10_000]], 0.0, side="right"))
-        return float(np.clip(wanted, max(seeds, 1) * self.voxel_mm3, len(self.order) * self.voxel_mm3))
+        return float(np.clip(self._wanted(drag_mm), max(seeds, 1) * self.voxel_mm3, len(self.order) * self.voxel_mm3))
 
     def level_of(self, volume_mm3: float) -> float:
         """The arrival time before which so much has been reached."""
@@ -133,3 +147,28 @@ class SizeDrag:
     def size_text(self, drag_mm: float) -> str:
         """The volume of a drag as ``size`` of a run's settings."""
         return f"{self.volume_of(drag_mm):.4f}mm3"
+
+
+class Dragging:
+    """A drag as it goes on: what is known of it now, and more of it when it comes near the end of that.
+
+    Parameters
+    ----------
+    press : callable
+        `Session.press`.
+    ball : str
+        ``ball:X,Y,Z,R``.
+    """
+
+    def __init__(self, press: Callable[..., Future[SizeDrag]], ball: str) -> None:
+        self._press, self._ball = press, ball
+        self.pressed = press(ball)
+        self._known: SizeDrag | None = None
+
+    def at(self, drag_mm: float) -> SizeDrag | None:
+        """What is known now, to be shown for a drag of so many mm; None while nothing is known."""
+        if self.pressed.done() and self.pressed.exception() is None:
+            self._known = self.pressed.result()
+            if self._known.is_near_end(drag_mm):
+                self.pressed = self._press(self._ball, FARTHER * len(self._known.order))
+        return self._known

@@ -277,9 +277,9 @@ class Timeline:
         self._replace_edits((*self._edits_so_far(), edit))
         self._message = f"{side}: {where}" + ("" if edit.object is None else f", object {edit.object}")
 
-    def press(self, ball: str) -> SizeDrag:
+    def press(self, ball: str, voxels: int) -> SizeDrag:
         """Begin to drag the size of an object: compute the arrival times from a ball in it."""
-        self._drag = SizeDrag.of_press(self.run, ball)
+        self._drag = SizeDrag.of_press(self.run, ball, voxels)
         self._message = f"pressed {ball}: drag outwards until it fits"
         return self._drag
 

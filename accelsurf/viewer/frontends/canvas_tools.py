@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
 from typing import Literal
 
 import numpy as np
@@ -14,7 +13,7 @@ from pyvistaqt import QtInteractor
 
 from accelsurf.grid.clicks import SIDES, Side
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.core.size_drag import Dragging
 from accelsurf.viewer.scene.scene import Scene
 
 #: A brush that is dragged makes a ball each time it has moved by this fraction of its radius.
@@ -59,7 +58,7 @@ class CanvasTools(QObject):
         self._points: list[str] = []
         self._center: NDArray[np.float64] | None = None
         self._is_software: bool | None = None
-        self._pressed: Future[SizeDrag] | None = None
+        self._dragging: Dragging | None = None
         self._drag_mm = 0.0
         canvas.installEventFilter(self)
 
@@ -147,9 +146,9 @@ class CanvasTools(QObject):
             side: Side = "inside" if self.tool == "inside" else "outside"
             self._session.add_click(side, self._ball(self._center), self._object_id())
         elif self.tool == "size":
-            if self._pressed is not None and self._drag_mm > 0:
+            if self._dragging is not None and self._drag_mm > 0:
                 self._session.release(self._drag_mm)
-            self._pressed = None
+            self._dragging = None
             self._scene.mark_size(None)
         # The mark stays until the surface is drawn that it has led to.
         self._center = None
@@ -194,13 +193,13 @@ class CanvasTools(QObject):
         """Press, or drag, the size of an object."""
         if self._center is None:
             self._center, self._drag_mm = world, 0.0
-            self._pressed = self._session.press(self._ball(world))
+            self._dragging = Dragging(self._session.press, self._ball(world))
             self._mark(world)
             return
         self._drag_mm = float(np.linalg.norm(world - self._center))
-        pressed = self._pressed
-        if pressed is not None and pressed.done() and pressed.exception() is None:
-            self._scene.mark_size(pressed.result(), self._drag_mm)
+        drag = None if self._dragging is None else self._dragging.at(self._drag_mm)
+        if drag is not None:
+            self._scene.mark_size(drag, self._drag_mm)
             self._scene.render()
 
     def _mark(self, world: NDArray[np.float64]) -> None:

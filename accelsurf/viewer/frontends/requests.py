@@ -18,7 +18,7 @@ from accelsurf.settings.catalogue import choices, sliders
 from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.saving import KINDS
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.core.size_drag import Dragging
 from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.scene.mouse import MODES, Mouse
 from accelsurf.viewer.scene.scene import Scene
@@ -64,7 +64,7 @@ class RequestHandler:
         self.files: dict[str, Path] = {}
         self.object_id: int | None = None
         self.color, self.theme, self.volume, self.planes = "plain", "dark", False, False
-        self._pressed: Future[SizeDrag] | None = None
+        self._dragging: Dragging | None = None
         self._waiting: list[tuple[Future[Any], Callable[[Any], None] | None]] = []
         self._requests: dict[str, Callable[..., None]] = {
             "play": lambda: self._ask(session.play()),
@@ -163,24 +163,24 @@ class RequestHandler:
     def _press(self, x: Any, y: Any, shift: Any) -> None:
         self.mouse.press(*self._pixel(x, y), bool(shift))
         if self.mouse.mode == "size" and self.mouse.ball is not None:
-            self._pressed = self.session.press(self.mouse.ball)
-            self._ask(self._pressed)
+            self._dragging = Dragging(self.session.press, self.mouse.ball)
+            self._ask(self._dragging.pressed)
 
     def _move(self, x: Any, y: Any) -> None:
         self.mouse.move(*self._pixel(x, y))
-        pressed = self._pressed
-        if pressed is not None and pressed.done() and pressed.exception() is None:
-            self.scene.mark_size(pressed.result(), self.mouse.drag_mm)
+        drag = None if self._dragging is None else self._dragging.at(self.mouse.drag_mm)
+        if drag is not None:
+            self.scene.mark_size(drag, self.mouse.drag_mm)
 
     def _release(self) -> None:
-        placed, pressed = self.mouse.release(), self._pressed
-        self._pressed = None
+        placed, dragging = self.mouse.release(), self._dragging
+        self._dragging = None
         self.scene.mark_size(None)
         if placed is None:
             return
         mode, ball = placed
         if mode == "size":
-            if pressed is not None and self.mouse.drag_mm > 0:
+            if dragging is not None and self.mouse.drag_mm > 0:
                 self._ask(self.session.release(self.mouse.drag_mm))
         elif mode in SIDES:
             self._ask(self.session.add_click("inside" if mode == "inside" else "outside", ball, self.object_id))
