@@ -18,6 +18,7 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS, MESH_FORMATS, label_h
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.volumes import VOLUME
 
 #: A length in voxels, as it is written.
 VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
@@ -342,4 +343,37 @@ class SettingFields(BaseModel):
         "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
         "(or remove=; with object=ID among several objects); in TOML tables [[edit]].",
         entry=SettingEntry(RUN, metavar="CHANGE", repeated=True, fixed=True),
+    )
+    inside: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+        (),
+        "Voxels that are in the object, and stay in it: point:X,Y,Z, stroke:FILE, or written as a start. With --inside "
+        "and neither --start nor --energy the program chooses everything. Each is a click of its own.",
+        entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
+    )
+    outside: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+        (),
+        "Voxels that are not in the object, and stay out of it, written as --inside; with --objects in none of them.",
+        entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
+    )
+    box: str | None = setting(
+        None,
+        "Box around the object, X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox: nothing "
+        "outside of it is in the object, and energies learn from what lies around it.",
+        entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
+    )
+    size: Annotated[str, Field(pattern=VOLUME)] | None = setting(
+        None,
+        "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
+        "not bound the result.",
+        entry=SettingEntry(RUN, metavar="VOLUME", fixed=True),
+    )
+    keep_state: Literal["auto", "yes", "no"] = setting(
+        "auto",
+        "Also write the state of the run, from which accelsurf refine goes on; auto does with clicks.",
+        entry=SettingEntry(FILES, metavar="auto|yes|no", fixed=True),
+    )
+    stop_at_rest: bool = setting(
+        False,
+        "End the run where the surface first comes to rest, before it breaks through to something else.",
+        entry=SettingEntry(RUN, fixed=True),
     )
