@@ -17,7 +17,7 @@ from typing import Any
 from benchmarks.clicks.games import play, variants
 from benchmarks.clicks.methods import TUNED_CLICKS, Method, named, volume_shape
 from benchmarks.clicks.objects import HALVES, ClickObject, chosen, load, size_factor
-from benchmarks.clicks.store import Store, key_of
+from benchmarks.clicks.store import Store, brief, key_of
 from benchmarks.peers.measure import MissingError, set_threads
 
 RESULTS = Path(__file__).resolve().parent.parent / "results"
@@ -97,21 +97,21 @@ def run(method: Method, options: argparse.Namespace) -> None:
         store.forget({key_of(one.name, kind, settings) for one, kind, settings in tasks})
     for one, kind, settings in tasks:
         if store.get(key_of(one.name, kind, settings), clicks) is None:
-            play_one(store, method, one, kind, settings, clicks, options.volumes)
+            game = play_one(method, one, kind, settings, clicks, options.volumes)
+            store.put(key_of(one.name, kind, settings), brief(game) if options.tune else game)
 
 
 def play_one(
-    store: Store, method: Method, one: ClickObject, kind: str, settings: dict[str, Any], clicks: int,
-    folder: Path | None,
-) -> None:
-    """Play a game, keep and print it."""
+    method: Method, one: ClickObject, kind: str, settings: dict[str, Any], clicks: int, folder: Path | None
+) -> dict[str, Any]:
+    """Play a game and print it."""
     image, truth = load(one, folder)
     game = play(method.segmenter(settings), image, truth, clicks, kind, size_factor(one))
-    store.put(key_of(one.name, kind, settings), game)
     dices = " ".join(f"{click['dice']:.3f}" for click in game["clicks"])
     seconds = sum(click["wall_s"] for click in game["clicks"]) / max(len(game["clicks"]), 1)
     print(f"{method.name} {one.name} {volume_shape(image)} {kind} {settings or ''}: {dices}; {seconds:.2f} s/click",
           flush=True)
+    return game
 
 
 if __name__ == "__main__":

@@ -39,9 +39,14 @@ class Store:
         if self.path.is_file():
             self.facts = json.loads(self.path.read_text())
 
+    def played(self, key: str) -> dict[str, Any] | None:
+        """A game with all clicks that were played."""
+        game: dict[str, Any] | None = self.facts["games"].get(key)
+        return game
+
     def get(self, key: str, clicks: int) -> dict[str, Any] | None:
-        """A game that was played, if it went on for so many clicks or until nothing was wrong."""
-        game = self.facts["games"].get(key)
+        """The first clicks of a game, if it went on for so many or until nothing was wrong."""
+        game = self.played(key)
         if game is None or (len(game["clicks"]) < clicks and not game["perfect"]):
             return None
         return {"clicks": game["clicks"][:clicks], "perfect": game["perfect"] and len(game["clicks"]) <= clicks}
@@ -58,6 +63,11 @@ class Store:
     def forget(self, keys: set[str]) -> None:
         """Leave out games that are to be played again."""
         self.facts["games"] = {k: v for k, v in self.facts["games"].items() if k not in keys}
+
+
+def brief(game: Mapping[str, Any]) -> dict[str, Any]:
+    """A game without the places of its clicks, for the many of a grid."""
+    return {**game, "clicks": [{k: one[k] for k in ("dice", "wall_s", "cpu_s")} for one in game["clicks"]]}
 
 
 def rounded(game: Mapping[str, Any]) -> dict[str, Any]:

@@ -56,7 +56,7 @@ def collected(folder: Path, half: str, kind: str) -> dict[str, dict[str, dict[st
             continue
         keys = {(one.name, variant): key_of(one.name, variant, settings)
                 for one in chosen(half) for variant in variants([kind])}
-        games = {f"{key[0]} {key[1]}": game for key, text in keys.items() if (game := store.get(text, 1)) is not None}
+        games = {f"{key[0]} {key[1]}": game for key, text in keys.items() if (game := store.played(text)) is not None}
         if len(games) == len(keys):
             out[name] = games
     return out
