@@ -167,7 +167,7 @@ PEERS = {peer.name: peer for peer in (
     ClickPeer("watershed", watershed, combinations(reach=REACHES, sigma=(0.5, 1.0, 2.0))),
     ClickPeer("geodesic", geodesic, combinations(reach=REACHES, sigma=(0.5,), weight=(4.0, 16.0, 64.0))),
     ClickPeer("grow-cut", grow_cut, combinations(reach=REACHES, sigma=(0.5,), penalty=(0.03, 0.1, 0.3))),
-    ClickPeer("random-walker", random_walker, combinations(reach=REACHES, beta=(400.0, 1600.0, 6400.0)), 250_000),
-    ClickPeer("graph-cut", graph_cut, combinations(reach=REACHES, weight=(3.0, 15.0, 75.0)), 250_000),
-    ClickPeer("classifier", classifier, combinations(reach=REACHES, position=(False, True)), 500_000),
+    ClickPeer("random-walker", random_walker, combinations(reach=REACHES, beta=(400.0, 1600.0)), 120_000),
+    ClickPeer("graph-cut", graph_cut, combinations(reach=REACHES, weight=(3.0, 15.0, 75.0)), 120_000),
+    ClickPeer("classifier", classifier, combinations(reach=REACHES, position=(False, True)), 250_000),
 )}
