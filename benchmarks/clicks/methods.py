@@ -54,7 +54,7 @@ def tuned(store: Store, one: ClickObject, settings: dict[str, Any]) -> dict[str,
     return store.get(key_of(one.name, "plain", settings), TUNED_CLICKS)
 
 
-OWN = ("accelsurf", "accelsurf-start")
+OWN = ("accelsurf", "accelsurf-rerun", "accelsurf-start")
 METHODS = {
     **{name: Method(name, takes_size=True) for name in OWN},
     **{name: Method(name, peer.grid, peer=peer) for name, peer in PEERS.items()},

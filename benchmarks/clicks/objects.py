@@ -113,8 +113,9 @@ def _read(folder: Path, name: str) -> tuple[Volume, NDArray[np.integer]]:
     return io.read(scan(folder, f"{name}.nii.gz")), np.asarray(labels)
 
 
+@lru_cache(maxsize=1)
 def load(one: ClickObject, folder: Path | None) -> tuple[Volume, NDArray[np.bool_]]:
-    """The whole scan, and the object in it as a mask; the last two scans are kept in memory.
+    """The whole scan, and the object in it as a mask; the last two scans, and the last object, are kept in memory.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
 
 def segmenter(name: str) -> Segmenter:
     """Our methods by name."""
-    return {"accelsurf": Segmented, "accelsurf-start": StartAlone}[name]
+    return {"accelsurf": Refined, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone}[name]
 
 
 def text_of(click: PersonClick, image: Volume) -> str:
@@ -35,8 +35,8 @@ def text_of(click: PersonClick, image: Volume) -> str:
     return f"point:{place}" if one_voxel else f"ball:{place},{click.radius!r}"
 
 
-class Segmented:
-    """`accelsurf segment` with all clicks so far."""
+class Rerun:
+    """`accelsurf segment` with all clicks so far, from the beginning at every click."""
 
     def __init__(self, image: Volume, size_mm3: float | None) -> None:
         self.image = image
@@ -48,6 +48,27 @@ class Segmented:
         self.texts[click.side].append(text_of(click, self.image))
         given = {side: tuple(texts) for side, texts in self.texts.items()}
         return np.asarray(segment(self.image, config=RunConfig(**given, **self.options)).labels > 0)
+
+
+class Refined:
+    """`accelsurf segment` at the first click, `accelsurf refine` at every later one."""
+
+    def __init__(self, image: Volume, size_mm3: float | None) -> None:
+        self.image, self.size = image, size_mm3
+        self.result: Any = None
+
+    def click(self, click: PersonClick) -> Mask:
+        """Labels after one click more."""
+        from accelsurf.segmentation.refine import refine
+
+        given: dict[str, Any] = {click.side: (text_of(click, self.image),)}
+        if self.result is None:
+            if self.size is not None:
+                given["size"] = f"{self.size!r}mm3"
+            self.result = segment(self.image, config=RunConfig(**given, keep_state="yes"))
+        else:
+            self.result = refine(self.result, **given)
+        return np.asarray(self.result.labels > 0)
 
 
 class StartAlone:

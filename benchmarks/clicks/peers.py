@@ -23,7 +23,7 @@ from benchmarks.clicks.domain import INSIDE, OUTSIDE, Domain, Solver, connected
 from benchmarks.clicks.forest import probability
 from benchmarks.peers.measure import combinations
 
-REACHES = (2.0, 3.0, 4.0)
+REACHES = (2.0, 4.0)
 
 
 @dataclass(frozen=True)
@@ -75,18 +75,17 @@ def grow_cut(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
 
 
 def graph_cut(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
-    """The cut of least cost: costs of values by the clicks' own histograms, and of neighbours by their contrast."""
+    """The cut of least cost: of values by the clicks' own histograms, of neighbours by their contrast in spreads."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
     values, seeds = smoothed(domain, 0.5), domain.seeds
     size = values.size
     index = np.arange(size, dtype=np.int32).reshape(values.shape)
-    noise = max(float(np.median(np.abs(np.diff(values, axis=2)))), 0.05) * 1.5
     rows, columns, costs = [], [], []
     for axis in range(3):
         a, b = (np.take(index, part, axis).ravel() for part in _pairs(values.shape[axis]))
-        apart = (values.flat[a] - values.flat[b]) / noise
+        apart = values.flat[a] - values.flat[b]
         cost = UNIT * settings["weight"] * np.exp(-0.5 * apart**2) / domain.spacing[axis]
         rows += [a, b]
         columns += [b, a]
@@ -165,9 +164,9 @@ def _pairs(count: int) -> tuple[range, range]:
 PEERS = {peer.name: peer for peer in (
     ClickPeer("threshold", threshold, combinations(reach=REACHES, spreads=(1.5, 2.5, 4.0))),
     ClickPeer("watershed", watershed, combinations(reach=REACHES, sigma=(0.5, 1.0, 2.0))),
-    ClickPeer("geodesic", geodesic, combinations(reach=REACHES, sigma=(0.5,), weight=(4.0, 16.0, 64.0))),
-    ClickPeer("grow-cut", grow_cut, combinations(reach=REACHES, sigma=(0.5,), penalty=(0.03, 0.1, 0.3))),
+    ClickPeer("geodesic", geodesic, combinations(reach=REACHES, sigma=(0.5,), weight=(16.0, 64.0))),
+    ClickPeer("grow-cut", grow_cut, combinations(reach=REACHES, sigma=(0.5,), penalty=(0.1, 0.3))),
     ClickPeer("random-walker", random_walker, combinations(reach=REACHES, beta=(400.0, 1600.0)), 120_000),
-    ClickPeer("graph-cut", graph_cut, combinations(reach=REACHES, weight=(3.0, 15.0, 75.0)), 120_000),
+    ClickPeer("graph-cut", graph_cut, combinations(reach=REACHES, weight=(2.0, 8.0)), 120_000),
     ClickPeer("classifier", classifier, combinations(reach=REACHES, position=(False, True)), 250_000),
 )}

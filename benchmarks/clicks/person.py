@@ -55,12 +55,13 @@ def next_click(
     PersonClick or None
         None where nothing is wrong.
     """
-    found = np.zeros_like(truth) if labels is None else labels
-    missing = _deep(truth & ~found, geometry.spacing)
-    too_much = _deep(found & ~truth, geometry.spacing)
-    index, depth = np.concatenate([missing[0], too_much[0]]), np.concatenate([missing[1], too_much[1]])
-    if index.size == 0:
+    wrong = truth if labels is None else truth ^ labels
+    # What is outside the box is no nearer than what lies at its edge: one voxel more on each side is exact.
+    box = bounding_box(wrong, 1)
+    if box is None:
         return None
+    sides = [_deep(wrong[box] & (truth[box] == side), box, truth.shape, geometry.spacing) for side in (True, False)]
+    index, depth = (np.concatenate(parts) for parts in zip(*sides, strict=True))
     step = TIE * min(geometry.spacing)
     if random is None:
         deepest = index[depth > depth.max() - step]
@@ -96,20 +97,19 @@ def ball_voxels(click: PersonClick, geometry: Geometry) -> tuple[Box, Mask]:
     return (next(moved), next(moved), next(moved)), inside[tight]
 
 
-def _deep(region: Mask, spacing: tuple[float, float, float]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Voxels of a region (flat indices) at more than half of its largest depth, and their depths (mm)."""
-    # What is outside the box is no nearer than what lies at its edge: one voxel more on each side is exact.
-    box = bounding_box(region, 1)
-    if box is None:
+def _deep(
+    part: Mask, box: Box, shape: tuple[int, ...], spacing: tuple[float, float, float]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Voxels of a region (flat indices of the whole grid) at more than half of its largest depth, and depths (mm)."""
+    if not part.any():
         return np.zeros(0, np.int64), np.zeros(0)
-    part = region[box]
     depth = ndimage.distance_transform_edt(part, sampling=spacing)
     if part.all():
         # Everything is wrong, and nothing says how deep: all points are alike.
         depth = np.full(part.shape, max(n * h for n, h in zip(part.shape, spacing, strict=True)))
     where = np.nonzero(depth > JITTER * depth.max())
     moved = tuple(axis + side.start for axis, side in zip(where, box, strict=True))
-    return np.ravel_multi_index(moved, region.shape).astype(np.int64), depth[where]
+    return np.ravel_multi_index(moved, shape).astype(np.int64), depth[where]
 
 
 def _click(side: str, at: int, depth: float, truth: Mask, geometry: Geometry) -> PersonClick:
