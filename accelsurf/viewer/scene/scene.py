@@ -29,8 +29,8 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.viewer.core.frame import COLORS, Frame
-from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import REFERENCE, Theme, object_color, theme_named
 from accelsurf.viewer.scene.grey_images import grab, grey_values, png_bytes
 from accelsurf.viewer.scene.headless import require_graphics
