@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -11,6 +11,8 @@ from accelsurf.cli.options import FILES, Overwrite, required
 from accelsurf.errors import InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from accelsurf.grid.geometry import Geometry
 
 
@@ -44,7 +46,6 @@ def look(
     overwrite
         Replace a picture that exists.
     """
-    from accelsurf import io
     from accelsurf.io import channels
     from accelsurf.io.files import write_bytes
     from accelsurf.report.grey_window import parse_window
@@ -59,13 +60,7 @@ def look(
     volumes = channels.read(source)
     geometry = volumes[0].geometry
     place = None if at is None else _place(at, geometry)
-    drawn = None
-    if labels is not None:
-        known = io.read(labels)
-        if not known.geometry.matches(geometry):
-            difference = known.geometry.difference(geometry)
-            raise InputError(f"{labels}: on another grid than the image ({difference})", "give labels of this image")
-        drawn = known.array
+    drawn = None if labels is None else _labels(labels, geometry)
     make_writable(path.parent)
     size = " x ".join(str(n) for n in geometry.size)
     voxel = " x ".join(f"{h:.4g}" for h in geometry.spacing_xyz)
@@ -77,6 +72,23 @@ def look(
         print(f"values   {volume.array.min():.6g} to {volume.array.max():.6g}{which}")
     print(f"picture  {path.absolute()}")
     return 0
+
+
+def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:
+    """A label map on the image's grid.
+
+    Raises
+    ------
+    InputError
+        When it lies on another one.
+    """
+    from accelsurf import io
+
+    known = io.read(path)
+    if not known.geometry.matches(geometry):
+        difference = known.geometry.difference(geometry)
+        raise InputError(f"{path}: on another grid than the image ({difference})", "give labels of this image")
+    return known.array
 
 
 def _picture(source: Path, output: Path | None) -> Path:

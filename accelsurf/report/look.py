@@ -68,14 +68,14 @@ def look_png(
         planes = [DisplayOrientation.of(geometry).order.index(geometry.slice_axis)]
     canvas = Canvas(WIDTH if len(planes) > 1 else 940, _height(len(channels), len(planes)), title)
     for row, volume in enumerate(channels):
-        chosen = window if window is not None else _window(volume, labels)
+        own_window = window if window is not None else _window(volume, labels)
         for column, plane in enumerate(planes):
             panel = panel_at(row, column) if len(planes) > 1 else _single_panel(row)
             why = f"channel {row + 1}" if len(channels) > 1 else ""
             view = SliceView(plane, round(displayed(place, geometry)[plane]), why)
             anatomical = is_anatomical(channels[0].metadata)
             shown = open_slice(
-                canvas, panel, volume.array, geometry, view, whole_ranges(geometry), chosen, anatomical
+                canvas, panel, volume.array, geometry, view, whole_ranges(geometry), own_window, anatomical
             )
             _draw_grid(shown)
             _draw_cross(shown, place)
@@ -85,7 +85,7 @@ def look_png(
                 write_letters(shown)
             draw_scale_bar(shown)
         bottom = TOP + (row + 1) * (_panel_height(len(planes)) + BELOW) - 26
-        canvas.text((canvas.width - 10, bottom), f"window {chosen.text}", 11, anchor="rd")
+        canvas.text((canvas.width - 10, bottom), f"window {own_window.text}", 11, anchor="rd")
     return canvas.png()
 
 

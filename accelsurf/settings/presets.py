@@ -152,7 +152,7 @@ PRESETS: Registry[Preset] = Registry(
         "Deep grey nuclei, cerebellum, brain stem in MR, one at a time: --inside in it, --outside beyond its edges.",
         _BY_CLICKS,
         _WHY_CLICKS,
-        {_TUNING: "NUCLEI"},
+        {_TUNING: "one click: see record 0047; caudate and putamen have thin walls to their equals, and need clicks outside"},
     ),
     Preset(
         "mr-ventricle",
