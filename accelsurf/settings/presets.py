@@ -152,7 +152,10 @@ PRESETS: Registry[Preset] = Registry(
         "Deep grey nuclei, cerebellum, brain stem in MR, one at a time: --inside in it, --outside beyond its edges.",
         _BY_CLICKS,
         _WHY_CLICKS,
-        {_TUNING: "one click: see record 0047; caudate and putamen have thin walls to their equals, and need clicks outside"},
+        {
+            _TUNING: "one click without --size fails: putamen and caudate 0.01, 2 of 2 (it takes in all grey matter, as "
+            "bright and connected). Give --size, and --outside",
+        },
     ),
     Preset(
         "mr-ventricle",
