@@ -153,8 +153,8 @@ PRESETS: Registry[Preset] = Registry(
         _BY_CLICKS,
         _WHY_CLICKS,
         {
-            _TUNING: "one click without --size fails: putamen and caudate 0.01, 2 of 2 (it takes in all grey matter, as "
-            "bright and connected). Give --size, and --outside",
+            _TUNING: "one click without --size fails: putamen and caudate 0.01, 2 of 2 (it takes in all grey matter, "
+            "as bright and connected). Give --size, and --outside",
         },
     ),
     Preset(
