@@ -73,7 +73,7 @@ class Axes:
         self.canvas.rectangle(self.box, outline=PALE)
         self.canvas.text(((left + right) / 2, bottom + 24), xlabel, LABEL_SIZE, INK, "ma")
         if bottom - top > MIN_FOR_LABEL:
-            self.canvas.text((left - 52, (top + bottom) / 2), ylabel, LABEL_SIZE, color, "mm", upward=True)
+            self.canvas.text((left - 60, (top + bottom) / 2), ylabel, LABEL_SIZE, color, "mm", upward=True)
 
     def right_scale(self, label: str, color: str) -> None:
         """Draw the ticks and label of ``y`` at the right side instead."""
