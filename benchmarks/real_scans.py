@@ -71,11 +71,11 @@ CASES: dict[str, Case] = {
         "mri_brain256", "--start ball:144,100,115,4vox --start ball:109,97,117,4vox --preset mr-ventricle", (4, 43)
     ),
     "cord": Case("mri_cord_iso", f"{_CORD} --preset mr-cord", wanted=0.85),
-    "liver": Case("ct_abdomen_hires", f"{_LIVER} --preset ct-organ", (5,), 0.88),
+    "liver": Case("ct_abdomen_hires", f"{_LIVER.replace('--start', '--inside')} --preset ct-organ", (5,), 0.88),
     "liver, window by hand": Case(
         "ct_abdomen_hires", f"{_LIVER} --energy threshold:65,130 --presmooth 3 --smoothness 3", (5,), 0.88
     ),
-    "spleen": Case("ct_abdomen_hires", "--start ball:372,311,9,12vox --preset ct-organ", (1,)),
+    "spleen": Case("ct_abdomen_hires", "--inside ball:372,311,9,12vox --preset ct-organ", (1,)),
     "aorta": Case("ct_abdomen_hires", "--start ball:263,299,11,7vox --preset ct-vessel", (52,)),
     "bones": Case("ct_abdomen_hires", "--preset ct-bone", _BONES),
     "nuclei, each": Case(

@@ -48,6 +48,7 @@ app = App(
     suppress_keyboard_interrupt=False,  # it would end the process without a line
 )
 app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in noise with and without momentum.")
+app.command("accelsurf.cli.look:look", name="look", help="Show slices of an image with a grid in mm, without a run.")
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
 app.command("accelsurf.cli.synth:synth", name="synth", help="Make a synthetic volume and its truth from a recipe.")
 app.command("accelsurf.cli.compare:compare", name="compare", help="Run several flows on one volume side by side.")

@@ -19,7 +19,7 @@ from accelsurf.cli.outcome import shortcoming
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
-from accelsurf.report import canvas, document, object_files, outputs, result_sets
+from accelsurf.report import document, object_files, outputs, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.settings.run_config import RunConfig
 
@@ -250,7 +250,6 @@ def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Res
     outputs.check(config, labels, volume.geometry)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
-    canvas.preload_library()
     result = evolve(place.name, volume, more, config, watcher)
     log.warnings.extend(result.warnings)
     return result

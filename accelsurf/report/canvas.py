@@ -1,110 +1,235 @@
-"""What every picture shares: colours, the figure, the style of its axes, the bytes of the file.
+"""What every picture shares: colours, lines, texts, and the bytes of the file.
 
-Drawn with matplotlib's objects, never through pyplot, so that pictures keep no state and need no screen. Colours are
-Okabe and Ito's, which people with any colour vision can tell apart.
+Drawn with Pillow alone: a run waits for its picture, and a plotting library takes longer to load than to draw. Shapes
+are drawn at twice the resolution and averaged, which smooths their edges; texts are drawn on top. Positions are pixels
+from the upper left corner. Colours are Okabe and Ito's, which people with any colour vision can tell apart.
 """
 
 from __future__ import annotations
 
-import functools
 import io
-import logging
-import threading
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image, ImageDraw
+
+from accelsurf.report.fonts import runs_of
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
-INK, GRID = "#222222", "#D9D9D9"
+YELLOW = "#F0E442"
+INK, GRID, PALE, DARK = "#222222", "#D9D9D9", "#999999", "#101010"
 RUN_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
-RUN_DASHES = ("solid", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1, 2)))
-DPI = 110
-#: Fonts of other scripts than Latin, Greek and Cyrillic, by the names that systems install them under.
-_FURTHER_FONTS = (
-    "Noto Sans CJK JP", "Noto Sans CJK SC", "Noto Sans CJK KR", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei",
-    "Droid Sans Fallback", "IPAGothic", "Hiragino Sans", "PingFang SC", "Arial Unicode MS", "Microsoft YaHei",
-    "MS Gothic", "Malgun Gothic", "SimHei", "Noto Sans Devanagari", "Noto Sans Arabic", "Noto Sans Thai",
-)
+#: Colours of objects with ids, again from the first when there are more.
+OBJECT_COLORS = (ORANGE, SKY, GREEN, PURPLE, YELLOW)
+#: Lengths of dashes and gaps, pixels; none is a solid line.
+Dashes = tuple[float, ...]
+SOLID: Dashes = ()
+RUN_DASHES: tuple[Dashes, ...] = (SOLID, (9, 4), (4, 3), (9, 3, 2, 3))
+#: Shapes are drawn at so many times the resolution.
+_FINE = 2
+_COMPRESSION = 4
+
+#: Left, top, right, bottom, pixels.
+Box = tuple[float, float, float, float]
 
 
-def preload_library() -> None:
-    """Load the drawing library in its own thread: it takes half a second, during which compiled kernels can compute."""
-    threading.Thread(target=_library, name="accelsurf-drawing").start()
+class _Text(NamedTuple):
+    at: tuple[float, float]
+    text: str
+    size: int
+    color: str
+    anchor: str
+    bold: bool
+    upward: bool
 
 
-def _library() -> tuple[type[Figure], type[FigureCanvasAgg]]:
-    # It talks of folders and fonts of its own, which nobody asked for, from its import on.
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+class Canvas:
+    """A white picture to draw on.
 
-    return Figure, FigureCanvasAgg
-
-
-def new_figure(width: float, height: float, title: str) -> Figure:
-    """Make a figure of ``width`` x ``height`` inches with a title."""
-    figure_class, canvas_class = _library()
-    figure = figure_class(figsize=(width, height), dpi=DPI, facecolor="white")
-    canvas_class(figure)
-    figure.suptitle(drawable(title), fontsize=12, color=INK, y=0.975, **name_style(title))
-    return figure
-
-
-@functools.cache
-def _families() -> tuple[str, ...]:
-    """Fonts for names of files: matplotlib's own, then those with further scripts that are installed."""
-    from matplotlib import font_manager
-
-    installed = {font.name for font in font_manager.fontManager.ttflist}
-    return ("DejaVu Sans", *(name for name in _FURTHER_FONTS if name in installed))
-
-
-def name_style(text: str) -> dict[str, Any]:
-    """How matplotlib draws a text with the name of a file: not as a formula, and in fonts that have its script."""
-    return {"parse_math": False} | ({} if text.isascii() else {"fontfamily": list(_families())})
-
-
-def drawable(text: str) -> str:
-    """A text with a box in place of each character that no font has, so that the library does not warn or fail.
+    Parameters
+    ----------
+    width, height : int
+        Pixels.
+    title : str, optional
+        One line at the top, in the middle.
 
     Examples
     --------
-    >>> drawable("a$b"), drawable("bell" + chr(7)) == "bell" + chr(0x25A1)
-    ('a$b', True)
+    >>> canvas = Canvas(40, 30)
+    >>> canvas.line([(0, 0), (39, 29)], BLUE, 2)
+    >>> canvas.png()[1:4]
+    b'PNG'
     """
-    if text.isascii() and text.replace("\n", "").isprintable():
+
+    def __init__(self, width: float, height: float, title: str = "") -> None:
+        self.width, self.height = max(int(width), 1), max(int(height), 1)
+        self._picture = Image.new("RGB", (_FINE * self.width, _FINE * self.height), "white")
+        self._pen = ImageDraw.Draw(self._picture)
+        self._texts: list[_Text] = []
+        if title:
+            self.text((self.width / 2, 22), title, 17, anchor="mm")
+
+    def line(self, points: ArrayLike, color: str, width: float, dashes: Dashes = SOLID) -> None:
+        """Draw a line through points (n, 2), (right, down)."""
+        places = np.asarray(points, float).reshape(-1, 2)
+        for part in _dashed(places, dashes) if dashes else (places,):
+            if len(part) > 1:
+                self._pen.line((_FINE * part).ravel().tolist(), fill=color, width=max(round(_FINE * width), 1))
+
+    def polygon(self, points: ArrayLike, color: str) -> None:
+        """Fill a polygon with corners (n, 2)."""
+        self._pen.polygon((_FINE * np.asarray(points, float)).ravel().tolist(), fill=color)
+
+    def rectangle(self, box: Box, fill: str | None = None, outline: str | None = None, width: float = 1) -> None:
+        """Draw a rectangle."""
+        ends = [_FINE * value for value in box]
+        self._pen.rectangle(ends, fill=fill, outline=outline, width=max(round(_FINE * width), 1))
+
+    def circle(self, at: tuple[float, float], radius: float, fill: str) -> None:
+        """Draw a disc."""
+        (x, y), r = at, radius
+        self._pen.ellipse([_FINE * value for value in (x - r, y - r, x + r, y + r)], fill=fill)
+
+    def shade(self, box: Box, color: str, opacity: float) -> None:
+        """Lay a colour over a rectangle."""
+        left, top, right, bottom = (round(_FINE * value) for value in box)
+        ends = max(left, 0), max(top, 0), min(right, self._picture.width), min(bottom, self._picture.height)
+        if ends[0] < ends[2] and ends[1] < ends[3]:
+            below = self._picture.crop(ends)
+            self._picture.paste(Image.blend(below, Image.new("RGB", below.size, color), opacity), ends[:2])
+
+    def image(self, pixels: NDArray[Any], box: Box, smooth: bool = False) -> None:
+        """Draw pixels, (h, w) grey or (h, w, 3 or 4) colours, uint8, as large as the box."""
+        left, top, right, bottom = (round(_FINE * value) for value in box)
+        size = max(right - left, 1), max(bottom - top, 1)
+        how = Image.Resampling.BICUBIC if smooth else Image.Resampling.NEAREST
+        shown = Image.fromarray(np.ascontiguousarray(pixels)).resize(size, how)
+        self._picture.paste(shown, (left, top), shown if shown.mode == "RGBA" else None)
+
+    def text(
+        self,
+        at: tuple[float, float],
+        text: str,
+        size: int = 12,
+        color: str = INK,
+        anchor: str = "la",
+        *,
+        bold: bool = False,
+        upward: bool = False,
+    ) -> None:
+        """Write lines of text.
+
+        Parameters
+        ----------
+        at : (float, float)
+            Where its anchor is.
+        text : str
+        size : int
+            Height of the font, pixels.
+        color : str
+        anchor : str
+            Two letters: l, m, r (left, middle, right) and a, m, d (top, middle, bottom).
+        bold, upward : bool
+            ``upward``: one line that runs from below to above.
+        """
+        lines = text.split("\n")
+        step = 1.3 * size
+        first = {"a": 0.0, "m": -0.5 * step * (len(lines) - 1), "d": -step * (len(lines) - 1)}[anchor[1]]
+        for number, line in enumerate(lines):
+            place = (at[0], at[1] + first + number * step)
+            self._texts.append(_Text(place, line, size, color, anchor, bold, upward))
+
+    def boxed_text(
+        self,
+        at: tuple[float, float],
+        text: str,
+        size: int = 12,
+        color: str = "white",
+        ground: str = "black",
+        opacity: float = 0.55,
+    ) -> None:
+        """Write a line of bold text on a ground of its own, its middle at a place: readable on any grey."""
+        half = 0.5 * text_width(text, size, bold=True) + 3
+        self.shade((at[0] - half, at[1] - 0.68 * size, at[0] + half, at[1] + 0.68 * size), ground, opacity)
+        self.text(at, text, size, color, "mm", bold=True)
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """The picture, (height, width, 3)."""
+        return np.asarray(self._drawn())
+
+    def png(self) -> bytes:
+        """The picture as a PNG file."""
+        stream = io.BytesIO()
+        self._drawn().save(stream, format="png", compress_level=_COMPRESSION)
+        return stream.getvalue()
+
+    def _drawn(self) -> Image.Image:
+        picture = self._picture.reduce(_FINE)
+        pen = ImageDraw.Draw(picture)
+        for text in self._texts:
+            _write(picture, pen, text)
+        return picture
+
+
+def text_width(text: str, size: int, bold: bool = False) -> float:
+    """Width of one line of text, pixels."""
+    return sum(font.getlength(part) for part, font in runs_of(text, size, bold))
+
+
+def fitting(text: str, size: int, width: float) -> str:
+    """Return a line of text, shortened in the middle if it is wider than ``width`` pixels.
+
+    Examples
+    --------
+    >>> fitting("short", 12, 200), len(fitting("a" * 500, 12, 200)) < 40
+    ('short', True)
+    """
+    if text_width(text, size) <= width:
         return text
-    from matplotlib import font_manager
-
-    fonts = [font_manager.get_font(font_manager.findfont(name)) for name in _families()]
-
-    def has(one: str) -> bool:
-        known = not "\ud800" <= one <= "\udfff" and any(font.get_char_index(ord(one)) for font in fonts)
-        return one == "\n" or (one.isprintable() and known)
-
-    return "".join(one if has(one) else "\u25a1" for one in text)
+    low, high = 0, len(text) // 2
+    while low < high:  # the largest number of letters at each end that fits
+        many = (low + high + 1) // 2
+        low, high = (many, high) if text_width(f"{text[:many]}...{text[-many:]}", size) <= width else (low, many - 1)
+    return f"{text[:low]}...{text[len(text) - low :]}"
 
 
-def style_axes(axes: Axes, xlabel: str, ylabel: str, lines: bool = True) -> None:
-    """Label axes; ``lines``: of a curve over steps, with a grid."""
-    axes.set_xlabel(xlabel, fontsize=9, color=INK)
-    axes.set_ylabel(ylabel, fontsize=9, color=INK)
-    axes.tick_params(labelsize=8, colors=INK, length=3)
-    for side in axes.spines.values():
-        side.set_color("#999999")
-    if lines:
-        # Powers of ten as mathematical text would take a third of the picture's time.
-        axes.ticklabel_format(style="sci", scilimits=(-3, 5), axis="y")
-        axes.locator_params(axis="x", integer=True)  # steps
-        axes.grid(color=GRID, linewidth=0.6)
-        axes.set_axisbelow(True)
+def _write(picture: Image.Image, pen: ImageDraw.ImageDraw, text: _Text) -> None:
+    """Draw one line of text."""
+    runs = runs_of(text.text, text.size, text.bold)
+    wide = sum(font.getlength(part) for part, font in runs)
+    shift = {"l": 0.0, "m": 0.5, "r": 1.0}[text.anchor[0]]
+    if text.upward:
+        own = Image.new("L", (round(wide) + 4, round(1.5 * text.size)))
+        _write_runs(ImageDraw.Draw(own), runs, 2.0, 0.75 * text.size, "m", 255)
+        turned = own.transpose(Image.Transpose.ROTATE_90)
+        at = round(text.at[0] - turned.width / 2), round(text.at[1] - (1 - shift) * turned.height)
+        picture.paste(Image.new("RGB", turned.size, text.color), at, turned)
+    else:
+        _write_runs(pen, runs, round(text.at[0] - shift * wide), text.at[1], text.anchor[1], text.color)
 
 
-def png_bytes(figure: Figure) -> bytes:
-    """Encode a figure as a PNG file."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": "accelsurf"})
-    return stream.getvalue()
+def _write_runs(pen: ImageDraw.ImageDraw, runs: Sequence[Any], x: float, y: float, anchor: str, color: Any) -> None:
+    for part, font in runs:
+        pen.text((x, y), part, fill=color, font=font, anchor="l" + anchor)
+        x += font.getlength(part)
+
+
+def _dashed(points: NDArray[np.float64], dashes: Dashes) -> list[NDArray[np.float64]]:
+    """The parts of a line that its dashes cover."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    if len(points) < 2 or along[-1] == 0:
+        return []
+    ends = np.cumsum(np.resize(dashes, max(2, 2 * int(np.ceil(along[-1] / sum(dashes)) * len(dashes) / 2))))
+    parts, low = [], 0.0
+    for number, high in enumerate(ends):
+        if number % 2 == 0 and low < along[-1]:
+            inner = points[(along > low) & (along < high)]
+            first, last = (
+                [np.interp(min(at, along[-1]), along, points[:, axis]) for axis in (0, 1)] for at in (low, high)
+            )
+            parts.append(np.concatenate([[first], inner, [last]]))
+        low = high
+    return parts

@@ -5,39 +5,40 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from accelsurf.report.canvas import BLUE, INK, RUN_DASHES, VERMILION, style_axes
+from accelsurf.report.axes import Axes, range_of
+from accelsurf.report.canvas import BLUE, INK, RUN_DASHES, VERMILION, Box, Canvas
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from accelsurf.evolution.records import StepRecord
 
 
-def draw_energies(axes: Axes, history: Sequence[StepRecord]) -> None:
-    """Draw the energy of a run and, on a second axis, its kinetic energy; triangles mark restarts."""
-    steps = [row.step for row in history]
-    axes.set_title("Energy and kinetic energy", fontsize=10, color=INK)
-    axes.plot(*energy_curve(history), color=BLUE, linewidth=1.8)
-    style_axes(axes, "step", "energy")
-    axes.yaxis.label.set_color(BLUE)
+def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord]) -> None:
+    """Draw the energy of a run and, on a second scale, its kinetic energy; triangles mark restarts."""
+    left, top, right, bottom = panel
+    steps, values = energy_curve(history)
+    x = (float(min(steps, default=0)), float(max([*steps, min(steps, default=0) + 1])))
+    axes = Axes(canvas, panel, x, range_of(values))
+    axes.title("Energy and kinetic energy")
+    axes.frame("step", "energy", grid=True, color=BLUE)
+    axes.curve(steps, values, BLUE, 2.5)
     kinetic = [row.kinetic for row in history]
     if any(kinetic):
-        right = axes.twinx()
-        right.plot(steps, kinetic, color=VERMILION, linewidth=1.5, linestyle=RUN_DASHES[1])
-        style_axes(right, "", "kinetic energy (dashed)", lines=False)
-        right.ticklabel_format(style="sci", scilimits=(-3, 5), axis="y")
-        right.yaxis.label.set_color(VERMILION)
-        right.set_ylim(bottom=0)
+        second = Axes(canvas, panel, x, (0.0, 1.05 * max(kinetic)))
+        second.curve([row.step for row in history], kinetic, VERMILION, 2.0, RUN_DASHES[1])
+        second.right_scale("kinetic energy (dashed)", VERMILION)
     else:
-        axes.text(0.98, 0.93, "no kinetic energy: the flow has no momentum", transform=axes.transAxes, ha="right")
+        canvas.text((right - 8, top + 14), "no kinetic energy: the flow has no momentum", 11, anchor="rm")
     restarts = [row.step for row in history if row.restarted]
+    for step in restarts:
+        at = float(axes.to_canvas([(step, axes.y[0])])[0, 0])
+        _triangle(canvas, at, bottom)
     if restarts:
-        bottom = np.zeros(len(restarts))
-        axes.plot(restarts, bottom, "^", color=INK, markersize=6, transform=axes.get_xaxis_transform(), clip_on=False)
-        axes.plot([], [], "^", color=INK, markersize=6, linestyle="none", label="restart (momentum set to zero)")
-        axes.legend(frameon=False, fontsize=9, loc="upper right", bbox_to_anchor=(1.0, 0.9), labelcolor=INK)
+        canvas.text((right - 10, top + 18), "restart (momentum set to zero)", 11, anchor="rm")
+        _triangle(canvas, right - 206, top + 23)
+
+
+def _triangle(canvas: Canvas, x: float, bottom: float) -> None:
+    canvas.polygon([(x - 5, bottom), (x + 5, bottom), (x, bottom - 9)], INK)
 
 
 def energy_curve(history: Sequence[StepRecord]) -> tuple[list[int], list[float]]:

@@ -20,7 +20,7 @@ from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import object_files, preview, tables
 from accelsurf.report.document import describe_objects
-from accelsurf.report.preview_content import PreviewContent
+from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.report.result_sets import is_failure_report
 from accelsurf.settings.file_formats import (
     DEFAULT_IMAGE_FORMAT,
@@ -303,8 +303,22 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
 
 
 def outcome_title(name: str, result: Result) -> str:
-    """Return the heading of a picture: how the run ended."""
-    return f"{name}: {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
+    """Return the heading of a picture: how the run ended, and how large the object is."""
+    size = volume_text(result.volume_mm3) if result.enclosed_mm2 is None else f"{result.enclosed_mm2:.4g} mm2"
+    return f"{name}: {size}, {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
+
+
+def volume_text(mm3: float) -> str:
+    """Return a volume in the unit that people use for its size.
+
+    Examples
+    --------
+    >>> volume_text(1.5234e6), volume_text(12.3), volume_text(4.2e-7)
+    ('1523 ml', '12.3 mm3', '420 um3')
+    """
+    if mm3 >= 1000:
+        return f"{mm3 / 1000:.4g} ml" if mm3 < 1e7 else f"{mm3 / 1e6:.4g} l"
+    return f"{mm3:.4g} mm3" if mm3 >= 0.01 or mm3 <= 0 else f"{mm3 * 1e9:.4g} um3"
 
 
 def preview_content(result: Result, title: str, reference: Any = None) -> PreviewContent:
@@ -320,7 +334,7 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
     """
     is_2d = result.geometry.slice_axis is not None
     return PreviewContent(
-        image=result.image,
+        image=result.volume.array,
         psi=result.psi,
         geometry=result.geometry,
         history=result.history,
@@ -329,5 +343,16 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         title=title,
         anatomical=is_anatomical(result.volume.metadata),
         reference=reference,
-        labels=result.labels if result.has_ids else None,
+        objects=_object_shapes(result) if result.has_ids else (),
+        late_growth=result.late_growth,
+        clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
+    )
+
+
+def _object_shapes(result: Result) -> tuple[ObjectShape, ...]:
+    """What is drawn of each of several objects."""
+    is_2d = result.geometry.slice_axis is not None
+    return tuple(
+        ObjectShape(one.id, one.box, one.psi, len(one.surface.vertices) if one.has_surface and not is_2d else 0)
+        for one in result.objects
     )

@@ -1,4 +1,4 @@
-"""Pictures of a run: how the energy fell, where the surface lies in the image, what it looks like.
+"""Pictures of a run: where the surface lies in the image, how the energy fell, what the surface looks like.
 
 Pure functions from arrays to PNG bytes; the parts of a picture have a module each.
 """
@@ -11,26 +11,27 @@ import numpy as np
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
-from accelsurf.report.canvas import (
-    INK,
-    RUN_COLORS,
-    RUN_DASHES,
-    drawable,
-    name_style,
-    new_figure,
-    png_bytes,
-    style_axes,
-)
+from accelsurf.report.axes import LABEL_SIZE, Axes, range_of
+from accelsurf.report.canvas import PALE, RUN_COLORS, RUN_DASHES, Box, Canvas, text_width
 from accelsurf.report.energy_plot import draw_energies, energy_curve
+from accelsurf.report.grey_window import GreyWindow, window_of
 from accelsurf.report.preview_content import PreviewContent
-from accelsurf.report.slice_plot import draw_slice, middle_voxel
+from accelsurf.report.slice_plot import draw_slice
+from accelsurf.report.slice_views import Ranges, SliceView, box_of, click_views, late_view, main_views, shown_ranges
 from accelsurf.report.surface_plot import draw_surface
+
+#: Width of a picture, of its margins and of the space between panels, pixels.
+WIDTH, LEFT, RIGHT, GAP = 1386, 78, 30, 92
+#: Height of the title, of a panel, and below a panel.
+TOP, PANEL, BELOW = 74, 378, 84
 
 
 def preview_png(content: PreviewContent) -> bytes:
-    """Draw one run: three slices with the contour, energies against step, the surface in 3D.
+    """Draw one run, so that a person can judge it.
 
-    Of an image of one slice: the image with the contour and the start, and the energies.
+    Above three slices with the contour, through the first click or the largest sections, cropped to the object. Below
+    the slice of the fastest late growth if that is known, the energies against step, and the surface in 3D; then
+    slices through further clicks. Of an image of one slice: the image with contour and start, and the energies.
 
     Parameters
     ----------
@@ -44,40 +45,63 @@ def preview_png(content: PreviewContent) -> bytes:
     """
     if content.geometry.slice_axis is not None:
         return _png_2d(content, content.geometry.slice_axis)
-    figure = new_figure(12.6, 8.6, content.title)
-    grid = figure.add_gridspec(2, 3, left=0.06, right=0.965, top=0.89, bottom=0.075, hspace=0.27, wspace=0.26)
-    place = middle_voxel(content)
-    for plane in range(3):
-        draw_slice(figure.add_subplot(grid[0, plane]), content, plane, place)
-    draw_energies(figure.add_subplot(grid[1, :2]), content.history)
-    draw_surface(figure.add_subplot(grid[1, 2]), content)
-    return png_bytes(figure)
+    ranges = shown_ranges(content)
+    window, late, more = content_window(content, ranges), late_view(content), click_views(content)
+    rows = 3 if more else 2
+    canvas = Canvas(WIDTH, TOP + rows * (PANEL + BELOW), content.title)
+    for column, view in enumerate(main_views(content)):
+        draw_slice(canvas, panel_at(0, column), content, view, ranges, window)
+    left, top, right, bottom = panel_at(1, 1)
+    if late is not None:
+        draw_slice(canvas, panel_at(1, 0), content, late, ranges, window)
+    else:
+        left = panel_at(1, 0)[0]
+    draw_energies(canvas, (left, top, right - 24, bottom), content.history)
+    draw_surface(canvas, panel_at(1, 2), content)
+    for column, view in enumerate(more):
+        draw_slice(canvas, panel_at(2, column), content, view, ranges, window)
+    write_window(canvas, window)
+    return canvas.png()
+
+
+def panel_at(row: int, column: int, columns: int = 3) -> Box:
+    """Where a panel lies."""
+    width = (WIDTH - LEFT - RIGHT - (columns - 1) * GAP) / columns
+    left, top = LEFT + column * (width + GAP), TOP + row * (PANEL + BELOW)
+    return left, top, left + width, top + PANEL
+
+
+def content_window(content: PreviewContent, ranges: Ranges) -> GreyWindow:
+    """The window for the part of the image that is shown."""
+    part = box_of(ranges, content.geometry)
+    inside = content.inside()[part]
+    return window_of(content.image[part], inside) if inside.any() else window_of(content.image)
+
+
+def write_window(canvas: Canvas, window: GreyWindow) -> None:
+    """Write the grey window in the lower right corner."""
+    canvas.text((canvas.width - 10, canvas.height - 8), f"window {window.text}", 11, PALE, "rd")
 
 
 def _png_2d(content: PreviewContent, axis: int) -> bytes:
     """Draw a run on an image of one slice; the picture is as wide and high as suits the image."""
     order = DisplayOrientation.of(content.geometry).order
     plane = order.index(axis)
+    ranges = shown_ranges(content)
     tall, wide = (_length(content.geometry, order[i]) for i in IN_PLANE[plane])
-    inch = min(6.8 / wide, 8.0 / tall)  # per mm
-    left, high, right = max(wide * inch, 2.5), max(tall * inch, 4.0), 4.6
-    width, height = left + right + 2.7, high + 1.55
-    figure = new_figure(width, height, content.title)
-    grid = figure.add_gridspec(
-        1,
-        2,
-        left=0.8 / width,
-        right=1 - 0.8 / width,
-        top=1 - 0.9 / height,
-        bottom=0.65 / height,
-        wspace=2.2 / (left + right),
-        width_ratios=(left, right),
-    )
-    draw_slice(figure.add_subplot(grid[0, 0]), content, plane, middle_voxel(content))
-    energies = figure.add_subplot(grid[0, 1])
-    draw_energies(energies, content.history)
-    energies.set_box_aspect(min(0.9, high / right))
-    return png_bytes(figure)
+    pixels = min(748 / wide, 748 / tall)  # per mm
+    left, high, right = max(wide * pixels, 340), max(tall * pixels, 440), 500
+    # As wide as its title, so that none is cut off.
+    width = max(LEFT + left + GAP + 20 + right + 90, text_width(content.title, 17) + 40)
+    canvas = Canvas(width, TOP + high + BELOW, content.title)
+    window = content_window(content, ranges)
+    view = SliceView(plane, 0)
+    draw_slice(canvas, (LEFT, TOP, LEFT + left, TOP + high), content, view, ranges, window)
+    first, middle = LEFT + left + GAP + 20, TOP + high / 2
+    half = 0.5 * min(0.9 * right, high)
+    draw_energies(canvas, (first, middle - half, first + right, middle + half), content.history)
+    write_window(canvas, window)
+    return canvas.png()
 
 
 def _length(geometry: Geometry, axis: int) -> float:
@@ -86,6 +110,8 @@ def _length(geometry: Geometry, axis: int) -> float:
 
 def comparison_png(runs: Mapping[str, PreviewContent], title: str) -> bytes:
     """Draw several runs on the same image side by side: a slice and the surface of each, then all energies.
+
+    All have the same slice, crop and window, those of the first.
 
     Parameters
     ----------
@@ -99,33 +125,44 @@ def comparison_png(runs: Mapping[str, PreviewContent], title: str) -> bytes:
     bytes
         A PNG file.
     """
-    count, axis = len(runs), next(iter(runs.values())).geometry.slice_axis
-    ratios = (1, 1, 0.75) if axis is None else (1, 0.75)  # of one slice there is no surface
-    height = 12.0 if axis is None else 8.2
-    figure = new_figure(max(4.1 * count, 8.2), height, title)
-    place = {"left": 0.09, "right": 0.965, "top": 1 - 1.14 / height, "bottom": 0.66 / height}
-    grid = figure.add_gridspec(len(ratios), count, hspace=0.24, wspace=0.25, height_ratios=ratios)
-    grid.update(**place)
-    vertices = [content.surface.vertices for content in runs.values() if content.surface is not None]
+    contents = list(runs.values())
+    geometry = contents[0].geometry
+    axis = geometry.slice_axis
+    width, column_width, top = max(450 * len(runs), 900), 450, 124
+    rows = 2 if axis is None else 1  # of one slice there is no surface
+    canvas = Canvas(width, top + rows * (360 + BELOW) + 300 + BELOW, title)
+    vertices = [content.surface.vertices for content in contents if content.surface is not None]
     box = np.concatenate(vertices) if vertices else None
+    ranges = [shown_ranges(content) for content in contents]
+    common = tuple((min(r[a][0] for r in ranges), max(r[a][1] for r in ranges)) for a in range(3))
+    shown: Ranges = (common[0], common[1], common[2])
+    plane = 0 if axis is None else DisplayOrientation.of(geometry).order.index(axis)
+    view, window = main_views(contents[0])[plane], content_window(contents[0], shown)
     for column, (name, content) in enumerate(runs.items()):
-        top = figure.add_subplot(grid[0, column])
-        plane = 0 if axis is None else DisplayOrientation.of(content.geometry).order.index(axis)
-        draw_slice(top, content, plane, middle_voxel(content))
-        text = f"{name}\n{content.title}"
-        top.set_title(drawable(text), fontsize=10, color=INK, **name_style(text))
-        color = RUN_COLORS[column % len(RUN_COLORS)]
+        left = column * column_width + LEFT + (width - column_width * len(runs)) / 2
+        right = left + column_width - LEFT - 20
+        slice_ = draw_slice(canvas, (left, top, right, top + 360), content, view, shown, window)
+        canvas.text(((left + right) / 2, slice_.axes.box[1] - 26), f"{name}\n{content.title}", 13, anchor="md")
         if axis is None:
-            draw_surface(figure.add_subplot(grid[1, column]), content, box=box, color=color)
-    below = figure.add_subplot(grid[-1, :])
-    for number, (name, content) in enumerate(runs.items()):
-        below.plot(
-            *energy_curve(content.history),
-            color=RUN_COLORS[number % len(RUN_COLORS)],
-            linestyle=RUN_DASHES[number % len(RUN_DASHES)],
-            linewidth=1.8,
-            label=name,
-        )
-    style_axes(below, "step", "energy")
-    below.legend(frameon=False, fontsize=9, labelcolor=INK)
-    return png_bytes(figure)
+            below = top + 360 + BELOW
+            color = RUN_COLORS[column % len(RUN_COLORS)]
+            draw_surface(canvas, (left, below, right, below + 360), content, box=box, color=color)
+    low = top + rows * (360 + BELOW)
+    _draw_curves(canvas, (LEFT + 20, low, width - 40, low + 300), runs)
+    write_window(canvas, window)
+    return canvas.png()
+
+
+def _draw_curves(canvas: Canvas, panel: Box, runs: Mapping[str, PreviewContent]) -> None:
+    """Draw the energies of several runs with a legend."""
+    curves = {name: energy_curve(content.history) for name, content in runs.items()}
+    last = max([1, *(step for steps, _ in curves.values() for step in steps)])
+    axes = Axes(canvas, panel, (0.0, float(last)), range_of([v for _, values in curves.values() for v in values]))
+    axes.frame("step", "energy", grid=True)
+    _, top, right, _ = panel
+    for number, (name, (steps, values)) in enumerate(curves.items()):
+        style = RUN_COLORS[number % len(RUN_COLORS)], 2.5, RUN_DASHES[number % len(RUN_DASHES)]
+        axes.curve(steps, values, *style)
+        y = top + 16 + 18 * number
+        canvas.text((right - 60, y), name, LABEL_SIZE, anchor="rm")
+        canvas.line([(right - 52, y), (right - 12, y)], *style)

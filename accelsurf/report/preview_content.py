@@ -2,17 +2,72 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 
 if TYPE_CHECKING:
     from accelsurf.analysis.surface_mesh import Surface
     from accelsurf.evolution.records import StepRecord
+
+
+class ObjectShape(NamedTuple):
+    """One of several objects: its id, its part of the grid, psi there (mm, negative inside), and how many vertices of
+    the common surface are its own.
+    """
+
+    id: int
+    box: Box
+    psi: NDArray[Any]
+    vertices: int = 0
+
+
+class ClickMark(NamedTuple):
+    """Where a click is drawn.
+
+    Attributes
+    ----------
+    side : {"inside", "outside"}
+    id : int
+        The object; 1 where there is one alone, 0 for "no object".
+    place : (int, int, int)
+        The voxel (z, y, x) of its mark: of those clicked the nearest to their middle.
+    box : tuple of slice
+        Its part of the grid.
+    mask : ndarray of bool
+        The voxels, of the shape of the box.
+    """
+
+    side: Side
+    id: int
+    place: tuple[int, int, int]
+    box: Box
+    mask: NDArray[np.bool_]
+
+
+def marks_of(clicks: Iterable[Click], spacing: Sequence[float]) -> tuple[ClickMark, ...]:
+    """Return where clicks are drawn.
+
+    Parameters
+    ----------
+    clicks : iterable of Click
+    spacing : sequence of float
+        (hz, hy, hx) in mm.
+    """
+    marks = []
+    for click in clicks:
+        voxels = np.argwhere(click.mask)
+        distances = (((voxels - voxels.mean(axis=0)) * np.asarray(spacing)) ** 2).sum(axis=1)
+        z, y, x = (int(v) + part.start for v, part in zip(voxels[np.argmin(distances)], click.box, strict=True))
+        marks.append(ClickMark(click.side, click.id, (z, y, x), click.box, click.mask))
+    return tuple(marks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +77,7 @@ class PreviewContent:
     Attributes
     ----------
     image : ndarray, shape (nz, ny, nx)
-        The image.
+        The image, in its own units.
     psi : ndarray, shape (nz, ny, nx)
         Level-set function, mm, negative inside.
     geometry : Geometry
@@ -39,8 +94,12 @@ class PreviewContent:
         Labels to compare with (> 0 is the object), drawn as a second contour.
     start : ndarray, shape (nz, ny, nx), optional
         psi of the start, drawn for an image of one slice.
-    labels : ndarray, shape (nz, ny, nx), optional
-        Labels of several objects, drawn instead of psi: psi has no boundary where they touch.
+    objects : sequence of ObjectShape
+        Several objects with ids, drawn instead of psi, which has no boundary where they touch.
+    clicks : sequence of ClickMark
+        In the order given.
+    late_growth : (float, float, float), optional
+        Index (z, y, x) of the place where the surface grew fastest in the last part of the run.
     """
 
     image: NDArray[Any]
@@ -52,4 +111,10 @@ class PreviewContent:
     anatomical: bool = False
     reference: NDArray[Any] | None = None
     start: NDArray[Any] | None = None
-    labels: NDArray[Any] | None = None
+    objects: Sequence[ObjectShape] = ()
+    clicks: Sequence[ClickMark] = ()
+    late_growth: tuple[float, float, float] | None = None
+
+    def inside(self) -> NDArray[np.bool_]:
+        """Voxels in any object, (nz, ny, nx)."""
+        return np.asarray(self.psi < 0)

@@ -45,7 +45,7 @@ def render(
     faces: ArrayLike,
     *,
     size: int = 480,
-    color: tuple[float, float, float] = (0.34, 0.71, 0.91),
+    color: ArrayLike = (0.34, 0.71, 0.91),
     view: tuple[float, float, float] = VIEW,
     box: ArrayLike | None = None,
 ) -> Picture:
@@ -59,8 +59,8 @@ def render(
         Vertex numbers, counter-clockwise seen from outside.
     size : int, optional
         Edge of the square picture in pixels.
-    color : tuple of float, optional
-        Red, green, blue of the surface in 0..1.
+    color : array_like, shape (3,) or (n, 3), optional
+        Red, green, blue of the surface in 0..1, or of each of its vertices.
     view : tuple of float, optional
         Direction from the object to the viewer; not vertical.
     box : array_like, shape (k, 3), optional
@@ -84,8 +84,10 @@ def render(
     scale = 0.94 * fine / max(float((high - low).max()), 1e-9)
     projected = points @ frame.T
     projected[:, :2] = (projected[:, :2] - (low + high) / 2) * scale + fine / 2
-    depth, normals = _fill(projected, triangles, _vertex_normals(points, triangles) @ frame.T, fine)
-    pixels = _shade(depth, normals, np.asarray(color), scale)
+    paint = np.broadcast_to(np.asarray(color, np.float64), points.shape)
+    at_vertices = np.concatenate([_vertex_normals(points, triangles) @ frame.T, paint], axis=1)
+    depth, values = _fill(projected, triangles, at_vertices, fine)
+    pixels = _shade(depth, values[:, :3], values[:, 3:].reshape(fine, fine, 3), scale)
     pixels = _halve(pixels[::-1])
     return Picture(pixels.astype(np.float32), 2.0 / scale, frame[:2].T.copy())
 
@@ -108,8 +110,8 @@ def _vertex_normals(points: Floats, triangles: NDArray[np.intp]) -> Floats:
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
 
-def _fill(projected: Floats, triangles: NDArray[np.intp], normals: Floats, fine: int) -> tuple[Floats, Floats]:
-    """Depth buffer (-inf where empty) and the normal at each pixel, both flat."""
+def _fill(projected: Floats, triangles: NDArray[np.intp], values: Floats, fine: int) -> tuple[Floats, Floats]:
+    """Depth buffer (-inf where empty) and the vertices' values (n, k) at each pixel, both flat."""
     corners = projected[triangles]
     side, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     front = side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0] > 0  # the rest face away, behind these
@@ -130,14 +132,14 @@ def _fill(projected: Floats, triangles: NDArray[np.intp], normals: Floats, fine:
             _rasterize_points(nearest, (weights @ corners[some]).reshape(-1, 3), depths, count, fine)
             batches.append((count, weights, triangles[some]))
             count += len(some) * len(weights)
-    depth, normal = np.full(fine * fine, -np.inf), np.zeros((fine * fine, 3))
+    depth, shown = np.full(fine * fine, -np.inf), np.zeros((fine * fine, values.shape[1]))
     depth[nearest >= 0] = depths.mm(nearest[nearest >= 0] >> 32)
     point = np.where(nearest >= 0, nearest & 0xFFFFFFFF, -1)
     for begin, weights, some in batches:
         at = np.flatnonzero((point >= begin) & (point < begin + len(some) * len(weights)))
         which, sample = np.divmod(point[at] - begin, len(weights))
-        normal[at] = np.einsum("pi,pic->pc", weights[sample], normals[some[which]])
-    return depth, normal
+        shown[at] = np.einsum("pi,pic->pc", weights[sample], values[some[which]])
+    return depth, shown
 
 
 class _Depths(NamedTuple):

@@ -1,122 +1,328 @@
-"""Slices through the image with the contours of the result, as radiologists hang them.
+"""Slices through the image with contours and clicks, as radiologists hang them.
 
 Slices are reoriented to the nearest anatomical axes: the patient's left at the right, front at the top (axial) or head
 at the top (coronal, sagittal). Their axes are mm: world coordinates where the grid is parallel to the world, so that a
-`--start` can be read off the picture, otherwise mm along the grid from its first voxel.
+click can be read off the picture, otherwise mm along the grid from its first voxel.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.measure import find_contours
 
-from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrientation
-from accelsurf.report.canvas import GREEN, INK, ORANGE, SKY, style_axes
+from accelsurf.grid.clicks import NO_OBJECT
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.orientation import IN_PLANE, LETTERS, DisplayOrientation
+from accelsurf.report.axes import Axes, round_step
+from accelsurf.report.canvas import (
+    DARK,
+    GREEN,
+    OBJECT_COLORS,
+    ORANGE,
+    SKY,
+    SOLID,
+    VERMILION,
+    YELLOW,
+    Box,
+    Canvas,
+    Dashes,
+    text_width,
+)
+from accelsurf.report.grey_window import GreyWindow
+from accelsurf.report.preview_content import ClickMark, PreviewContent
+from accelsurf.report.slice_views import Ranges, SliceView, displayed, fitted, plane_name
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from accelsurf.report.preview_content import PreviewContent
-
-
-def middle_voxel(content: PreviewContent) -> tuple[int, int, int]:
-    """Voxel of the reoriented volume in the middle of the object, or of the volume when there is none."""
-    psi = DisplayOrientation.of(content.geometry).reorient(content.psi)
-    inside = psi < 0
-    if not inside.any():
-        return psi.shape[0] // 2, psi.shape[1] // 2, psi.shape[2] // 2
-    columns = np.count_nonzero(inside, axis=0)
-    counts = [np.count_nonzero(inside.reshape(len(inside), -1), axis=1), columns.sum(axis=1), columns.sum(axis=0)]
-    z, y, x = (int(round(float(np.average(np.arange(len(c)), weights=c)))) for c in counts)
-    return z, y, x
+#: The inset takes this part of the slice's width or height, whichever is less.
+INSET = 0.27
+#: There is no inset when the slice shows so much of the image.
+NEARLY_ALL = 0.6
+#: Shorter sides than these have no room for an inset, and for a scale bar and letters, pixels.
+MIN_FOR_INSET, MIN_FOR_BAR = 150, 90
+#: An object whose section is less deep than this has no room for its id, pixels.
+MIN_FOR_ID = 7
+#: Length of the arms of a click's mark, pixels.
+ARM = 7
+REFERENCE_DASHES: Dashes = (3, 3)
+START_DASHES: Dashes = (8, 4)
 
 
-def draw_slice(axes: Axes, content: PreviewContent, plane: int, place: tuple[int, int, int]) -> None:
-    """Draw one slice through the voxel ``place`` of the reoriented volume: plane 0 is axial, 1 coronal, 2 sagittal."""
-    up = DisplayOrientation.of(content.geometry)
-    vertical, horizontal = IN_PLANE[plane]
-    section = tuple(place[axis] if axis == plane else slice(None) for axis in range(3))
-    values = np.asarray(up.reorient(content.image)[section], dtype=np.float64)
-    low, high = np.percentile(values, (1, 99))
-    edges = [
-        up.coordinate(axis, index)
-        for axis, n in ((horizontal, values.shape[1]), (vertical, values.shape[0]))
-        for index in (-0.5, n - 0.5)
-    ]
-    # Front at the top (y runs down) in the axial slice; head at the top (z runs up) in the other two.
-    extent = (edges[0], edges[1], edges[3], edges[2]) if plane == 0 else (edges[0], edges[1], edges[2], edges[3])
-    axes.imshow(
-        values,
-        cmap="gray",
-        vmin=low,
-        vmax=high if high > low else low + 1,
-        extent=extent,
-        origin="upper" if plane == 0 else "lower",
-        interpolation="nearest",
-        aspect="equal",
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """One slice in its frame: what contours and marks are drawn through.
+
+    Attributes
+    ----------
+    axes : Axes
+        In mm along the displayed axes.
+    view : SliceView
+    ranges : tuple of (int, int)
+        Voxels that are shown, along the displayed axes.
+    up : DisplayOrientation
+    geometry : Geometry
+    """
+
+    axes: Axes
+    view: SliceView
+    ranges: Ranges
+    up: DisplayOrientation
+    geometry: Geometry
+
+    def section(self, array: NDArray[Any], whole: bool = False) -> NDArray[Any]:
+        """The shown part of an array's slice, or the whole slice, (rows, columns)."""
+        parts: list[slice | int] = [slice(None) if whole else slice(*pair) for pair in self.ranges]
+        parts[self.view.plane] = self.view.index
+        return np.asarray(self.up.reorient(array)[tuple(parts)])
+
+    def to_canvas(self, rows: Any, columns: Any) -> NDArray[np.float64]:
+        """Pixels (n, 2) of (continuous) voxels of the whole slice."""
+        vertical, horizontal = IN_PLANE[self.view.plane]
+        x = self.up.first[horizontal] + np.asarray(columns, float) * self.up.spacing[horizontal]
+        y = self.up.first[vertical] + np.asarray(rows, float) * self.up.spacing[vertical]
+        return self.axes.to_canvas(np.stack([np.atleast_1d(x), np.atleast_1d(y)], axis=1))
+
+
+def open_slice(
+    canvas: Canvas,
+    panel: Box,
+    image: NDArray[Any],
+    geometry: Geometry,
+    view: SliceView,
+    ranges: Ranges,
+    window: GreyWindow,
+    anatomical: bool,
+) -> Slice:
+    """Draw the image of one slice with its frame into a panel, as large as fits; the panel's margins stay free."""
+    left, top, right, bottom = panel
+    ranges = fitted(ranges, view.plane, geometry, (right - left) / (bottom - top))
+    up, (vertical, horizontal) = DisplayOrientation.of(geometry), IN_PLANE[view.plane]
+    x, y = (
+        tuple(up.coordinate(axis, ranges[axis][end] - 0.5) for end in (0, 1)) for axis in (horizontal, vertical)
     )
-    _draw_contours(axes, content, up, plane, section)
-    where = f"{up.names[plane]} = {up.coordinate(plane, place[plane]):.4g} mm"
-    kind = PLANES[plane] if content.anatomical else "Slice"
-    axes.set_title(f"{kind}, {where}", fontsize=10, color=INK)
-    style_axes(axes, f"{up.names[horizontal]} (mm)", f"{up.names[vertical]} (mm)", lines=False)
+    wide, tall = x[1] - x[0], y[1] - y[0]
+    scale = min((right - left) / wide, (bottom - top) / tall)
+    half = 0.5 * scale * wide, 0.5 * scale * tall
+    middle = 0.5 * (left + right), 0.5 * (top + bottom)
+    box = middle[0] - half[0], middle[1] - half[1], middle[0] + half[0], middle[1] + half[1]
+    # Front at the top (y runs down) in the axial slice; head at the top (z runs up) in the other two.
+    axes = Axes(canvas, box, (x[0], x[1]), (y[1], y[0]) if view.plane == 0 else (y[0], y[1]))
+    shown = Slice(axes, view, ranges, up, geometry)
+    grey = window.grey(shown.section(image))
+    canvas.image(grey if view.plane == 0 else grey[::-1], box, smooth=True)
+    where = f"{up.names[view.plane]} = {up.coordinate(view.plane, view.index):.4g} mm"
+    axes.title(", ".join(word for word in (view.why, plane_name(view.plane, anatomical), where) if word))
+    axes.frame(f"{up.names[horizontal]} (mm)", f"{up.names[vertical]} (mm)")
+    return shown
+
+
+def draw_slice(
+    canvas: Canvas, panel: Box, content: PreviewContent, view: SliceView, ranges: Ranges, window: GreyWindow
+) -> Slice:
+    """Draw a slice of a result with contours, clicks, an inset of the whole slice, letters and a scale bar."""
+    shown = open_slice(
+        canvas, panel, content.image, content.geometry, view, ranges, window, content.anatomical
+    )
+    named = _draw_contours(shown, content)
+    for mark in content.clicks:
+        draw_click(shown, mark, {one.id: object_color(place) for place, one in enumerate(content.objects)})
+    if content.late_growth is not None:
+        _draw_late_growth(shown, content.late_growth)
+    draw_inset(shown, content.image, window)
     if content.anatomical:
-        _write_letters(axes, horizontal, vertical, top_is_low=plane == 0)
+        write_letters(shown)
+    draw_scale_bar(shown)
+    _write_legend(shown, named)
+    return shown
 
 
-def _draw_contours(
-    axes: Axes, content: PreviewContent, up: DisplayOrientation, plane: int, section: tuple[int | slice, ...]
-) -> None:
-    """Draw the contours of result, reference and start in a slice, with a legend when there are several."""
-    vertical, horizontal = IN_PLANE[plane]
-    lines: list[tuple[str, NDArray[Any], str, Any]] = []
-    if content.labels is None:
-        lines.append(("result", np.asarray(up.reorient(content.psi)[section]), ORANGE, "solid"))
+def _draw_contours(shown: Slice, content: PreviewContent) -> list[tuple[str, str, Dashes]]:
+    """Draw the contours of result, reference and start; returns name, colour and dashes of those that need a legend."""
+    lines: list[tuple[str, str, Dashes]] = []
+    if not content.objects:
+        draw_contour(shown, shown.section(content.psi), ORANGE)
+        lines.append(("result", ORANGE, SOLID))
     else:
-        labels = up.reorient(content.labels)[section]
-        for number in np.unique(labels[labels > 0]):
-            _contour(axes, np.where(labels == number, -0.5, 0.5), up, vertical, horizontal, ORANGE, "solid")
+        _draw_objects(shown, content)
     if content.reference is not None:
-        mask = np.where(up.reorient(content.reference)[section] > 0, -0.5, 0.5)
-        lines.append(("reference", mask, SKY, (0, (2, 1.5))))
+        draw_contour(shown, np.where(shown.section(content.reference) > 0, -0.5, 0.5), SKY, REFERENCE_DASHES)
+        lines.append(("reference", SKY, REFERENCE_DASHES))
     if content.start is not None:
-        lines.append(("start", np.asarray(up.reorient(content.start)[section]), GREEN, (0, (4, 2))))
-    for name, level, color, dashes in lines:
-        _contour(axes, level, up, vertical, horizontal, color, dashes)
-        axes.plot([], [], color=color, linestyle=dashes, label=name)
-    if len(lines) > 1 or content.labels is not None and lines:
-        axes.legend(fontsize=8, loc="lower right", framealpha=0.75, borderpad=0.3, labelcolor=INK)
+        draw_contour(shown, shown.section(content.start), GREEN, START_DASHES)
+        lines.append(("start", GREEN, START_DASHES))
+    return lines if len(lines) > 1 or (content.objects and lines) else []
 
 
-def _contour(
-    axes: Axes, psi: NDArray[Any], up: DisplayOrientation, vertical: int, horizontal: int, color: str, dashes: Any
+def object_color(position: int) -> str:
+    """Colour of the object at a place in the list of all."""
+    return OBJECT_COLORS[position % len(OBJECT_COLORS)]
+
+
+def _draw_objects(shown: Slice, content: PreviewContent) -> None:
+    """Draw the contour of each of several objects in its colour, with its id in the middle of the section."""
+    far = max(float(np.abs(one.psi).max()) for one in content.objects)
+    plane = shown.up.order[shown.view.plane]
+    n = content.geometry.shape[plane]
+    index = n - 1 - shown.view.index if shown.up.flips[shown.view.plane] else shown.view.index
+    for position, one in enumerate(content.objects):
+        if not one.box[plane].start <= index < one.box[plane].stop:
+            continue
+        whole = np.full(content.geometry.shape, far, np.float32)
+        whole[one.box] = one.psi
+        section = shown.section(whole)
+        color = object_color(position)
+        draw_contour(shown, section, color)
+        name_section(shown, section < 0, str(one.id), color)
+
+
+def name_section(shown: Slice, inside: NDArray[np.bool_], name: str, color: str) -> None:
+    """Write an id at the deepest place of an object's section."""
+    if not inside.any():
+        return
+    depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
+    row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    vertical, horizontal = IN_PLANE[shown.view.plane]
+    ((x, y),) = shown.to_canvas(row + shown.ranges[vertical][0], column + shown.ranges[horizontal][0])
+    left, _, right, _ = shown.axes.box
+    pixels = (right - left) / (shown.ranges[horizontal][1] - shown.ranges[horizontal][0])
+    if depth[row, column] * pixels > MIN_FOR_ID:
+        shown.axes.canvas.boxed_text((x, y), name, 12, "black", color, 0.85)
+
+
+def draw_contour(
+    shown: Slice, psi: NDArray[Any], color: str, dashes: Dashes = SOLID, width: float = 2.0
 ) -> None:
-    """Draw the zero level, dark below and coloured above, so that it shows on any grey."""
+    """Draw the zero level of a slice of psi, dark below and coloured above, so that it shows on any grey."""
     if min(psi.shape) < 2 or not (psi < 0).any() or not (psi > 0).any():
         return
-    x = [up.coordinate(horizontal, i) for i in range(psi.shape[1])]
-    y = [up.coordinate(vertical, i) for i in range(psi.shape[0])]
-    axes.contour(x, y, psi, levels=[0.0], colors=["black"], linewidths=2.6, alpha=0.55)
-    axes.contour(x, y, psi, levels=[0.0], colors=[color], linewidths=1.5, linestyles=[dashes])
+    vertical, horizontal = IN_PLANE[shown.view.plane]
+    lines = [
+        shown.to_canvas(line[:, 0] + shown.ranges[vertical][0], line[:, 1] + shown.ranges[horizontal][0])
+        for line in find_contours(np.asarray(psi, float), 0.0)
+    ]
+    for line in lines:
+        shown.axes.canvas.line(line, DARK, width + 1.5)
+    for line in lines:
+        shown.axes.canvas.line(line, color, width, dashes)
 
 
-def _write_letters(axes: Axes, horizontal: int, vertical: int, top_is_low: bool) -> None:
+# ------------------------------------------------------------------------------------------------------------- marks
+
+
+def click_color(mark: ClickMark, colors: Mapping[int, str]) -> str:
+    """Colour of a click: outside red; inside that of its object where there are several, else green."""
+    if mark.side == "outside" or mark.id == NO_OBJECT:
+        return VERMILION
+    return colors.get(mark.id, GREEN)
+
+
+def draw_click(shown: Slice, mark: ClickMark, colors: Mapping[int, str]) -> None:
+    """Draw a click where it cuts the slice: the outline of its voxels, and + for inside, x for outside."""
+    at = displayed(mark.place, shown.geometry)
+    low = displayed(tuple(part.start for part in mark.box), shown.geometry)[shown.view.plane]
+    high = displayed(tuple(part.stop - 1 for part in mark.box), shown.geometry)[shown.view.plane]
+    if not min(low, high) <= shown.view.index <= max(low, high):
+        return
+    color = click_color(mark, colors)
+    whole = np.zeros(shown.geometry.shape, bool)
+    whole[mark.box] = mark.mask
+    section = shown.section(whole)
+    if not section.any():
+        return
+    draw_contour(shown, np.where(section, -0.5, 0.5), color, width=1.0)
+    row, column = (at[axis] for axis in IN_PLANE[shown.view.plane])
+    ((x, y),) = shown.to_canvas(row, column)
+    turn = 0.0 if mark.side == "inside" else np.pi / 4
+    for line_color, width in ((DARK, 5.0), (color, 2.5)):
+        for angle in (turn, turn + np.pi / 2):
+            arm = ARM * np.array([np.cos(angle), np.sin(angle)])
+            shown.axes.canvas.line([(x - arm[0], y - arm[1]), (x + arm[0], y + arm[1])], line_color, width)
+
+
+def _draw_late_growth(shown: Slice, place: tuple[float, float, float]) -> None:
+    """Draw a ring around the place of the fastest late growth where the slice goes through it."""
+    at = displayed(place, shown.geometry)
+    if round(at[shown.view.plane]) != shown.view.index or not shown.view.why:
+        return
+    row, column = (at[axis] for axis in IN_PLANE[shown.view.plane])
+    ((x, y),) = shown.to_canvas(row, column)
+    turn = np.linspace(0, 2 * np.pi, 49)
+    ring = np.stack([x + 15 * np.cos(turn), y + 15 * np.sin(turn)], axis=1)
+    for color, width in ((DARK, 4.0), (YELLOW, 2.0)):
+        shown.axes.canvas.line(ring, color, width)
+
+
+def draw_inset(shown: Slice, image: NDArray[Any], window: GreyWindow) -> None:
+    """Draw the whole slice small in the upper right corner, with a frame around the part that is shown."""
+    vertical, horizontal = IN_PLANE[shown.view.plane]
+    canvas, (left, top, right, bottom) = shown.axes.canvas, shown.axes.box
+    whole = shown.section(image, whole=True)
+    rows, columns = shown.ranges[vertical], shown.ranges[horizontal]
+    if (rows[1] - rows[0]) * (columns[1] - columns[0]) > NEARLY_ALL * whole.size or (
+        min(right - left, bottom - top) < MIN_FOR_INSET
+    ):
+        return
+    tall, wide = whole.shape[0] * shown.up.spacing[vertical], whole.shape[1] * shown.up.spacing[horizontal]
+    scale = INSET * min((right - left) / wide, (bottom - top) / tall)
+    box = right - scale * wide - 3, top + 3, right - 3, top + 3 + scale * tall
+    skip = max(1, min(whole.shape) // 256)
+    grey = window.grey(whole[::skip, ::skip])
+    down = shown.view.plane == 0
+    canvas.image(grey if down else grey[::-1], box, smooth=True)
+    canvas.rectangle(box, outline="white")
+    mm = shown.up.spacing[vertical], shown.up.spacing[horizontal]
+    across = [box[0] + scale * mm[1] * end for end in columns]
+    along = [scale * mm[0] * end for end in rows]
+    ends = [box[1] + end for end in along] if down else [box[3] - end for end in reversed(along)]
+    canvas.rectangle((across[0], ends[0], across[1], ends[1]), outline=YELLOW, width=1.5)
+
+
+def draw_scale_bar(shown: Slice) -> None:
+    """Draw a bar of a round length, about a fifth of the slice, in its lower right corner."""
+    canvas, (left, _, right, bottom) = shown.axes.canvas, shown.axes.box
+    if bottom - shown.axes.box[1] < MIN_FOR_BAR:
+        return  # its scales are there
+    mm = shown.axes.x[1] - shown.axes.x[0]
+    length = round_step(0.25 * mm)
+    pixels = length / mm * (right - left)
+    text = f"{length:g} mm"
+    half = 0.5 * max(pixels, text_width(text, 11, bold=True)) + 4
+    middle = right - half - 4
+    canvas.shade((middle - half, bottom - 27, middle + half, bottom - 4), "black", 0.55)
+    canvas.line([(middle - pixels / 2, bottom - 9), (middle + pixels / 2, bottom - 9)], "white", 2.5)
+    canvas.text((middle, bottom - 13), text, 11, "white", "md", bold=True)
+
+
+def write_letters(shown: Slice) -> None:
     """Write the patient's directions at the edges of a slice."""
-    left, right = LETTERS[2 - horizontal]
+    vertical, horizontal = IN_PLANE[shown.view.plane]
+    first, last = LETTERS[2 - horizontal]
     low, high = LETTERS[2 - vertical]
-    top, bottom = (low, high) if top_is_low else (high, low)
-    for x, y, letter in ((0.045, 0.5, left), (0.955, 0.5, right), (0.5, 0.95, top), (0.5, 0.05, bottom)):
-        axes.text(
-            x,
-            y,
-            letter,
-            transform=axes.transAxes,
-            ha="center",
-            va="center",
-            fontsize=9,
-            color="white",
-            fontweight="bold",
-            bbox={"boxstyle": "round,pad=0.15", "facecolor": "black", "edgecolor": "none", "alpha": 0.45},
-        )
+    upper, lower = (low, high) if shown.view.plane == 0 else (high, low)
+    left, top, right, bottom = shown.axes.box
+    middle = 0.5 * (left + right), 0.5 * (top + bottom)
+    places = [((left + 12, middle[1]), first), ((right - 12, middle[1]), last)]
+    if bottom - top < MIN_FOR_BAR:  # a few thick slices: beside them
+        places = [((left - 42, bottom), lower), ((left - 42, top), upper), *places]
+    else:
+        places += [((middle[0], top + 12), upper), ((middle[0], bottom - 12), lower)]
+    for at, letter in places:
+        shown.axes.canvas.boxed_text(at, letter, 13)
+
+
+def _write_legend(shown: Slice, lines: list[tuple[str, str, Dashes]]) -> None:
+    """Write what each line is, in the lower left corner."""
+    if not lines:
+        return
+    canvas, (left, _, _, bottom) = shown.axes.canvas, shown.axes.box
+    wide = 44 + max(text_width(name, 11) for name, _, _ in lines)
+    top = bottom - 6 - 16 * len(lines)
+    canvas.shade((left + 4, top - 3, left + 4 + wide, bottom - 4), "white", 0.8)
+    for number, (name, color, dashes) in enumerate(lines):
+        y = top + 16 * number + 7
+        canvas.line([(left + 9, y), (left + 36, y)], color, 2.5, dashes)
+        canvas.text((left + 42, y), name, 11, anchor="lm")

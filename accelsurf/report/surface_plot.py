@@ -7,40 +7,61 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.report.canvas import INK, SKY
-from accelsurf.report.rasterizer import render
+from accelsurf.report.axes import LABEL_SIZE, TITLE_SIZE, round_step
+from accelsurf.report.canvas import INK, SKY, Box, Canvas
+from accelsurf.report.rasterizer import Picture, render
+from accelsurf.report.slice_plot import object_color
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from accelsurf.report.preview_content import PreviewContent
 
+#: Below the surface, for the scale bar and the arrows, pixels.
+_BELOW = 70
 
-def draw_surface(axes: Axes, content: PreviewContent, box: NDArray[Any] | None = None, color: str = SKY) -> None:
+
+def draw_surface(
+    canvas: Canvas, panel: Box, content: PreviewContent, box: NDArray[Any] | None = None, color: str = SKY
+) -> None:
     """Draw the surface; ``box``, points (k, 3) in mm that the picture has to show, gives several runs one scale."""
-    axes.set_axis_off()
+    left, top, right, bottom = panel
     if content.surface is None or not len(content.surface.faces):
-        axes.text(0.5, 0.5, "no surface", ha="center", va="center", transform=axes.transAxes, color=INK)
+        canvas.text(((left + right) / 2, (top + bottom) / 2), "no surface", LABEL_SIZE, anchor="mm")
         return
-    size = 360  # as many as the picture has there
-    red, green, blue = (0.2 + 0.8 * int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    picture = render(content.surface.vertices, content.surface.faces, size=size, color=(red, green, blue), box=box)
-    axes.imshow(picture.pixels, extent=(0, size, 0, size))
-    axes.set_title("Surface", fontsize=10, color=INK)
-    _draw_scale_bar(axes, size, picture.mm_per_pixel)
-    letters = "LPS" if content.anatomical else "xyz"
-    for (right, up), letter in zip(picture.axes, letters, strict=True):
-        arrow = {"arrowstyle": "-|>", "color": INK, "lw": 1.1, "shrinkA": 0}
-        axes.annotate("", xy=(32 + 34 * right, -42 + 34 * up), xytext=(32, -42), arrowprops=arrow)
-        axes.text(32 + 47 * right, -42 + 47 * up, letter, ha="center", va="center", fontsize=8.5, color=INK)
-    axes.set(xlim=(0, size), ylim=(-66, size))
+    size = int(min(right - left, bottom - top - _BELOW))
+    paint: NDArray[np.float64] = _light(color)
+    counts = [one.vertices for one in content.objects]
+    if sum(counts) == len(content.surface.vertices):
+        paint = np.repeat([_light(object_color(place)) for place in range(len(counts))], counts, axis=0)
+    picture = render(content.surface.vertices, content.surface.faces, size=size, color=paint, box=box)
+    first = (left + right - size) / 2
+    canvas.image((255 * picture.pixels + 0.5).astype(np.uint8), (first, top, first + size, top + size))
+    canvas.text(((left + right) / 2, top - 7), "Surface", TITLE_SIZE, anchor="md")
+    _draw_scale_bar(canvas, first + size, bottom, picture.mm_per_pixel, size)
+    _draw_arrows(canvas, (first + 34, bottom - 22), picture, "LPS" if content.anatomical else "xyz")
 
 
-def _draw_scale_bar(axes: Axes, size: int, mm_per_pixel: float) -> None:
+def _light(color: str) -> NDArray[np.float64]:
+    """Red, green, blue in 0..1 of a colour, lighter: shading darkens it."""
+    return np.array([0.2 + 0.8 * int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+
+
+def _draw_scale_bar(canvas: Canvas, right: float, bottom: float, mm_per_pixel: float, size: int) -> None:
     """Draw a bar of a round length, about a fifth of the picture."""
-    wanted = 0.22 * size * mm_per_pixel
-    decade = 10.0 ** np.floor(np.log10(wanted))
-    length = max(step * decade for step in (1, 2, 5) if step * decade <= wanted)
-    right, pixels = size - 12, length / mm_per_pixel
-    axes.plot([right - pixels, right], [-48, -48], color=INK, linewidth=2.5, solid_capstyle="butt")
-    axes.text(right - pixels / 2, -42, f"{length:g} mm", ha="center", va="bottom", fontsize=8.5, color=INK)
+    length = round_step(0.22 * size * mm_per_pixel)
+    pixels = length / mm_per_pixel
+    y = bottom - 14
+    canvas.line([(right - 12 - pixels, y), (right - 12, y)], INK, 3)
+    canvas.text((right - 12 - pixels / 2, y - 6), f"{length:g} mm", 11, anchor="md")
+
+
+def _draw_arrows(canvas: Canvas, at: tuple[float, float], picture: Picture, letters: str) -> None:
+    """Draw where the world's axes point."""
+    for (right, up), letter in zip(picture.axes, letters, strict=True):
+        along = np.array([right, -up])
+        tip = np.asarray(at) + 34 * along
+        canvas.line([at, tip - 4 * along], INK, 1.5)
+        length = float(np.hypot(*along))
+        if length > 0.2:  # an axis towards the viewer has no head
+            head, aside = along / length, np.array([-along[1], along[0]]) / length
+            canvas.polygon([tip, tip - 8 * head + 3.5 * aside, tip - 8 * head - 3.5 * aside], INK)
+        canvas.text((at[0] + 46 * along[0], at[1] + 46 * along[1]), letter, 11, anchor="mm")

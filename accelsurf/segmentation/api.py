@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord, Stop
-from accelsurf.grid.boxes import Box
-from accelsurf.grid.clicks import SIDES
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of
+from accelsurf.grid.clicks import SIDES, Clicks
 from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
+from accelsurf.segmentation.late_growth import LateGrowth
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
@@ -184,10 +186,13 @@ def segment_objects(
 
 def _result_at_end(run: Run, on_step: Callable[[StepRecord, int], bool | None] | None) -> Result:
     """Run to the end, or until ``on_step`` returns true."""
+    growth = LateGrowth(run.volume.geometry.shape)
     for step in run:
+        own = next(one for one in run.objects if one.id == step.object_id)
+        growth.watch(step, run.grid, own.corner, run.prepared.first)
         if on_step is not None and on_step(step.record, step.object_id):
             run.request_stop()
-    return result_of(run)
+    return replace(result_of(run), late_growth=growth.place())
 
 
 def _run_of(
@@ -268,6 +273,7 @@ def result_of(run: Run) -> Result:
         kernels=run.seconds_by_kernel(),
         edits_done=run.edits_done,
         given=run.given,
+        clicks=clicks_of_run(run),
         warnings=run.level_warnings
         + [
             f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
@@ -275,6 +281,18 @@ def result_of(run: Run) -> Result:
         ]
         + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
     )
+
+
+def clicks_of_run(run: Run) -> Clicks | None:
+    """Return the clicks in force, on the image's grid."""
+    if run.clicks is None:
+        return None
+    clicks = []
+    for click in run.clicks.clicks:
+        z, y, x = (a + b for a, b in zip(corner_of(click.box), run.prepared.first, strict=True))
+        corner: Corner = (z, y, x)
+        clicks.append(click._replace(box=box_at(corner, click.mask.shape)))
+    return Clicks(tuple(clicks), run.volume.geometry.shape)
 
 
 def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:

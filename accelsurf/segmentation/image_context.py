@@ -77,11 +77,14 @@ class ModelInputs(NamedTuple):
     mask : ndarray (nz, ny, nx) of bool or None
         Where it may be.
     threads : int
+    partition : bool
+        Whether objects part the space between them at edges, and nothing else counts.
     """
 
     size_mm3: float | None = None
     mask: Mask | None = None
     threads: int = 1
+    partition: bool = False
 
 
 class ImageContext:
@@ -188,7 +191,12 @@ class ImageContext:
         if not self._model:
             has_previous = self._before is not None and self._before.clicks is not None and self._before.clicks.ids()
             previous = self._before.seeded_model() if self._before is not None and has_previous else None
-            size, mask, threads = self._model_inputs
+            size, mask, threads, partition = self._model_inputs
+            if partition:
+                from accelsurf.energies.seeded.partition import partition_model
+
+                self._model.append(partition_model(self.images, self.spacing, self.clicks, mask=mask))
+                return self._model[0]
             self._model.append(
                 seeded_model(
                     self.images, self.spacing, self.clicks, size_mm3=size, mask=mask, threads=threads, previous=previous

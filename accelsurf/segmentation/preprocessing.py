@@ -197,7 +197,8 @@ def _context(
     )
     size = None if config.size is None else volume_mm3(config.size)
     limits = None if distance is None else np.asarray(distance < 0)
-    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config)))
+    partition = any(term.name == "partition" for term in terms)
+    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition))
     # Likelihood learns from --foreground once; with update=yes it refuses it.
     return context, learns or any(term.name == "likelihood" for term in terms)
 

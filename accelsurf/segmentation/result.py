@@ -20,6 +20,7 @@ from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid import thumbnail
 from accelsurf.grid.boxes import Box
+from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.ensemble import overall_stop
@@ -185,6 +186,10 @@ class Result:
         Number of edits of ``config`` that were applied.
     resolved_settings : dict
         Values used for settings that depend on image and grid: see `accelsurf.report.document`.
+    late_growth : (float, float, float) or None
+        Index (z, y, x) of the place where the surfaces grew most in the last quarter of their growth; None without any.
+    clicks : Clicks or None
+        What a person has clicked, on the image's grid.
     """
 
     objects: tuple[SegmentedObject, ...]
@@ -202,6 +207,8 @@ class Result:
     edits_done: int = 0
     given: tuple[str, ...] = ()
     resolved_settings: dict[str, Any] = field(default_factory=dict)
+    late_growth: tuple[float, float, float] | None = None
+    clicks: Clicks | None = None
 
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)

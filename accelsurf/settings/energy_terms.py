@@ -243,6 +243,14 @@ TERMS: Registry[TermSpec] = Registry(
         example="seeded",
         uses_model=True,
     ),
+    TermSpec(
+        "partition",
+        "what is nearer to the object's own clicks than to those of the others, where edges are far: cells between "
+        "membranes; needs clicks in each of them",
+        f"{_MAKERS}:seeded",
+        {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
+        uses_model=True,
+    ),
     TermSpec("area", "the surface's area; its weight is in mm, as --smoothness", f"{_MAKERS}:area", sees_image=False),
 )
 

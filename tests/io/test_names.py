@@ -98,7 +98,7 @@ def test_file_names_with_an_at_or_a_colon(text, file, ids):
 )
 def test_any_name_is_drawn_without_a_warning(title):
     # Warnings are errors in these tests.
-    picture = canvas.png_bytes(canvas.new_figure(3.0, 2.0, title))
+    picture = canvas.Canvas(300, 200, title).png()
     assert picture.startswith(b"\x89PNG")
 
 
@@ -171,7 +171,7 @@ def test_a_user_without_a_home():
         "def unknown(uid): raise KeyError(uid)\n"
         "pwd.getpwuid = unknown\n"
         "import accelsurf.kernels._jit as j, accelsurf.report.canvas as c\n"
-        "c.png_bytes(c.new_figure(2, 2, 'a')); print('fine')"
+        "c.Canvas(20, 20, 'a').png(); print('fine')"
     )
     environment = {k: v for k, v in os.environ.items() if k not in ("HOME", "NUMBA_CACHE_DIR", "MPLCONFIGDIR", "USER")}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)

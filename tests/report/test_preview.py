@@ -2,15 +2,23 @@
 
 import dataclasses
 import io
+import subprocess
+import sys
 
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib import image as mpl_image
 
-from accelsurf.analysis.surface_mesh import extract
+from accelsurf.analysis.surface_mesh import Surface, extract
+from accelsurf.grid.clicks import Click
+from accelsurf.grid.geometry import Geometry
 from accelsurf.report import canvas, preview
-from accelsurf.report.preview_content import PreviewContent
+from accelsurf.report.axes import ticks
+from accelsurf.report.grey_window import GreyWindow, window_of
+from accelsurf.report.outputs import volume_text
+from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
+from accelsurf.report.slice_views import click_views, main_views, shown_ranges, whole_ranges
 from tests.support.records import step_record
 from tests.support.shapes import ball_on_grid
 
@@ -85,3 +93,121 @@ def test_comparison_has_a_column_for_each_run_and_the_reference():
 def test_content_can_be_changed_for_another_picture():
     made = content(*ball_on_grid())
     assert dataclasses.replace(made, title="other").title == "other"
+
+
+# ------------------------------------------------------------------------------------ what lets a person judge
+
+
+def wide(shape=(20, 60, 64), radius=6, middle=(10, 20, 40)):
+    """A small ball in a large grid, away from its middle."""
+    geometry = Geometry(shape, (2.0, 1.0, 1.0), (-3.0, 4.0, 5.0))
+    axes = [(np.arange(n) - m) * h for n, m, h in zip(shape, middle, geometry.spacing, strict=True)]
+    z, y, x = np.meshgrid(*axes, indexing="ij")
+    return (np.sqrt(x**2 + y**2 + z**2) - radius).astype(np.float32), geometry
+
+
+def click(side, place, id=1, radius=1):
+    box = tuple(slice(at - radius, at + radius + 1) for at in place)
+    return Click(side, box, np.ones((2 * radius + 1,) * 3, bool), id)
+
+
+def test_slices_are_cropped_to_the_object_its_clicks_and_a_margin():
+    psi, geometry = wide()
+    made = content(psi, geometry)
+    (z, y, x), n = shown_ranges(made), geometry.shape
+    # The ball has radius 6 mm: 3 slices of 2 mm up and down, 6 voxels to the sides, and a margin around.
+    assert y[0] < 14 and y[1] > 27 and y[1] - y[0] < 30 and x[1] - x[0] < 30 and z[1] - z[0] < n[0]
+    far = dataclasses.replace(made, clicks=marks_of([click("outside", (10, 50, 40))], geometry.spacing))
+    assert shown_ranges(far)[1][1] >= 52
+    assert shown_ranges(content(np.full_like(psi, 3.0), geometry, surface=None)) == whole_ranges(geometry)
+
+
+def test_slices_go_through_the_first_inside_click_else_through_the_largest_section():
+    psi, geometry = wide()
+    assert [view.index for view in main_views(content(psi, geometry))] == [10, 20, 40]
+    clicks = marks_of([click("outside", (4, 4, 4)), click("inside", (9, 18, 41))], geometry.spacing)
+    clicked = content(psi, geometry, clicks=clicks)
+    assert [view.index for view in main_views(clicked)] == [9, 18, 41]
+    assert [(view.index, view.why) for view in click_views(clicked)] == [(4, "click 1, outside")]
+    flipped = dataclasses.replace(geometry, direction=np.diag([-1.0, 1.0, -1.0]))
+    turned = [view.index for view in main_views(content(psi, flipped, clicks=clicks))]
+    assert turned == [19 - 9, 18, 63 - 41]
+
+
+def test_clicks_are_drawn_in_their_colours_and_late_growth_has_its_slice():
+    psi, geometry = wide()
+    plain = pixels(preview.preview_png(content(psi, geometry, history=[])))
+    marks = marks_of([click("inside", (10, 20, 40)), click("outside", (10, 30, 40))], geometry.spacing)
+    clicked = pixels(preview.preview_png(content(psi, geometry, history=[], clicks=marks)))
+    for color in (canvas.GREEN, canvas.VERMILION):
+        assert share_of(plain, color) == 0 and share_of(clicked, color) > 2e-5
+    late = pixels(preview.preview_png(content(psi, geometry, history=[], late_growth=(12.0, 24.0, 40.0))))
+    assert share_of(late[len(late) // 2 :], canvas.ORANGE) > 1e-4  # a fourth slice, below
+    assert share_of(plain[len(plain) // 2 :], canvas.ORANGE) == 0
+
+
+def test_objects_have_their_own_colours_in_slices_and_in_3d():
+    psi, geometry = wide()
+    boxes = (slice(0, 20), slice(0, 60), slice(0, 64))
+    other = np.roll(psi, 18, axis=1)
+    several = [ObjectShape(3, boxes, psi), ObjectShape(70, boxes, other)]
+    first, second = extract(psi, geometry), extract(other, geometry)
+    both = Surface(
+        np.concatenate([first.vertices, second.vertices]),
+        np.concatenate([first.faces, second.faces + len(first.vertices)]),
+    )
+    several = [one._replace(vertices=len(mesh.vertices)) for one, mesh in zip(several, (first, second), strict=True)]
+    picture = pixels(
+        preview.preview_png(content(np.minimum(psi, other), geometry, surface=both, objects=several, history=[]))
+    )
+    height, width = picture.shape[:2]
+    for color in canvas.OBJECT_COLORS[:2]:
+        assert share_of(picture[: height // 2], color) > 2e-4
+    corner = picture[height // 2 :, 2 * width // 3 :]
+    orange, blue = corner[..., 0] > corner[..., 2] + 0.2, corner[..., 2] > corner[..., 0] + 0.2
+    assert orange.mean() > 0.02 and blue.mean() > 0.02
+
+
+def test_window_is_that_of_the_object_and_its_surroundings():
+    rng = np.random.default_rng(0)
+    image = rng.normal(60, 15, (20, 40, 40)).astype(np.float32)
+    image[:, :8] = -1000  # air
+    image[:, 30:33] = 1500  # bone
+    inside = np.zeros(image.shape, bool)
+    inside[5:15, 12:25, 10:30] = True
+    image[inside] = rng.normal(110, 15, int(inside.sum()))
+    window = window_of(image, inside)
+    assert -150 < window.low < 60 and 150 < window.high < 350
+    assert window_of(image) == GreyWindow(-160.0, 240.0)  # a CT without an object: soft tissue
+    brain = np.zeros((20, 40, 40))
+    brain[4:16, 8:32, 8:32] = rng.normal(90, 10, (12, 24, 24))
+    assert window_of(brain).low == 0 and 100 < window_of(brain).high < 125
+    assert window_of(np.full((3, 4, 5), 7.0)) == GreyWindow(7.0, 8.0)
+    grey = GreyWindow(0.0, 10.0).grey(np.array([-5.0, 5.0, 20.0, np.nan]))
+    assert grey.tolist() == [0, 127, 255, 0]
+
+
+def test_a_picture_loads_no_plotting_library():
+    code = (
+        "import sys, numpy as np; from accelsurf.grid.geometry import Geometry\n"
+        "from accelsurf.report import preview; from accelsurf.report.preview_content import PreviewContent\n"
+        "psi = np.ones((5, 6, 7), np.float32); psi[2, 2:4, 2:4] = -1\n"
+        "made = PreviewContent(psi, psi, Geometry(psi.shape, (1.0, 1.0, 1.0)), [], None, 'a')\n"
+        "assert preview.preview_png(made)[1:4] == b'PNG'; sys.exit('matplotlib' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0
+
+
+def test_ticks_are_round_and_few():
+    assert [text for _, text in ticks(-774.5, -700.0, 5)] == ["-760", "-740", "-720", "-700"]
+    assert [text for _, text in ticks(0.0, 2.1e6, 3)] == ["0", "1e6", "2e6"]
+    assert [text for _, text in ticks(0.0, 0.3, 4)] == ["0.0", "0.1", "0.2", "0.3"]
+    assert len(ticks(5.0, 5.0, 4)) == 1
+    for count in range(1, 12):
+        assert len(ticks(-3.7, 118.2, count)) <= count + 1
+
+
+def test_long_titles_are_shortened_and_volumes_have_the_unit_of_their_size():
+    assert volume_text(0.0) == "0 mm3" and volume_text(2.5e7) == "25 l"
+    short = canvas.fitting("x" * 300, 14, 120)
+    assert canvas.text_width(short, 14) <= 120 and "..." in short

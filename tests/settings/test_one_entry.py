@@ -164,7 +164,7 @@ def test_configuration_and_toml(toys, tmp_path):
 def test_what_it_does_not_take_is_refused_in_the_usual_words(toys):
     with pytest.raises(UsageError, match="a number above 0 and at most 9 for strength of toy"):
         RunConfig(energy="toy:strength=10")
-    with pytest.raises(UsageError, match="geodesic, toy"):
+    with pytest.raises(UsageError, match="partition, toy"):
         RunConfig(energy="area")
     with pytest.raises(UsageError, match="sobolev, momentum or toy-flow"):
         RunConfig(flow="toy-flo")

@@ -9,7 +9,8 @@ from scipy import ndimage
 from accelsurf import cli
 from accelsurf.analysis.metrics import dice
 from accelsurf.errors import UsageError
-from accelsurf.segmentation.api import segment
+from accelsurf.phantoms import tissues
+from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 
@@ -34,16 +35,16 @@ def test_values_beside_a_preset_win_wherever_they_come_from(tmp_path, capsys):
     assert RunConfig(preset="ct-organ", presmooth=0.5).presmooth == 0.5
     assert RunConfig(preset="ct-organ", presmooth=0.0).presmooth == 0.0  # also where it is the default
     file = tmp_path / "run.toml"
-    file.write_text('preset = "ct-organ"\nsmoothness = 0.7\n')
+    file.write_text('preset = "ct-vessel"\nsmoothness = 0.7\n')
     config = RunConfig.from_toml(file)
-    assert (config.smoothness, config.presmooth) == (0.7, PRESETS["ct-organ"].settings["presmooth"])
+    assert (config.smoothness, config.presmooth) == (0.7, PRESETS["ct-vessel"].settings["presmooth"])
     # On the command line a preset stands for options: over the file, under the options.
-    assert run("segment", "--config", file, "--preset", "ct-vessel", "--presmooth", "0.3", "--dump-config") == 0
+    assert run("segment", "--config", file, "--preset", "mr-vessel", "--presmooth", "0.3", "--dump-config") == 0
     dumped = capsys.readouterr().out
     (tmp_path / "dumped.toml").write_text(dumped)
     again = RunConfig.from_toml(tmp_path / "dumped.toml")
-    assert again.preset == "ct-vessel" and again.presmooth == 0.3
-    assert again.smoothness == PRESETS["ct-vessel"].settings["smoothness"]
+    assert again.preset == "mr-vessel" and again.presmooth == 0.3
+    assert again.smoothness == PRESETS["mr-vessel"].settings["smoothness"]
 
 
 def test_a_preset_replaces_the_values_of_another_but_not_those_that_were_set():
@@ -85,8 +86,8 @@ def noisy(values, noise, seed=1):
     return blurred + np.random.default_rng(seed).normal(0, noise, SHAPE).astype(np.float32)
 
 
-def found(preset, image, *starts):
-    result = segment(image, spacing=SPACING, preset=preset, **({"start": starts} if starts else {}))
+def found(preset, image, *starts, **clicks):
+    result = segment(image, spacing=SPACING, preset=preset, **({"start": starts} if starts else {}), **clicks)
     assert result.stop.reason == "converged" and result.config.preset == preset
     return result.labels
 
@@ -115,11 +116,14 @@ def test_organ_beside_muscle_and_fat(value):
     organ = (x + 3) ** 2 + y**2 + z**2 < 15**2
     muscle = ((x - 15) ** 2 + y**2 + z**2 < 5**2) & ~organ
     image = noisy(-100.0 + (100 + value) * organ + 130 * muscle, 15)
-    labels = found("ct-organ", image, "ball:20,22,15,8vox")
-    # Within the edge by no more than three millimetres, less than two voxels across slices, and not beyond.
-    assert labels[(x + 3) ** 2 + y**2 + z**2 < 12**2].all() and not labels[~organ].any()
-    small = segment(image, spacing=SPACING, preset="ct-organ", start="ball:20,22,15,8vox", presmooth=1.0)
-    assert dice(small.labels, organ) > 0.85 and not small.labels[muscle].any()
+    labels = found("ct-organ", image, inside="ball:20,22,15,8vox")
+    assert dice(labels, organ) > 0.9 and not labels[muscle].all()
+
+
+def test_a_preset_of_clicks_asks_for_one():
+    with pytest.raises(UsageError, match="without a click inside") as caught:
+        segment(np.eye(24)[None] * np.ones((24, 1, 1)), preset="ct-organ", start="ball:12,12,12,5")
+    assert "--inside" in caught.value.hint
 
 
 def test_brain_on_zeros_with_dim_remains_of_the_stripping():
@@ -150,3 +154,22 @@ def test_nuclei_of_uneven_brightness():
     nuclei = [(x - a) ** 2 + y**2 + z**2 < 6**2 for a in (-10, 8)]
     image = noisy(10.0 + 60 * nuclei[0] + 25 * nuclei[1], 6)
     assert dice(found("fluorescence-nucleus", image), nuclei[0] | nuclei[1]) > 0.85
+
+
+@pytest.mark.parametrize(("preset", "make", "least"), [("tumour", "tumour", 0.93), ("em-cell", "organelle", 0.7)])
+def test_a_click_on_tissue_of_several_brightnesses(preset, make, least):
+    image, truth = getattr(tissues, make)()
+    middle = ",".join(str((n - 1) // 2) for n in image.shape[::-1])
+    result = segment(image, preset=preset, inside=f"ball:{middle},5vox")
+    assert dice(result.labels, truth) > least
+
+
+def test_cells_between_membranes_part_the_space_between_them(tmp_path):
+    image, truth, centres = tissues.membrane_cells((14, 36, 36), 5, seed=3)
+    rows = [f"{n},{x},{y},{z},1.5,inside" for n, (z, y, x) in enumerate(centres.tolist(), 1)]
+    table = "\n".join(["id,x_vox,y_vox,z_vox,r_vox,side", *rows])
+    (tmp_path / "cells.csv").write_text(table)
+    found = segment_objects(image, str(tmp_path / "cells.csv"), preset="membrane-cells").labels
+    scores = [dice(found == n, truth == n) for n in range(1, 6)]
+    assert min(scores) > 0.9 and np.mean(scores) > 0.95
+    assert (found == 0).mean() < 0.02

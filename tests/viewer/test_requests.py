@@ -171,3 +171,43 @@ def test_a_ball_is_placed_where_the_mouse_is(handler):
             assert getattr(status.edits[-1], mode).startswith("ball:")
     handler.request("undo")
     finish(handler)
+
+
+def test_clicks_say_what_is_inside_and_what_is_not(handler):
+    handler.request("size", 800, 448)
+    draw(handler)
+    for mode, across in (("inside", 0.625), ("outside", 0.70)):
+        before = handler.scene.screenshot()
+        handler.request("mode", mode)
+        handler.request("radius", 1.0)
+        handler.request("press", across, 0.25, False)
+        handler.request("release")
+        finish(handler)
+        assert handler.message == ""
+        assert getattr(handler.session.status.edits[-1], mode)[0].startswith("ball:")
+        assert (draw(handler) != before).any()  # its mark
+    for _ in range(2):
+        handler.request("undo")
+        finish(handler)
+
+
+def test_a_size_is_drawn_out_and_a_run_begins_with_it(handler):
+    handler.request("size", 800, 448)
+    plain = draw(handler)
+    handler.request("mode", "size")
+    handler.request("radius", 2.0)
+    handler.request("press", 0.625, 0.25, False)
+    finish(handler)
+    handler.request("move", 0.655, 0.25)
+    shown = handler.scene.screenshot()
+    assert (shown != plain).any() and handler.mouse.drag_mm > 1
+    handler.request("move", 0.670, 0.25)
+    assert (handler.scene.screenshot() != shown).any()
+    handler.request("release")
+    finish(handler)
+    settings = handler.session.status.settings
+    assert handler.message == "" and settings.energy == "seeded" and settings.size.endswith("mm3")
+    assert settings.inside[0].startswith("ball:")
+    handler.request("undo")
+    finish(handler)
+    assert handler.session.status.settings.inside == ()

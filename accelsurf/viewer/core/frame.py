@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,8 @@ from accelsurf.flows.flowable_mass import FlowableMass
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.levelset import LevelSet
+from accelsurf.report.preview_content import ClickMark, marks_of
+from accelsurf.segmentation.api import clicks_of_run
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
 
@@ -208,9 +210,12 @@ class Frame:
     ----------
     surfaces : tuple of SurfaceFrame
         One for each object, in order of ids; at least one.
+    clicks : tuple of ClickMark
+        What a person has clicked, on the image's grid.
     """
 
     surfaces: tuple[SurfaceFrame, ...]
+    clicks: tuple[ClickMark, ...] = ()
 
     @classmethod
     def of(
@@ -266,13 +271,16 @@ class Frame:
             ObjectState(one.id, record, one.surface, one.corner, one.evolution.state.fields, one.flow)
             for one, record in zip(run.objects, records, strict=True)
         )
-        return cls.of(states, run.grid, max_voxels, run.prepared.first)
+        made = cls.of(states, run.grid, max_voxels, run.prepared.first)
+        clicks = clicks_of_run(run)
+        return made if clicks is None else replace(made, clicks=marks_of(clicks.clicks, run.geometry.spacing))
 
     @classmethod
     def of_result(cls, result: Result) -> Frame:
         """The frame of the final state of a run that has ended."""
         level = pyramid.levels(result.geometry.shape, result.geometry.spacing, 1)[0]
-        return cls(tuple(SurfaceFrame.of_result(one, level) for one in result.objects))
+        clicks = () if result.clicks is None else marks_of(result.clicks.clicks, result.geometry.spacing)
+        return cls(tuple(SurfaceFrame.of_result(one, level) for one in result.objects), clicks)
 
     @property
     def step(self) -> int:

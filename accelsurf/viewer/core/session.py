@@ -15,11 +15,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from accelsurf.errors import UsageError
+from accelsurf.grid.clicks import Side
 from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.frame import Frame, histories_of_run
+from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.core.timeline import Timeline
 from accelsurf.viewer.core.view_slot import ViewSlot
@@ -173,6 +175,42 @@ class Session:
             From the Future, when it is no ball or lies outside the volume, or there is no such object.
         """
         return self._do(lambda timeline: timeline.edit_ball(kind, ball, object_id))
+
+    def add_click(self, side: Side, where: str, object_id: int | None = None) -> Future[None]:
+        """Say of voxels that they are in the object, or are not: ``ball:X,Y,Z,R``, ``point:X,Y,Z``, ``stroke:FILE``.
+
+        Of several objects it is the one with this id, or else the one that is nearest to a ball's centre.
+
+        Raises
+        ------
+        UsageError, InputError
+            From the Future, when it is no place, lies outside, or contradicts another click.
+        """
+        return self._do(lambda timeline: timeline.add_click(side, where, object_id))
+
+    def press(self, ball: str, voxels: int = FIRST_VOXELS) -> Future[SizeDrag]:
+        """Begin to drag the size of an object from a ball in it, ``ball:X,Y,Z,R``.
+
+        The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
+        that a drag never waits for a step. They reach ``voxels`` voxels; `size_drag.Dragging` asks for more when a
+        drag needs them. `release` ends it.
+
+        Raises
+        ------
+        UsageError, InputError
+            From the Future, when it is no ball or lies outside the volume, or the run has several objects.
+        """
+        return self._do(lambda timeline: timeline.press(ball, voxels))
+
+    def release(self, drag_mm: float) -> Future[None]:
+        """Begin another run from what was pressed, with the size that a drag of so many mm stands for.
+
+        Raises
+        ------
+        UsageError
+            From the Future, when nothing was pressed.
+        """
+        return self._do(lambda timeline: timeline.release(drag_mm))
 
     def start_from(self, start: Sequence[str]) -> Future[None]:
         """Begin another run from another start, with the settings in force."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from accelsurf.errors import UsageError
+from accelsurf.grid.clicks import Side
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.edits import Edit
@@ -14,6 +15,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.nearest_object import nearest_object
+from accelsurf.viewer.core.size_drag import SizeDrag
 
 #: Why an object has ended for good: there is nothing to continue from.
 FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
@@ -48,6 +50,7 @@ class Timeline:
         self._playing, self._last_step, self._message = False, -1, ""
         self._changes: list[tuple[RunConfig, int]] = []
         self._written: set[Path] = set()
+        self._drag: SizeDrag | None = None
         self.run = Run(volume, config, None, self._channels)
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -251,6 +254,52 @@ class Timeline:
         self._replace_edits((*self._edits_so_far(), edit))
         whose = "" if edit.object is None else f" {'to' if kind == 'add' else 'from'} object {edit.object}"
         self._message = f"{'added' if kind == 'add' else 'removed'} {ball}{whose}"
+
+    def add_click(self, side: Side, where: str, object_id: int | None = None) -> None:
+        """Say of voxels that they are in the object, or are not; this holds from here on.
+
+        Parameters
+        ----------
+        side : {"inside", "outside"}
+        where : str
+            As ``--inside`` takes it.
+        object_id : int, optional
+            Of a run of objects with ids: the one that is nearest to a ball's centre unless given.
+
+        Raises
+        ------
+        UsageError, InputError
+            When it is no place, lies outside, or contradicts another click.
+        """
+        (edit,) = RunConfig(edit=[{"step": self.step_number, side: [where], "object": object_id}]).edit
+        if object_id is None and self.run.has_ids:
+            edit = edit.model_copy(update={"object": nearest_object(self.run, where)})
+        self._replace_edits((*self._edits_so_far(), edit))
+        self._message = f"{side}: {where}" + ("" if edit.object is None else f", object {edit.object}")
+
+    def press(self, ball: str, voxels: int) -> SizeDrag:
+        """Begin to drag the size of an object: compute the arrival times from a ball in it."""
+        self._drag = SizeDrag.of_press(self.run, ball, voxels)
+        self._message = f"pressed {ball}: drag outwards until it fits"
+        return self._drag
+
+    def release(self, drag_mm: float) -> None:
+        """Begin another run from the press and the size that a drag of so many mm stands for.
+
+        Raises
+        ------
+        UsageError
+            When nothing was pressed.
+        """
+        if self._drag is None:
+            raise UsageError("nothing was pressed, so there is no size to take", "press in the object first")
+        drag, self._drag = self._drag, None
+        before, size = self.run.config, drag.size_text(drag_mm)
+        self.pause()
+        settings = {"inside": (drag.click,), "outside": (), "size": size, "start": ("clicks",), "energy": "seeded"}
+        self._replace_run(self.run.settings.replace(preset=None, **settings))
+        self._changes.append((before, 0))
+        self._message = f"inside: {drag.click}, size {size}"
 
     def start_from(self, start: tuple[str, ...]) -> None:
         """Begin another run, with the settings in force."""

@@ -33,7 +33,8 @@ _KEYS = (
     ("Home", "restart with the settings in force"),
     ("Ctrl+Z", "undo the last change"),
     ("Ctrl+S", "save labels, mesh, picture, run.toml"),
-    ("V  B  P  G  K", "look, ball, points, grow, shrink"),
+    ("V  S  I  X", "look, size, inside, outside"),
+    ("B  P  G  K", "ball, points, grow, shrink"),
     ("[  ]", "smaller, larger ball and brush"),
     ("C", "colour by the next quantity"),
     ("O  L", "volume, slices in 3D"),
@@ -45,6 +46,8 @@ _KEYS = (
 _MOUSE = (
     ("surface", "left turns, middle moves, wheel zooms"),
     ("slices", "drag moves the slices, wheel changes the slice"),
+    ("size", "press in the object, drag outwards until it fits"),
+    ("inside, outside", "click what is, or is not, in the object"),
     ("ball, points", "press (and drag) where the run starts"),
     ("grow, shrink", "drag over the surface or in a slice"),
 )

@@ -11,7 +11,9 @@ from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtGui import QMouseEvent, QWheelEvent
 from pyvistaqt import QtInteractor
 
+from accelsurf.grid.clicks import SIDES, Side
 from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.size_drag import Dragging
 from accelsurf.viewer.scene.scene import Scene
 
 #: A brush that is dragged makes a ball each time it has moved by this fraction of its radius.
@@ -56,6 +58,8 @@ class CanvasTools(QObject):
         self._points: list[str] = []
         self._center: NDArray[np.float64] | None = None
         self._is_software: bool | None = None
+        self._dragging: Dragging | None = None
+        self._drag_mm = 0.0
         canvas.installEventFilter(self)
 
     @property
@@ -138,6 +142,14 @@ class CanvasTools(QObject):
         if self.tool == "ball" and self._center is not None:
             self._points = []
             self._session.start_from([self._ball(self._center)])
+        elif self.tool in SIDES and self._center is not None:
+            side: Side = "inside" if self.tool == "inside" else "outside"
+            self._session.add_click(side, self._ball(self._center), self._object_id())
+        elif self.tool == "size":
+            if self._dragging is not None and self._drag_mm > 0:
+                self._session.release(self._drag_mm)
+            self._dragging = None
+            self._scene.mark_size(None)
         # The mark stays until the surface is drawn that it has led to.
         self._center = None
         return True
@@ -163,7 +175,10 @@ class CanvasTools(QObject):
             self._scene.cursor = world
             self._scene.render()
             return
-        if self.tool == "ball":
+        if self.tool == "size":
+            self._apply_size(world)
+            return
+        if self.tool in ("ball", *SIDES):
             self._center = world
         elif self.tool == "points":
             self._points.append(self._ball(world))
@@ -173,6 +188,19 @@ class CanvasTools(QObject):
             kind: Literal["add", "remove"] = "add" if self.tool == "grow" else "remove"
             self._session.edit_ball(kind, self._ball(world), self._object_id())
         self._mark(world)
+
+    def _apply_size(self, world: NDArray[np.float64]) -> None:
+        """Press, or drag, the size of an object."""
+        if self._center is None:
+            self._center, self._drag_mm = world, 0.0
+            self._dragging = Dragging(self._session.press, self._ball(world))
+            self._mark(world)
+            return
+        self._drag_mm = float(np.linalg.norm(world - self._center))
+        drag = None if self._dragging is None else self._dragging.at(self._drag_mm)
+        if drag is not None:
+            self._scene.mark_size(drag, self._drag_mm)
+            self._scene.render()
 
     def _mark(self, world: NDArray[np.float64]) -> None:
         self._scene.mark_ball(world, self._radius())

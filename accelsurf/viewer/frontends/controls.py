@@ -38,11 +38,17 @@ NEAREST = "nearest"
 #: Tool -> (its key, what is written on it, what it does).
 TOOLS = {
     "look": ("V", "Look", "Turn the surface; drag in a slice to move the slices"),
+    "size": ("S", "Size", "Press in the object and drag outwards until the outline fits: a click and a size"),
+    "inside": ("I", "Inside", "Click in a slice: this is in the object, and stays in it"),
+    "outside": ("X", "Outside", "Click in a slice: this is not in the object, and stays out of it"),
     "ball": ("B", "Ball", "Press in a slice or on the surface and drag: a ball to start from"),
     "points": ("P", "Points", "Click in a slice: small balls to start from, one for each point"),
     "grow": ("G", "Grow", "Press and drag in a slice or on the surface: add what the brush covers"),
     "shrink": ("K", "Shrink", "Press and drag in a slice or on the surface: remove what the brush covers"),
 }
+
+#: Buttons of tools beside each other.
+TOOLS_IN_ROW = 4
 
 
 class Amount(QWidget):
@@ -225,17 +231,17 @@ class Panel(QWidget):
             button.clicked.connect(lambda _, name=name: self.tool_wanted.emit(name))
             self._buttons.addButton(button)
             self.tools[name] = button
-            grid.addWidget(button, *((0, place * 2) if place < 3 else (1, (place - 3) * 3)), 1, 2 if place < 3 else 3)
+            grid.addWidget(button, place // TOOLS_IN_ROW, place % TOOLS_IN_ROW)
         self.tools["look"].setChecked(True)
         self.radius = Amount(0.5 * finest, max(0.4 * smallest, 4.0 * finest), power=2.0, digits=2)
         self.radius.show_value(max(0.06 * smallest, 2.0 * finest))
-        grid.addWidget(QLabel("Radius of ball and brush (mm)"), 2, 0, 1, 6)
-        grid.addWidget(self.radius, 3, 0, 1, 6)
+        grid.addWidget(QLabel("Radius of click, ball and brush (mm)"), 2, 0, 1, TOOLS_IN_ROW)
+        grid.addWidget(self.radius, 3, 0, 1, TOOLS_IN_ROW)
         self.object = _choice((NEAREST,))
-        self.object.setToolTip("Which object Grow and Shrink change")
+        self.object.setToolTip("Which object clicks, Grow and Shrink are for")
         self._object_label = QLabel("Object")
-        grid.addWidget(self._object_label, 4, 0, 1, 2)
-        grid.addWidget(self.object, 4, 2, 1, 4)
+        grid.addWidget(self._object_label, 4, 0)
+        grid.addWidget(self.object, 4, 1, 1, TOOLS_IN_ROW - 1)
         self.show_objects(())
         return group
 

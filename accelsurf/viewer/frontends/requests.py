@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.grid.clicks import SIDES
 from accelsurf.settings.catalogue import choices, sliders
 from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.saving import KINDS
 from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.size_drag import Dragging
 from accelsurf.viewer.scene.colors import THEMES
-from accelsurf.viewer.scene.mouse import Mouse
+from accelsurf.viewer.scene.mouse import MODES, Mouse
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.space import VIEWS
 
@@ -62,6 +64,7 @@ class RequestHandler:
         self.files: dict[str, Path] = {}
         self.object_id: int | None = None
         self.color, self.theme, self.volume, self.planes = "plain", "dark", False, False
+        self._dragging: Dragging | None = None
         self._waiting: list[tuple[Future[Any], Callable[[Any], None] | None]] = []
         self._requests: dict[str, Callable[..., None]] = {
             "play": lambda: self._ask(session.play()),
@@ -73,11 +76,11 @@ class RequestHandler:
             "undo": lambda: self._ask(session.undo()),
             "set": self._set,
             "save": self._save,
-            "mode": lambda mode: self.mouse.set_mode(_word(mode, ("look", "start", "add", "remove"))),
+            "mode": lambda mode: self.mouse.set_mode(_word(mode, MODES)),
             "object": self._object,
             "radius": self._radius,
-            "press": lambda x, y, shift: self.mouse.press(*self._pixel(x, y), bool(shift)),
-            "move": lambda x, y: self.mouse.move(*self._pixel(x, y)),
+            "press": self._press,
+            "move": self._move,
             "release": self._release,
             "wheel": lambda x, y, n: self.mouse.wheel(*self._pixel(x, y), _number(n, -100, 100)),
             "color": self._color,
@@ -157,12 +160,31 @@ class RequestHandler:
     def _radius(self, mm: Any) -> None:
         self.mouse.radius = _number(mm, 0.0, float(max(self.scene.geometry.extent_mm)))
 
+    def _press(self, x: Any, y: Any, shift: Any) -> None:
+        self.mouse.press(*self._pixel(x, y), bool(shift))
+        if self.mouse.mode == "size" and self.mouse.ball is not None:
+            self._dragging = Dragging(self.session.press, self.mouse.ball)
+            self._ask(self._dragging.pressed)
+
+    def _move(self, x: Any, y: Any) -> None:
+        self.mouse.move(*self._pixel(x, y))
+        drag = None if self._dragging is None else self._dragging.at(self.mouse.drag_mm)
+        if drag is not None:
+            self.scene.mark_size(drag, self.mouse.drag_mm)
+
     def _release(self) -> None:
-        placed = self.mouse.release()
+        placed, dragging = self.mouse.release(), self._dragging
+        self._dragging = None
+        self.scene.mark_size(None)
         if placed is None:
             return
         mode, ball = placed
-        if mode == "start":
+        if mode == "size":
+            if dragging is not None and self.mouse.drag_mm > 0:
+                self._ask(self.session.release(self.mouse.drag_mm))
+        elif mode in SIDES:
+            self._ask(self.session.add_click("inside" if mode == "inside" else "outside", ball, self.object_id))
+        elif mode == "start":
             self._ask(self.session.start_from((ball,)))
         else:
             self._ask(self.session.edit_ball("add" if mode == "add" else "remove", ball, self.object_id))

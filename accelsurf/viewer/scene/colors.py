@@ -30,6 +30,8 @@ THEMES = {
 OBJECT_COLORS = (ORANGE, GREEN, BLUE, VERMILION, PURPLE)
 #: The first object, also the accent of controls; the reference; the cursor's lines; a ball that is being placed.
 SURFACE, REFERENCE, CURSOR, MARK = ORANGE, SKY, "#F0E442", PURPLE
+#: Clicks.
+INSIDE, OUTSIDE = GREEN, VERMILION
 
 
 class Shade(NamedTuple):

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from accelsurf.errors import check_known
 from accelsurf.viewer.scene.scene import Scene
 
-#: What a drag of the left button does: look around, or place a ball that becomes the start, is added or removed.
-MODES = ("look", "start", "add", "remove")
+#: What a drag of the left button does: look around; place a ball that becomes the start, is added or removed, or says
+#: what is inside or outside; or press in an object and draw its size out.
+MODES = ("look", "start", "add", "remove", "inside", "outside", "size")
 #: Degrees that the camera turns per pixel of a picture 720 high; zoom per notch of the wheel.
 TURN, ZOOM = 0.45, 1.12
 
@@ -30,6 +31,8 @@ class Mouse:
         One of `MODES`.
     radius : float
         Of the ball that is placed, mm.
+    drag_mm : float
+        In the mode ``size``: how far the mouse is from where it was pressed.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -38,6 +41,7 @@ class Mouse:
         self._tile: str | None = None
         self._at, self._shifting = (0.0, 0.0), False
         self._ball: NDArray[np.float64] | None = None
+        self.drag_mm = 0.0
 
     def set_mode(self, mode: str) -> None:
         """Use one of `MODES`.
@@ -55,7 +59,15 @@ class Mouse:
         """A button goes down; with ``shift`` (or another button) the picture in 3D is shifted, not turned."""
         picked = self._scene.pick(x, y)
         self._tile, self._at, self._shifting = picked.tile, (x, y), shift
+        self._ball, self.drag_mm = None, 0.0
         self.move(x, y)
+
+    @property
+    def ball(self) -> str | None:
+        """The ball that is being placed, ``ball:X,Y,Z,R``."""
+        if self._ball is None:
+            return None
+        return "ball:" + ",".join(f"{value:.6g}" for value in (*self._ball, self.radius))
 
     def move(self, x: float, y: float) -> None:
         """The mouse moves with a button down."""
@@ -65,7 +77,10 @@ class Mouse:
         self._at = (x, y)
         if self.mode != "look":
             picked = scene.pick(x, y)
-            if picked.world is not None:
+            if picked.world is not None and self.mode == "size" and self._ball is not None:
+                if picked.tile == self._tile:
+                    self.drag_mm = float(np.linalg.norm(picked.world - self._ball))
+            elif picked.world is not None:
                 self._ball = picked.world
                 scene.mark_ball(self._ball, self.radius)
         elif self._tile in scene.slice_tiles:
@@ -82,10 +97,9 @@ class Mouse:
     def release(self) -> tuple[str, str] | None:
         """The button goes up; returns the mode and the ball, ``ball:X,Y,Z,R``, that was placed, or None."""
         self._tile = None
-        ball = self._ball
-        if ball is None or self.mode == "look":
+        text = self.ball
+        if text is None or self.mode == "look":
             return None
-        text = "ball:" + ",".join(f"{value:.6g}" for value in (*ball, self.radius))
         self._drop_ball()
         return self.mode, text
 

@@ -29,6 +29,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.viewer.core.frame import COLORS, Frame
+from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import REFERENCE, Theme, object_color, theme_named
 from accelsurf.viewer.scene.grey_images import grab, grey_values, png_bytes
@@ -272,6 +273,16 @@ class Scene:
             self.space.mark_ball(middle, radius)
         for tile in self.slice_tiles.values():
             tile.mark_ball(middle, radius, self.geometry)
+
+    def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
+        """Draw in the slices what belongs to the object if it has the size that a drag stands for; None removes it."""
+        volume = None if drag is None else drag.volume_of(drag_mm)
+        for tile in self.slice_tiles.values():
+            tile.mark_size(drag, volume)
+        if drag is not None and volume is not None and self.space is not None:
+            self.space.title.text = "\n".join(line for line in (self.title, f"size {_number(volume)} mm3") if line)
+        elif drag is None and self.frame is not None:
+            self._show_frame()
 
     def paint(self, theme: str) -> None:
         """Use a theme.

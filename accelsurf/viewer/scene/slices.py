@@ -10,12 +10,20 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrientation
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, Theme, object_color
+from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme, object_color
 from accelsurf.viewer.scene.overlay import Label, ScaleBar
 from accelsurf.viewer.scene.shapes import GreyTexture, contour, slice_of
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
 FILL = 0.82
+#: Length of the arms of a click's mark, of the longer side of the image.
+ARM = 0.012
+#: Directions of the arms of a mark: + for inside, x for outside.
+_WAYS = {
+    "inside": np.array([[1.0, 0.0], [0.0, 1.0]]),
+    "outside": np.array([[1.0, 1.0], [1.0, -1.0]]) * np.sqrt(0.5),
+}
 
 
 class SliceTile:
@@ -150,6 +158,7 @@ class SliceTile:
         for position in range(len(frame.surfaces), self._drawn_objects):
             self._lines[f"object {position}"].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
+        self._draw_clicks(frame)
 
     def draw_reference(self, function: NDArray[np.float32]) -> None:
         """Draw where a function of the whole image, negative inside, is 0 in this slice."""
@@ -174,6 +183,29 @@ class SliceTile:
                 ring = self.to_tile(index) + np.sqrt(radius**2 - off**2) * np.stack([np.cos(turn), np.sin(turn)], -1)
                 lines = np.stack([ring[:-1], ring[1:]], axis=1)
         self._draw_lines("ball", lines, MARK, 2.2)
+
+    def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None) -> None:
+        """Draw the outline that a drag shows in this slice; nothing for None."""
+        lines = np.zeros((0, 2, 2))
+        if drag is not None and volume_mm3 is not None:
+            plane = drag.plane(self.axis, self.index, volume_mm3)
+            if plane is not None:
+                lines = self.to_tile(self._in_slice(contour(plane)) + np.asarray(drag.first))
+        self._draw_lines("size", lines, MARK, 2.2)
+
+    def _draw_clicks(self, frame: Frame) -> None:
+        """Draw the clicks that this slice cuts: + inside, x outside."""
+        arms: dict[str, list[NDArray[np.float64]]] = {"inside": [], "outside": []}
+        left, right, bottom, top = self.extent
+        arm = ARM * max(right - left, top - bottom)
+        for mark in frame.clicks:
+            part = mark.box[self.axis]
+            if part.start <= self.index < part.stop:
+                place = self.to_tile(np.asarray(mark.place, float))
+                arms[mark.side] += [np.stack([place - arm * way, place + arm * way]) for way in _WAYS[mark.side]]
+        for side, lines in arms.items():
+            segments = np.array(lines) if lines else np.zeros((0, 2, 2))
+            self._draw_lines(side, segments, INSIDE if side == "inside" else OUTSIDE, 3.0)
 
     def _draw_lines(
         self, name: str, lines: NDArray[np.float64], color: str, width: float, opacity: float = 1.0

@@ -1,0 +1,137 @@
+"""``accelsurf look``: slices of an image with a grid in mm, without a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from accelsurf.cli.options import FILES, Overwrite, required
+from accelsurf.errors import InputError, OutputError, UsageError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from accelsurf.grid.geometry import Geometry
+
+
+def look(
+    input: Annotated[Path | None, Parameter(name=("IMAGE", "--input", "-i"), group=FILES)] = None,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
+    at: str | None = None,
+    window: str = "auto",
+    labels: Annotated[Path | None, Parameter(group=FILES)] = None,
+    overwrite: Overwrite = False,
+) -> int:
+    """Look at an image: three slices with a grid in mm, without a run.
+
+    Where to click can be read off the picture: its scales are the coordinates of --inside and --start. Prints the size
+    of the image, its voxels and its values, and the name of the picture.
+
+    Parameters
+    ----------
+    input
+        The image.
+    output
+        The picture, a PNG file, or the folder for it; NAME_look.png in the present folder by default.
+    at
+        Where the three slices meet: X,Y,Z in world mm (LPS), or voxel indices with the suffix vox; the middle of the
+        labels, else of the image, by default.
+    window
+        Values that are black to white: CENTRE,WIDTH, or auto.
+    labels
+        A label map on the same grid, drawn as contours.
+    overwrite
+        Replace a picture that exists.
+    """
+    from accelsurf.io import channels
+    from accelsurf.io.files import write_bytes
+    from accelsurf.report.grey_window import parse_window
+    from accelsurf.report.look import look_png
+    from accelsurf.report.outputs import make_writable
+
+    source = required(input, "IMAGE")
+    shown = parse_window(window)
+    path = _picture(source, output)
+    if path.exists() and not overwrite:
+        raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
+    volumes = channels.read(source)
+    geometry = volumes[0].geometry
+    place = None if at is None else _place(at, geometry)
+    drawn = None if labels is None else _labels(labels, geometry)
+    make_writable(path.parent)
+    size = " x ".join(str(n) for n in geometry.size)
+    voxel = " x ".join(f"{h:.4g}" for h in geometry.spacing_xyz)
+    picture = look_png(volumes, f"{source.name}: {size} voxels of {voxel} mm", at=place, window=shown, labels=drawn)
+    write_bytes(path, picture)
+    print(f"size     {size} voxels of {voxel} mm" + (f", {len(volumes)} channels" if len(volumes) > 1 else ""))
+    for number, volume in enumerate(volumes, 1):
+        which = f" of channel {number}" if len(volumes) > 1 else ""
+        print(f"values   {volume.array.min():.6g} to {volume.array.max():.6g}{which}")
+    print(f"picture  {path.absolute()}")
+    return 0
+
+
+def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:
+    """A label map on the image's grid.
+
+    Raises
+    ------
+    InputError
+        When it lies on another one.
+    """
+    from accelsurf import io
+
+    known = io.read(path)
+    if not known.geometry.matches(geometry):
+        difference = known.geometry.difference(geometry)
+        raise InputError(f"{path}: on another grid than the image ({difference})", "give labels of this image")
+    return known.array
+
+
+def _picture(source: Path, output: Path | None) -> Path:
+    """The file of the picture.
+
+    Raises
+    ------
+    UsageError
+        When it would not be a PNG.
+    """
+    from accelsurf.io import split_name
+
+    name = f"{split_name(source)[0]}_look.png"
+    if output is None:
+        return Path(name)
+    if output.is_dir() or not output.suffix:
+        return output / name
+    if output.suffix.lower() != ".png":
+        raise UsageError(f"-o: {output} was given, expected a file .png or a folder")
+    return output
+
+
+def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
+    """The world place, mm, that was typed.
+
+    Raises
+    ------
+    UsageError
+        When it is none, or lies outside the image.
+    """
+    import numpy as np
+
+    voxels = text.endswith("vox")
+    try:
+        numbers = [float(part) for part in text.removesuffix("vox").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        raise UsageError(f"--at: {text[:40]!r} was given, expected X,Y,Z in mm, or indices as 12,40,7vox")
+    index = np.array(numbers[::-1]) if voxels else geometry.world_to_index(numbers)
+    if not ((index >= -0.5) & (index <= np.array(geometry.shape) - 0.5)).all():
+        corners = geometry.corners_world()
+        spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(corners.min(axis=0), corners.max(axis=0), strict=True))
+        raise UsageError(f"--at: {text} lies outside the image", f"x, y, z run from {spans} mm")
+    x, y, z = (float(v) for v in geometry.index_to_world(index))
+    return x, y, z

@@ -1,0 +1,151 @@
+"""Which slices a picture shows, and which part of them: through clicks, late growth, or the largest section."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.grid.boxes import Box, bounding_box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.orientation import IN_PLANE, PLANES, DisplayOrientation
+from accelsurf.report.preview_content import PreviewContent
+
+#: What is shown around the object: so much of its extent to each side, and at least so many voxels.
+MARGIN, MIN_MARGIN = 0.3, 6
+#: Slices through further clicks at most, the latest.
+MAX_CLICK_SLICES = 3
+
+#: First and one past the last voxel along each displayed axis.
+Ranges = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class SliceView:
+    """A slice, on the axes as they are displayed.
+
+    Attributes
+    ----------
+    plane : int
+        Axis across the slice: 0 is axial, 1 coronal, 2 sagittal.
+    index : int
+        Voxel along it.
+    why : str
+        What it shows, above the slice; empty for a slice through the first click or the largest section.
+    """
+
+    plane: int
+    index: int
+    why: str = ""
+
+
+def shown_ranges(content: PreviewContent) -> Ranges:
+    """The voxels around the object and its clicks that are shown; the whole image without an object."""
+    up, shape = DisplayOrientation.of(content.geometry), content.geometry.shape
+    box = bounding_box(content.inside())
+    if box is None:
+        return whole_ranges(content.geometry)
+    ends = [(part.start, part.stop) for part in box]
+    for mark in content.clicks:
+        ends = [(min(a, part.start), max(b, part.stop)) for (a, b), part in zip(ends, mark.box, strict=True)]
+    smallest = min(content.geometry.steps)
+    ranges = []
+    for axis in range(3):
+        low, high = ends[up.order[axis]]
+        n = shape[up.order[axis]]
+        if up.flips[axis]:
+            low, high = n - high, n - low
+        room = max(round(MARGIN * (high - low)), round(MIN_MARGIN * smallest / up.spacing[axis]), 1)
+        ranges.append((max(low - room, 0), min(high + room, n)))
+    return ranges[0], ranges[1], ranges[2]
+
+
+def whole_ranges(geometry: Geometry) -> Ranges:
+    """All voxels."""
+    order = DisplayOrientation.of(geometry).order
+    return (0, geometry.shape[order[0]]), (0, geometry.shape[order[1]]), (0, geometry.shape[order[2]])
+
+
+def box_of(ranges: Ranges, geometry: Geometry) -> Box:
+    """The part of the array that ranges of the displayed axes cover."""
+    up = DisplayOrientation.of(geometry)
+    parts: list[slice] = [slice(None)] * 3
+    for axis, (low, high) in enumerate(ranges):
+        n = geometry.shape[up.order[axis]]
+        parts[up.order[axis]] = slice(n - high, n - low) if up.flips[axis] else slice(low, high)
+    return parts[0], parts[1], parts[2]
+
+
+def fitted(ranges: Ranges, plane: int, geometry: Geometry, width_to_height: float) -> Ranges:
+    """Ranges widened within the image so that a slice fills a panel of this shape as far as it can."""
+    up, out = DisplayOrientation.of(geometry), list(ranges)
+    vertical, horizontal = IN_PLANE[plane]
+    tall, wide = ((out[axis][1] - out[axis][0]) * up.spacing[axis] for axis in (vertical, horizontal))
+    axis, mm = (horizontal, tall * width_to_height) if wide < tall * width_to_height else (
+        vertical, wide / width_to_height
+    )
+    low, high = out[axis]
+    n, more = geometry.shape[up.order[axis]], max(round(mm / up.spacing[axis]) - (high - low), 0)
+    low = max(low - more // 2, 0)
+    high = min(high + more - more // 2, n)
+    out[axis] = (low, high)
+    return out[0], out[1], out[2]
+
+
+def displayed(place: tuple[float, float, float] | tuple[int, int, int], geometry: Geometry) -> tuple[float, ...]:
+    """A (continuous) index (z, y, x) of the image, on the axes as they are displayed."""
+    up = DisplayOrientation.of(geometry)
+    return tuple(
+        geometry.shape[own] - 1 - place[own] if flip else float(place[own])
+        for own, flip in zip(up.order, up.flips, strict=True)
+    )
+
+
+def native_plane(geometry: Geometry) -> int:
+    """The plane across the thickest voxels, in which scans are read; the axial one where they are cubes."""
+    spacing = DisplayOrientation.of(geometry).spacing
+    return int(np.argmax(np.round(np.asarray(spacing) / min(spacing), 3)))
+
+
+def main_views(content: PreviewContent) -> list[SliceView]:
+    """The slice of each plane through the first inside click, else through the object's largest section there."""
+    inside = next((mark for mark in content.clicks if mark.side == "inside"), None)
+    if inside is not None:
+        return [SliceView(plane, round(at)) for plane, at in enumerate(displayed(inside.place, content.geometry))]
+    up, found = DisplayOrientation.of(content.geometry), content.inside()
+    if not found.any():
+        return [SliceView(plane, content.geometry.shape[up.order[plane]] // 2) for plane in range(3)]
+    return [SliceView(plane, _largest_section(up.reorient(found), plane)) for plane in range(3)]
+
+
+def _largest_section(inside: NDArray[np.bool_], plane: int) -> int:
+    """The slice with most voxels inside; of several equal ones next to each other the middle one."""
+    counts = np.count_nonzero(inside, axis=IN_PLANE[plane])
+    most = np.flatnonzero(counts == counts.max())
+    return int(most[(len(most) - 1) // 2])
+
+
+def late_view(content: PreviewContent) -> SliceView | None:
+    """The slice through the fastest late growth."""
+    if content.late_growth is None:
+        return None
+    plane = native_plane(content.geometry)
+    return SliceView(plane, round(displayed(content.late_growth, content.geometry)[plane]), "latest growth")
+
+
+def click_views(content: PreviewContent) -> list[SliceView]:
+    """Slices through the latest clicks that the main views do not show."""
+    plane, main = native_plane(content.geometry), main_views(content)
+    views: dict[int, str] = {}
+    for number, mark in enumerate(content.clicks, 1):
+        index = round(displayed(mark.place, content.geometry)[plane])
+        if index != main[plane].index:
+            views.pop(index, None)
+            views[index] = f"click {number}, {mark.side}"
+    return [SliceView(plane, index, why) for index, why in list(views.items())[-MAX_CLICK_SLICES:]]
+
+
+def plane_name(plane: int, anatomical: bool) -> str:
+    """What a plane is called."""
+    return PLANES[plane] if anatomical else "Slice"

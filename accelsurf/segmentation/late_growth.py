@@ -1,0 +1,94 @@
+"""Where surfaces grew in the last part of a run's growth: the first place to look at for a leak.
+
+An observer of the run: it reads the speeds of each step, and changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.evolution.records import Step
+from accelsurf.grid.boxes import Corner
+from accelsurf.grid.pyramid import Level
+
+#: The last part of the growth: so much of the volume that the object gained.
+LAST_SHARE = 0.25
+#: Growth is summed over cubes of so many voxels, larger than single bumps of noise.
+BLOCK = 6
+
+
+class _Growth(NamedTuple):
+    """Growth of an object in a step: its volume before, mm3, and the sum of each cube where it moved."""
+
+    volume: float
+    cubes: NDArray[np.int64]
+    sums: NDArray[np.float32]
+
+
+class LateGrowth:
+    """Sums up growth, step by step.
+
+    Parameters
+    ----------
+    shape : (nz, ny, nx)
+        Of the image.
+    """
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self._shape = shape
+        self._cubes = tuple(-(-n // BLOCK) for n in shape)
+        self._growth: defaultdict[int, list[_Growth]] = defaultdict(list)
+
+    def watch(self, step: Step, level: Level, corner: Corner, first: Corner) -> None:
+        """Read the growth of a step.
+
+        Parameters
+        ----------
+        step : Step
+        level : Level
+            The grid that it was made on.
+        corner : (int, int, int)
+            Index (z, y, x) on that grid of the first voxel of the surface's grid.
+        first : (int, int, int)
+            Index (z, y, x) in the image of the first voxel of the region of interest.
+        """
+        fields = step.fields
+        if fields is None or not fields.cells.size:
+            return
+        # The speed is along the inward normal: below 0 the surface grows. What swings back and forth cancels.
+        area = float(np.prod(level.factors)) ** (2 / 3)
+        motion = -fields.speed * np.float32(step.record.dt * area)
+        places = np.unravel_index(fields.cells, step.surface.shape)
+        cube = [
+            np.clip(((at + a) * factor + b + c).astype(np.int64) // BLOCK, 0, n - 1)
+            for at, a, factor, b, c, n in zip(
+                places, corner, level.factors, level.first, first, self._cubes, strict=True
+            )
+        ]
+        names, place = np.unique(np.ravel_multi_index(tuple(cube), self._cubes), return_inverse=True)
+        sums = np.bincount(place, motion, len(names)).astype(np.float32)
+        self._growth[step.object_id].append(_Growth(step.record.volume_mm3, names.astype(np.int64), sums))
+
+    def place(self) -> tuple[float, float, float] | None:
+        """Index (z, y, x) of the middle of the cube that grew most in the last part; None when no object grew."""
+        total: defaultdict[int, float] = defaultdict(float)
+        for growth in self._growth.values():
+            volumes = np.array([one.volume for one in growth])
+            gained = float(volumes[-1] - volumes[0])
+            if gained > 0:
+                below = np.flatnonzero(volumes <= volumes[-1] - LAST_SHARE * gained)
+                for one in growth[int(below[-1]) :]:
+                    for cube, value in zip(one.cubes.tolist(), one.sums.tolist(), strict=True):
+                        total[cube] += value
+        if not total or max(total.values()) <= 0.0:
+            return None
+        largest = max(sorted(total), key=lambda cube: total[cube])
+        z, y, x = (
+            min(int(at) * BLOCK + 0.5 * (BLOCK - 1), n - 1.0)
+            for at, n in zip(np.unravel_index(largest, self._cubes), self._shape, strict=True)
+        )
+        return z, y, x

@@ -1,0 +1,108 @@
+"""``accelsurf look``: a picture without a run."""
+
+import numpy as np
+import pytest
+from matplotlib import image as mpl_image
+
+from accelsurf import cli, io
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.report import canvas
+
+
+def run(*words):
+    return cli.execute([str(word) for word in words])
+
+
+def saved(path, shape=(6, 40, 50), **where):
+    z, y, x = np.indices(shape)
+    array = (100.0 * ((x - 30) ** 2 + (y - 12) ** 2 < 49) + z).astype(np.float32)
+    io.write(Volume(array, Geometry(shape, where.pop("spacing", (4.0, 1.0, 0.5)), **where)), path)
+    return path
+
+
+def picture_of(path):
+    return mpl_image.imread(path)[..., :3]
+
+
+def test_it_writes_one_picture_and_says_what_the_image_is(tmp_path, capsys, monkeypatch):
+    scan = saved(tmp_path / "scan.nii.gz")
+    monkeypatch.chdir(tmp_path)
+    assert run("look", scan) == 0
+    shown = capsys.readouterr().out
+    assert "50 x 40 x 6 voxels of 0.5 x 1 x 4 mm" in shown and "0 to 105" in shown
+    assert str(tmp_path / "scan_look.png") in shown
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scan.nii.gz", "scan_look.png"]
+    assert run("look", scan) == 7  # it exists
+    assert run("look", scan, "--overwrite") == 0
+    assert run("look", scan, "-o", tmp_path / "folder") == 0 and (tmp_path / "folder" / "scan_look.png").is_file()
+    assert run("look", scan, "-o", tmp_path / "own.png") == 0 and (tmp_path / "own.png").is_file()
+    assert run("look", scan, "-o", tmp_path / "own.jpg") == 2
+
+
+def test_the_place_chooses_the_slices_and_the_window_the_greys(tmp_path):
+    scan = saved(tmp_path / "scan.nii.gz")
+
+    def looked(*words):
+        assert run("look", scan, "-o", tmp_path / "a.png", "--overwrite", *words) == 0
+        return picture_of(tmp_path / "a.png")
+
+    middle = looked()
+    through = looked("--at", "30,12,3vox")
+    assert (middle != through).any()
+    assert np.array_equal(through, looked("--at", "15,12,12"))  # the same in mm
+    bright = (looked("--at", "30,12,3vox", "--window", "10,20").min(axis=2) > 0.97).mean()
+    assert bright > (looked("--at", "30,12,3vox", "--window", "200,390").min(axis=2) > 0.97).mean()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--at", "1,2"), "expected X,Y,Z in mm"),
+        (("--at", "900,0,0"), "lies outside the image"),
+        (("--at", "nan,0,0"), "expected X,Y,Z in mm"),
+        (("--window", "soft"), "expected auto, or centre and width"),
+        (("--window", "40,-400"), "expected auto, or centre and width"),
+    ],
+)
+def test_what_it_cannot_show_is_one_line(tmp_path, capsys, words, message):
+    assert run("look", saved(tmp_path / "scan.nii.gz"), "-o", tmp_path / "a.png", *words) == 2
+    assert message in capsys.readouterr().err and not (tmp_path / "a.png").exists()
+
+
+def test_labels_of_this_image_are_drawn_others_refused(tmp_path, capsys):
+    scan = saved(tmp_path / "scan.nii.gz")
+    z, y, x = np.indices((6, 40, 50))
+    labels = Volume((((x - 30) ** 2 + (y - 12) ** 2 < 49)).astype(np.uint8), io.read(scan).geometry)
+    io.write_labels(labels, tmp_path / "labels.nii.gz")
+    assert run("look", scan, "-o", tmp_path / "a.png", "--labels", tmp_path / "labels.nii.gz") == 0
+    drawn = np.abs(picture_of(tmp_path / "a.png") - [0xE6 / 255, 0x9F / 255, 0]).max(axis=2) < 0.02
+    assert canvas.ORANGE == "#E69F00" and drawn.sum() > 100
+    other = saved(tmp_path / "other.nii.gz", shape=(6, 40, 49))
+    assert run("look", scan, "-o", tmp_path / "b.png", "--labels", other) == 3
+    assert "on another grid" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shape", [(1, 40, 50), (40, 1, 50), (3, 200, 200)])
+def test_slices_of_any_thickness_and_oblique_ones(tmp_path, shape):
+    turn = np.array([[np.cos(0.3), -np.sin(0.3), 0], [np.sin(0.3), np.cos(0.3), 0], [0, 0, 1.0]])
+    scan = saved(tmp_path / "scan.nrrd", shape=shape, direction=turn)
+    assert run("look", scan, "-o", tmp_path / "a.png") == 0
+    height, width = picture_of(tmp_path / "a.png").shape[:2]
+    assert 300 < height < 1600 and 300 < width < 1600
+
+
+def test_each_channel_has_a_row(tmp_path):
+    one, two = saved(tmp_path / "one.nii.gz"), tmp_path / "two.nrrd"
+    array = io.read(one).array
+    stacked = np.stack([array, 200 - array], axis=-1)
+    header = (
+        "NRRD0004\ntype: float\ndimension: 4\nsizes: 2 50 40 6\nkinds: vector domain domain domain\n"
+        "space: left-posterior-superior\nspace directions: none (0.5,0,0) (0,1,0) (0,0,4)\nspace origin: (0,0,0)\n"
+        "encoding: raw\nendian: little\n\n"
+    )
+    two.write_bytes(header.encode() + np.ascontiguousarray(stacked, "<f4").tobytes())
+    for scan in (one, two):
+        assert run("look", scan, "-o", tmp_path / f"{scan.stem}.png") == 0
+    heights = [picture_of(tmp_path / f"{scan.stem}.png").shape[0] for scan in (one, two)]
+    assert heights[1] > 1.5 * heights[0]

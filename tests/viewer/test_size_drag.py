@@ -1,0 +1,154 @@
+"""Press in an object, drag outwards until it fits; clicks that say what is inside and what is not."""
+
+import time
+
+import numpy as np
+import pytest
+
+from accelsurf import io
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.api import segment
+from accelsurf.segmentation.run import Run
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.size_drag import Dragging, SizeDrag
+from accelsurf.viewer.scene.shapes import contour
+
+SHAPE, SPACING = (20, 36, 40), (2.0, 1.0, 1.0)
+PRESS = "ball:18,18,20,3"
+
+
+def scan(noise=4.0):
+    """A ball of radius 10 mm at (18, 18, 20) mm, and another one of the same brightness beside it."""
+    z, y, x = np.indices(SHAPE) * np.array(SPACING)[:, None, None, None]
+    own = (x - 18) ** 2 + (y - 18) ** 2 + (z - 20) ** 2 < 100
+    image = 100.0 * own + np.random.default_rng(0).normal(0, noise, SHAPE)
+    return Volume(image.astype(np.float32), Geometry(SHAPE, SPACING)), own
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    volume, own = scan()
+    with Session(volume, RunConfig(start=PRESS)) as session:
+        yield session.press(PRESS).result(), own
+
+
+def inside_of(drag, volume_mm3):
+    planes = [drag.plane(0, index, volume_mm3) for index in range(SHAPE[0])]
+    return np.stack([np.zeros(SHAPE[1:], bool) if plane is None else plane < 0 for plane in planes])
+
+
+def test_a_drag_shows_the_object_when_its_size_is_right(pressed):
+    drag, own = pressed
+    assert drag.click == PRESS
+    shown = inside_of(drag, 4 / 3 * np.pi * 1000)
+    assert 2 * (shown & own).sum() / (shown.sum() + own.sum()) > 0.95
+    for axis in (1, 2):  # the same voxels, in slices across the other axes
+        assert np.array_equal(drag.plane(axis, 18, 4189.0) < 0, np.take(inside_of(drag, 4189.0), 18, axis=axis))
+
+
+def test_a_farther_drag_is_a_larger_object_and_the_press_is_in_every_one(pressed):
+    drag, _ = pressed
+    sizes = [drag.volume_of(mm) for mm in (0.0, 2.0, 5.0, 9.0, 14.0, 1e6)]
+    assert sizes == sorted(sizes) and sizes[3] == pytest.approx(4 / 3 * np.pi * 729)
+    assert sizes[-1] <= np.prod(SHAPE) * np.prod(SPACING)
+    before = np.zeros(SHAPE, bool)
+    for size in sizes:
+        shown = inside_of(drag, size)
+        assert (shown | ~before).all() and shown[10, 18, 18]
+        before = shown
+    assert int(inside_of(drag, 2000.0).sum()) * 2.0 == pytest.approx(2000.0, rel=0.02)
+
+
+def test_more_is_computed_when_a_drag_comes_near_the_end_of_what_is_known():
+    volume, _ = scan()
+    with Session(volume, RunConfig(start=PRESS)) as session:
+        small = session.press(PRESS, 400).result()
+        assert len(small.order) == 400 and not small.is_near_end(3.0) and small.is_near_end(5.5)
+        assert small.volume_of(8.0) == 800.0  # all that is known
+        dragging = Dragging(lambda ball, voxels=400: session.press(ball, voxels), PRESS)
+        session.wait(60)
+        assert len(dragging.at(3.0).order) == 400
+        for _ in range(4):
+            found = dragging.at(10.0)
+            session.wait(60)
+        assert len(found.order) > 4 * 400 and found.volume_of(10.0) == pytest.approx(4189, rel=1e-3)
+        # What was known before does not change.
+        shown = np.isfinite(small.times)
+        assert np.array_equal(small.times[shown], found.times[shown])
+
+
+def test_releasing_begins_the_run_that_the_same_settings_begin(tmp_path):
+    volume, own = scan()
+    with Session(volume, RunConfig(start="ball:5,5,5,2", max_steps=60, levels=1)) as session:
+        drag = session.press(PRESS).result()
+        session.release(9.5).result()
+        settings = session.status.settings
+        assert settings.inside == (PRESS,) and settings.size == drag.size_text(9.5) and settings.energy == "seeded"
+        session.play()
+        assert session.wait(120)
+        session.save(tmp_path, ["run", "labels"]).result()
+        session.undo().result()
+        assert session.status.settings.start == ("ball:5,5,5,2",) and session.status.settings.inside == ()
+        with pytest.raises(UsageError, match="nothing was pressed"):
+            session.release(9.5).result()
+    config = RunConfig.from_toml(next(tmp_path.glob("*.toml")))
+    result = segment(volume, config=config)
+    assert 2 * (result.labels & own).sum() / (result.labels.sum() + own.sum()) > 0.95
+    assert np.array_equal(io.read(next(tmp_path.glob("*_seg.*"))).array, result.labels)
+
+
+def test_a_press_outside_or_of_several_objects_is_refused():
+    volume, _ = scan()
+    with Session(volume, RunConfig(start=PRESS)) as session:
+        with pytest.raises(InputError, match="no voxel centre is inside it"):
+            session.press("ball:900,0,0,2").result()
+        with pytest.raises(UsageError, match="expected ball"):
+            session.press("point:1,2,3").result()
+    labels = np.zeros(SHAPE, np.uint8)
+    labels[9:12, 15:20, 15:20] = 5
+    with Run(volume, RunConfig(levels=1), None, (), labels) as run, pytest.raises(UsageError, match="several"):
+        SizeDrag.of_press(run, PRESS)
+
+
+def test_clicks_are_edits_and_hold():
+    volume, own = scan()
+    with Session(volume, RunConfig(inside=PRESS, levels=1)) as session:
+        session.play_to(5).result()
+        assert session.wait(60)
+        session.add_click("outside", "ball:18,18,25,3").result()
+        (edit,) = session.status.edits
+        assert (edit.step, edit.outside, edit.inside) == (5, ("ball:18,18,25,3",), ())
+        session.play_to(12).result()
+        assert session.wait(60)
+        session.next_view()
+        session.wait(10)
+        deadline = time.monotonic() + 10
+        while (view := session.next_view()) is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        marks = [(mark.side, mark.place[1:]) for mark in view.frame.clicks]
+        assert marks == [("inside", (18, 18)), ("outside", (18, 18))]
+        (surface,) = view.frame.surfaces
+        z, y, x = (int(v) for v in np.rint(surface.from_image([13, 18, 18])))
+        assert surface.psi[z, y, x] > 0 and own[13, 18, 18]
+
+
+def test_a_slice_at_256_cubed_is_shown_within_50_milliseconds():
+    n = 256
+    axis = (np.arange(n, dtype=np.float32) - 128) ** 2
+    squares = axis[:, None, None] + axis[:, None] + axis
+    near = np.flatnonzero(squares.ravel() < 60**2)
+    order = near[np.argsort(squares.ravel()[near], kind="stable")]
+    times = np.where(squares < 60**2, np.sqrt(squares), np.inf).astype(np.float32)
+    drag = SizeDrag("ball:0,0,0,1", times, order, (0, 0, 0), 1.0)
+    took = []
+    for mm in np.linspace(10, 58, 12):
+        began = time.perf_counter()
+        volume = drag.volume_of(float(mm))
+        lines = [contour(drag.plane(axis, 128, volume)) for axis in range(3)]
+        took.append(time.perf_counter() - began)
+        radii = np.linalg.norm(lines[0].reshape(-1, 2) - 128, axis=1)
+        assert np.abs(radii - mm).max() < 1.0
+    assert np.median(took) < 0.05  # 3 ms on an idle machine
