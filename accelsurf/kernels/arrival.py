@@ -31,7 +31,8 @@ class Medium(NamedTuple):
 
 class Tissue(NamedTuple):
     """What passes easily: per channel (channels,) float64 the median and the spread of the values, and the gradient
-    (per mm) that counts as 1; and the weights of the cost, see `cost_at`."""
+    (per mm) that counts as 1; and the weights of the cost, see `cost_at`.
+    """
 
     median: np.ndarray
     spread: np.ndarray
@@ -41,7 +42,8 @@ class Tissue(NamedTuple):
 
 class Queue(NamedTuple):
     """Voxels by their times: ``heads`` (ring of buckets) the last entry of each, -1 for none; of each entry ``cells``
-    the voxel and ``links`` the one before it, or the next free one; ``free`` (1,) the first free entry."""
+    the voxel and ``links`` the one before it, or the next free one; ``free`` (1,) the first free entry.
+    """
 
     heads: np.ndarray
     cells: np.ndarray
@@ -74,8 +76,8 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
     Returns
     -------
     ndarray (m,) int64
-        The accepted voxels, seeds included, in the order of their times; voxels of one time in an order that depends
-        on the input alone.
+        The accepted voxels, seeds included, in the order of their times up to `bucket_width`; within it in an order
+        that depends on the input alone.
     """
     width = bucket_width(tissue.weights, grid)
     queue = new_queue(tissue.weights, grid, width)
@@ -128,7 +130,7 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
 
 @kernel
 def bucket_width(w, grid):
-    """Times of one bucket: less than any voxel's time differs from those it was made of, so their order is free."""
+    """Times of one bucket: half the shortest step between two voxels, within which the order is free."""
     return w[0] * min(grid.hz, grid.hy, grid.hx) / 2.0
 
 
@@ -139,7 +141,12 @@ def new_queue(w, grid, width):
     length = 2
     while length * width < step + 2.0 * width:
         length *= 2
-    return Queue(np.full(length, -1, np.int64), np.empty(FIRST_CAPACITY, np.int64), fresh(0, FIRST_CAPACITY), np.zeros(1, np.int64))
+    return Queue(
+        np.full(length, -1, np.int64),
+        np.empty(FIRST_CAPACITY, np.int64),
+        fresh(0, FIRST_CAPACITY),
+        np.zeros(1, np.int64),
+    )
 
 
 @kernel

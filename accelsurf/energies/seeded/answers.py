@@ -2,7 +2,7 @@
 
 The first click's field balances arrival times from inside and from the surroundings, the likelihood of the values, and
 the level of the size. A later inside click is answered by the balance with all clicks, without the first size; a later
-outside click by what it changes in that balance. Either changes labels towards its own side alone, and only in the piece
+outside click by what it changes in that balance, and by the balance itself where it arrives first. Either changes labels towards its own side alone, and only in the piece
 that is connected to it: what was right elsewhere stays.
 """
 
@@ -130,6 +130,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
         force, changed = total, (total < 0) & (answer.force >= 0)
     else:
         force = answer.force + np.maximum(total - answer.total, 0.0)
+        force = np.where(times < times_in, np.maximum(force, total), force)
         changed = (force >= 0) & (answer.force < 0)
     seen = _part(click, answer.box)
     changed |= seen

@@ -123,9 +123,7 @@ def seeded_model(
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
     force, start, times_in, times_out = answered(answer, clicks)
-    return SeededModel(
-        force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, answer, tuple(smooth)
-    )
+    return SeededModel(force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, answer, tuple(smooth))
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
@@ -180,10 +178,12 @@ def _first(
 def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
     """How many voxels a march without a size may accept."""
     most = open_count if boxed else int(MAX_PART * open_count)
-    return most if np.isinf(prior.spread) else int(min(prior.count * np.exp(FARTHEST * prior.spread), most))
+    return most if np.isinf(prior.spread) else int(min(prior.voxels * np.exp(FARTHEST * prior.spread), most))
 
 
-def _later(images: Sequence[Image], spacing: Spacing, field: Field, click: Click, answer: Answer) -> tuple[Times, Tissue]:
+def _later(
+    images: Sequence[Image], spacing: Spacing, field: Field, click: Click, answer: Answer
+) -> tuple[Times, Tissue]:
     """Arrival times from a later click, on the scale of the first one's."""
     tissue = learn(images, spacing, click)
     times, order = arrival(field, tissue, _seeds(click, field), int(1.05 * BEYOND * answer.count))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ MIN_BALL = 5
 #: Part of a box that is object; spread of the logarithm.
 BOX_FILLED, BOX_SPREAD = 0.4, 0.5
 #: The march ends at so many spreads above the expected volume.
-FARTHEST = 2.5
+FARTHEST = 1.8
 
 
 class Proposal(NamedTuple):
@@ -63,10 +62,10 @@ def of_size(times: NDArray[np.float32], order: Order, voxel_volume: float, size_
 class Prior(NamedTuple):
     """What is expected of the number of voxels before the image is looked at: its logarithm is normally distributed.
 
-    ``spread`` is inf where nothing is expected.
+    ``voxels`` is the number, ``spread`` inf where nothing is expected.
     """
 
-    count: float
+    voxels: float
     spread: float
 
 
@@ -106,7 +105,7 @@ def by_evidence(
     counts = candidate_counts(first, len(order))
     if counts.size < 3:
         return Proposal(float(times[order[-1]]), len(order) * voxel_volume, 0.0)
-    score = scores(images, times, order, counts) - 0.5 * ((np.log(counts / prior.count)) / prior.spread) ** 2
+    score = scores(images, times, order, counts) - 0.5 * ((np.log(counts / prior.voxels)) / prior.spread) ** 2
     peaks = [i for i in range(len(score)) if score[i] == score[max(i - 3, 0) : i + 4].max()]
     peaks.sort(key=lambda i: (-score[i], i))
     best = counts[peaks[0]]
