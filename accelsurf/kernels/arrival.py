@@ -16,7 +16,6 @@ from accelsurf.kernels.stages import Stage
 
 #: First capacity of the queue and of the list of accepted voxels; both double when full.
 FIRST_CAPACITY = 4096
-MAX_BUCKET = 2**62
 
 
 class Medium(NamedTuple):
@@ -81,23 +80,14 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
     """
     width = bucket_width(tissue.weights, grid)
     queue = new_queue(tissue.weights, grid, width)
-    order, around = np.empty(FIRST_CAPACITY, np.int64), np.empty(6, np.int64)
-    waiting, count = 0, 0
-    last = np.int64(max_time / width) if max_time / width < MAX_BUCKET else np.int64(MAX_BUCKET)
-    for seed in seeds:
-        order = with_space(order, count)
-        order[count] = seed
-        count += 1
-    done = 0
-    bucket = np.int64(0)
+    order, around = np.empty(max(FIRST_CAPACITY, len(seeds)), np.int64), np.empty(6, np.int64)
+    order[: len(seeds)] = seeds
+    done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
     while True:
-        while done < count:
-            cell = order[done]
-            done += 1
+        for cell in order[done:count]:
             iz, iy, ix = unravel(cell, grid)
             neighbours(cell, iz, iy, ix, grid, around)
-            for i in range(6):
-                other = around[i]
+            for other in around:
                 if other < 0 or 0.0 <= times[other] < np.inf or (len(medium.open) > 0 and not medium.open[other]):
                     continue
                 time = np.float32(upwind_time(times, other, medium, tissue, grid))
@@ -105,24 +95,18 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
                     times[other] = -time
                     queue = push(queue, np.int64(time / width), other)
                     waiting += 1
+        done = count
         if waiting == 0 or count >= max_count:
             break
-        cell = pop(queue, bucket)
-        if cell < 0:
-            bucket += 1
-            continue
+        cell, bucket = first_waiting(queue, bucket)
         waiting -= 1
         if times[cell] < 0.0 and np.int64(-times[cell] / width) <= bucket:
             times[cell] = -times[cell]
             order = with_space(order, count)
             order[count] = cell
             count += 1
-    while waiting > 0:  # on their way, not arrived
-        cell = pop(queue, bucket)
-        if cell < 0:
-            bucket += 1
-            continue
-        waiting -= 1
+    for _ in range(waiting):  # on their way, not arrived
+        cell, bucket = first_waiting(queue, bucket)
         if times[cell] < 0.0:
             times[cell] = np.inf
     return order[:count].copy()
@@ -169,6 +153,16 @@ def push(queue, bucket, cell):
     queue.cells[entry], queue.links[entry] = cell, queue.heads[place]
     queue.heads[place] = entry
     return queue
+
+
+@kernel
+def first_waiting(queue, bucket):
+    """Take the next voxel from a queue that is not empty: (voxel, its bucket)."""
+    cell = pop(queue, bucket)
+    while cell < 0:
+        bucket += 1
+        cell = pop(queue, bucket)
+    return cell, bucket
 
 
 @kernel

@@ -2,8 +2,8 @@
 
 The first click's field balances arrival times from inside and from the surroundings, the likelihood of the values, and
 the level of the size. A later inside click is answered by the balance with all clicks, without the first size; a later
-outside click by what it changes in that balance, and by the balance itself where it arrives first. Either changes labels towards its own side alone, and only in the piece
-that is connected to it: what was right elsewhere stays.
+outside click by what it changes in that balance, and by the balance itself where it arrives first. Either changes
+labels towards its own side alone, and only in the piece that is connected to it: what was right elsewhere stays.
 """
 
 from __future__ import annotations
