@@ -93,7 +93,7 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
                 time = np.float32(upwind_time(times, other, medium, tissue, grid))
                 if time <= max_time and time < abs(times[other]) and (len(cap) == 0 or time < cap[other]):
                     times[other] = -time
-                    queue = push(queue, np.int64(time / width), other)
+                    queue = enter(queue, np.int64(time / width), other)
                     waiting += 1
         done = count
         if waiting == 0 or count >= max_count:
@@ -140,7 +140,7 @@ def fresh(first, last):
 
 
 @kernel
-def push(queue, bucket, cell):
+def enter(queue, bucket, cell):
     """Enter a voxel into a bucket; returns the queue, larger where it was full."""
     entry = queue.free[0]
     if entry == len(queue.cells):
@@ -158,15 +158,15 @@ def push(queue, bucket, cell):
 @kernel
 def first_waiting(queue, bucket):
     """Take the next voxel from a queue that is not empty: (voxel, its bucket)."""
-    cell = pop(queue, bucket)
+    cell = leave(queue, bucket)
     while cell < 0:
         bucket += 1
-        cell = pop(queue, bucket)
+        cell = leave(queue, bucket)
     return cell, bucket
 
 
 @kernel
-def pop(queue, bucket):
+def leave(queue, bucket):
     """Take the voxel that entered a bucket last; -1 where it is empty."""
     place = bucket & (len(queue.heads) - 1)
     entry = queue.heads[place]

@@ -132,7 +132,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
         force = answer.force + np.maximum(total - answer.total, 0.0)
         force = np.where(times < times_in, np.maximum(force, total), force)
         changed = (force >= 0) & (answer.force < 0)
-    seen = _part(click, answer.box)
+    seen = _clicked_in(click, answer.box)
     changed |= seen
     labels, _ = ndimage.label(changed)
     own = np.unique(labels[seen])
@@ -166,7 +166,7 @@ def _inside(answer: Answer) -> Mask:
     grows = answer.force < 0
     clicked = {side: np.zeros(grows.shape, np.bool_) for side in CLICKED}
     for click in answer.clicks:
-        clicked[click.side] |= _part(click, answer.box)
+        clicked[click.side] |= _clicked_in(click, answer.box)
     grows = (grows | clicked["inside"]) & ~clicked["outside"]
     labels, _ = ndimage.label(grows)
     own = np.unique(labels[clicked["inside"]])
@@ -195,7 +195,7 @@ def _is_far(field: Field, box: Box, times_in: Times, last: float) -> Mask:
     return far
 
 
-def _part(click: Click, box: Box) -> Mask:
+def _clicked_in(click: Click, box: Box) -> Mask:
     """The click's voxels in a box; none where it lies outside."""
     out = np.zeros([s.stop - s.start for s in box], np.bool_)
     where = [axis + s.start for axis, s in zip(np.nonzero(click.mask), click.box, strict=True)]
