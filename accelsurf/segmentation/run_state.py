@@ -1,0 +1,36 @@
+"""What a finished run leaves besides its result, from which it can be refined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.grid.clicks import Clicks
+from accelsurf.segmentation.preprocessing import PreprocessedInput
+from accelsurf.segmentation.run_setup import EnergyLike
+
+
+@dataclass(frozen=True, eq=False)
+class RunState:
+    """What a refinement needs besides the surfaces and settings of a `Result`.
+
+    Attributes
+    ----------
+    prepared : PreprocessedInput
+        Image and mask of the run.
+    energy : Energy or callable or None
+        One of the user's own; None for one with a name.
+    clicks : Clicks or None
+        All clicks so far, on the image's grid; None for none.
+    totals : mapping of str to ndarray (2, m)
+        Of `accelsurf.segmentation.region_totals.RegionTotals`; empty before the first refinement.
+    """
+
+    prepared: PreprocessedInput
+    energy: EnergyLike | None = None
+    clicks: Clicks | None = None
+    totals: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
