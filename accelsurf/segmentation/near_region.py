@@ -169,7 +169,7 @@ def near_bounds(before: NDArray[np.float32], region: NearRegion, spacing: Spacin
     spacing : (hz, hy, hx)
         mm.
     """
-    depth = region.mask.astype(np.float64)
+    depth = np.full(before.shape, np.inf)
     if not region.mask.all():
         depth = ndimage.distance_transform_edt(region.mask, spacing)
     bounded = depth < region.rim

@@ -7,9 +7,30 @@ from collections.abc import Sequence
 import numpy as np
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import corner_of
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.grid.geometry import Geometry
+from accelsurf.initialization.clicks import read_clicks, voxel_named
 from accelsurf.segmentation.result import Result
 from accelsurf.settings.refinements import Refinement
+
+
+def clicks_of(refinement: Refinement, result: Result) -> tuple[Click, ...]:
+    """Read the clicks of a correction on the grid of a result.
+
+    Among several objects, outside clicks without an object are in none of them.
+
+    Raises
+    ------
+    UsageError, InputError
+        As of `accelsurf.initialization.clicks.read_clicks`.
+    """
+    own = refinement.object
+    inside = read_clicks(refinement.inside, "inside", result.volume, result.image, own or 1)
+    if own is None and result.has_ids:
+        none = read_clicks(refinement.outside, "inside", result.volume, result.image, NO_OBJECT)
+        return (*inside, *none)
+    return (*inside, *read_clicks(refinement.outside, "outside", result.volume, result.image, own or 1))
 
 
 def check_object(refinement: Refinement, ids: Sequence[int] | None) -> None:
@@ -22,18 +43,28 @@ def check_object(refinement: Refinement, ids: Sequence[int] | None) -> None:
     """
     own = refinement.object
     if ids is None:
-        if own is not None and own != 1:
+        if own not in (None, 1):
             raise UsageError(f"refine: object {own} was given, but there is a single one", "leave object out")
         return
-    known = ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
+    there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
     if own is None and refinement.inside:
-        raise UsageError("refine: inside was given without object, expected an object's id", f"there are {known}")
+        raise UsageError("refine: inside was given without object, expected an object's id", there)
     if own is not None and own not in ids:
-        raise UsageError(f"refine: object {own} was given, expected one that there is", f"there are {known}")
+        raise UsageError(f"refine: object {own} was given, expected one that is in the result", there)
 
 
-def refuse_contradictions(clicks: Clicks, ids: Sequence[int]) -> None:
-    """Refuse clicks that put a voxel on both sides of an object.
+def refuse_contradictions(new: Sequence[Click], clicks: Clicks, ids: Sequence[int], geometry: Geometry) -> None:
+    """Refuse new clicks that put a voxel on both sides of an object; costs no more than their boxes.
+
+    Parameters
+    ----------
+    new : sequence of Click
+    clicks : Clicks
+        All, the new ones included.
+    ids : sequence of int
+        Of the objects.
+    geometry : Geometry
+        Of their grid.
 
     Raises
     ------
@@ -41,15 +72,13 @@ def refuse_contradictions(clicks: Clicks, ids: Sequence[int]) -> None:
         With the voxel.
     """
     for id in ids:
-        own = clicks.of(id).clicks
-        for last in own[-1:] if not own else own:
-            for other in own:
-                if other.side == last.side:
-                    continue
-                both = Clicks((other,), clicks.shape).on_box(last.box).mask("inside" if other.side == "inside" else "outside")
-                where = np.argwhere(both & last.mask)
-                if where.size:
-                    z, y, x = (int(i) + s.start for i, s in zip(where[0], last.box, strict=True))
-                    raise InputError(
-                        f"the voxel {x},{y},{z} was clicked inside and outside", "undo one of the two clicks"
-                    )
+        own = clicks.of(id)
+        for one in Clicks(tuple(new), clicks.shape).of(id).clicks:
+            here = own.on_box(one.box)
+            both = here.mask("inside") & here.mask("outside")
+            if both.any():
+                voxel = np.argwhere(both)[0] + np.array(corner_of(one.box))
+                raise InputError(
+                    f"refine: {voxel_named(voxel, geometry)} is clicked both inside and outside",
+                    "undo the earlier click, or make the new one smaller",
+                )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import Workers
-from accelsurf.segmentation.local_evolution import LocalProblem, OnStep, evolve_near, measures_of
+from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, measures_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
 from accelsurf.segmentation.new_clicks import check_object, clicks_of, refuse_contradictions
 from accelsurf.segmentation.region_of_interest import cropped
@@ -32,6 +32,8 @@ from accelsurf.settings.run_config import RunConfig
 
 #: A correction begins near its end, as a run does after a coarser level: the stop rule is that of two levels.
 LEVELS = 2
+#: What is called with each record and the id of its object; a true value ends the correction.
+OnObjectStep = Callable[[StepRecord, int], bool | None]
 #: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.
 MARGIN = 5.0
 
@@ -122,7 +124,7 @@ class Refiner:
     # -- corrections ---------------------------------------------------------------------------------------
 
     def apply(
-        self, refinement: Refinement, clicks: Sequence[Click] | None = None, on_step: OnStep | None = None
+        self, refinement: Refinement, clicks: Sequence[Click] | None = None, on_step: OnObjectStep | None = None
     ) -> tuple[Change, ...]:
         """Correct the objects that new clicks are about, each in a region around them.
 
@@ -132,7 +134,7 @@ class Refiner:
         clicks : sequence of Click, optional
             Those of the refinement, on the image's grid; by default they are read from its texts.
         on_step : callable, optional
-            Called with each record; a true value ends the correction.
+            Called with each record and the id of its object; a true value ends the correction.
 
         Returns
         -------
@@ -148,7 +150,7 @@ class Refiner:
         check_object(refinement, ids if self._result.has_ids else None)
         new = clicks_of(refinement, self._result) if clicks is None else tuple(clicks)
         everything = self._clicks.with_more(new)
-        refuse_contradictions(everything, ids)
+        refuse_contradictions(new, everything, ids, self._result.geometry)
         self._undo.append((self.config, self._clicks, []))
         self.config = self.config.replace(refine=(*self.config.refine, refinement))
         self._clicks = everything
@@ -174,7 +176,7 @@ class Refiner:
             self._regional.totals = totals
 
     def _correct(
-        self, place: int, new: Sequence[Click], near: float | str, workers: Workers, on_step: OnStep | None
+        self, place: int, new: Sequence[Click], near: float | str, workers: Workers, on_step: OnObjectStep | None
     ) -> Change:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
@@ -183,7 +185,7 @@ class Refiner:
         placed = Clicks(tuple(new), self._shape).on_box(at).clicks
         if all(((one.psi[click.box] < 0) == (click.side == "inside"))[click.mask].all() for click in placed):
             return Change(one.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, one.stop)
-        takes = frozenset(self._holders(new)) if any(click.side == "inside" for click in new) else frozenset()
+        takes = frozenset(self._holders(new)) - {place}
         region = self._region(one, new, placed, near)
         one = self._grown(place, region.box)
         box = _within(region.box, one.corner)
@@ -193,7 +195,7 @@ class Refiner:
             domain = box_at(one.corner, one.psi.shape)
             totals = RegionTotals([image[domain] for image in self._images], one.psi)
         problem = self._problem(one, region, psi, totals, box, takes)
-        outcome = evolve_near(problem, workers, on_step)
+        outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, one.id))
         inside = one.inside + _count(outcome.psi) - _count(psi)
         stop = _stop_of(outcome.stop, inside, math.prod(self._shape))
         self._put(place, box, outcome.psi, one._replace(inside=inside, history=outcome.history, stop=stop))
@@ -227,10 +229,7 @@ class Refiner:
         """What is evolved for a region: energy and clicks on its box."""
         state = self._state
         settings = self._settings.replace(seed=None if self.config.seed is None else self.config.seed + one.id)
-        context = state.prepared.context.seeing_elsewhere(totals, box)
-        if self._result.has_ids:
-            start = np.ascontiguousarray(one.psi < 0)
-            context = context.of_object(one.corner, start)
+        context = state.contexts.get(one.id, state.prepared.context).seeing_elsewhere(totals, box)
         images = [np.ascontiguousarray(image[region.box]) for image in self._images]
         make = energy_maker(state.energy, settings, 1, self._result.has_ids)
         energy = make(images[0], self._spacing, context.with_channels(images[1:])).energy

@@ -70,6 +70,8 @@ class Run:
         As given, with the current edits, and with the seed that was drawn if none was given.
     settings : RunConfig
         The settings in force.
+    energy_given : Energy or callable or None
+        As given.
     has_ids : bool
         Whether objects with ids were given: labels are then ids, and none overlap.
     given : tuple of str
@@ -97,7 +99,7 @@ class Run:
     ) -> None:
         began = time.perf_counter()
         config = seeded(config)
-        self.volume, self.config, self._energy = volume, config, energy
+        self.volume, self.config, self.energy_given = volume, config, energy
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
         labels = config.objects if objects is None else objects
         self.has_ids = labels is not None
@@ -150,7 +152,7 @@ class Run:
         )
 
     def _energy_maker(self, settings: RunConfig) -> EnergyMaker:
-        return energy_maker(self._energy, settings, self._levels, self.has_ids)
+        return energy_maker(self.energy_given, settings, self._levels, self.has_ids)
 
     @property
     def geometry(self) -> Geometry:
@@ -348,7 +350,7 @@ class Run:
     def check(self, edit: Edit, ids: Sequence[int] = ()) -> None:
         """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.edit_checks.check`."""
         ids = ids or [one.id for one in self.objects]
-        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self._energy)
+        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self.energy_given)
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 

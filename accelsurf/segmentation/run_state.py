@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.clicks import Clicks
+from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.run_setup import EnergyLike
 
@@ -22,6 +23,8 @@ class RunState:
     ----------
     prepared : PreprocessedInput
         Image and mask of the run.
+    contexts : mapping of int to ImageContext
+        Of each of several objects.
     energy : Energy or callable or None
         One of the user's own; None for one with a name.
     clicks : Clicks or None
@@ -31,6 +34,7 @@ class RunState:
     """
 
     prepared: PreprocessedInput
+    contexts: Mapping[int, ImageContext] = field(default_factory=dict)
     energy: EnergyLike | None = None
     clicks: Clicks | None = None
     totals: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
