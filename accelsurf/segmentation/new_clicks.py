@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import corner_of
+from accelsurf.grid.boxes import Corner, corner_of
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization.clicks import read_clicks, voxel_named
+from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.result import Result
 from accelsurf.settings.refinements import Refinement
 
@@ -33,6 +34,29 @@ def clicks_of(refinement: Refinement, result: Result) -> tuple[Click, ...]:
     return (*inside, *read_clicks(refinement.outside, "outside", result.volume, result.image, own or 1))
 
 
+def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple[Click, ...]:
+    """Clicks of the image's grid on that of the region of interest.
+
+    Raises
+    ------
+    InputError
+        When a voxel clicked inside an object lies outside of the region or the mask.
+    """
+    geometry, distance = prepared.volumes[0].geometry, prepared.mask_distance
+    own = Clicks(tuple(clicks), geometry.shape).on_box(prepared.box).clicks
+    lost = sum(int(one.mask.sum()) for one in clicks if one.side == "inside" and one.id != NO_OBJECT)
+    for one in own:
+        if one.side == "inside" and one.id != NO_OBJECT:
+            within = one.mask if distance is None else one.mask & (distance[one.box] <= 0)
+            lost -= int(within.sum())
+    if lost:
+        raise InputError(
+            f"refine: {lost} voxels are clicked inside that lie outside of the region of interest, the mask or the box",
+            "click within them",
+        )
+    return own
+
+
 def check_object(refinement: Refinement, ids: Sequence[int] | None) -> None:
     """Refuse a correction of an object that there is not; ``ids`` is None where there is one without an id.
 
@@ -53,7 +77,9 @@ def check_object(refinement: Refinement, ids: Sequence[int] | None) -> None:
         raise UsageError(f"refine: object {own} was given, expected one that is in the result", there)
 
 
-def refuse_contradictions(new: Sequence[Click], clicks: Clicks, ids: Sequence[int], geometry: Geometry) -> None:
+def refuse_contradictions(
+    new: Sequence[Click], clicks: Clicks, ids: Sequence[int], geometry: Geometry, first: Corner
+) -> None:
     """Refuse new clicks that put a voxel on both sides of an object; costs no more than their boxes.
 
     Parameters
@@ -65,6 +91,8 @@ def refuse_contradictions(new: Sequence[Click], clicks: Clicks, ids: Sequence[in
         Of the objects.
     geometry : Geometry
         Of their grid.
+    first : (z, y, x)
+        Index in the image of its first voxel.
 
     Raises
     ------
@@ -79,6 +107,6 @@ def refuse_contradictions(new: Sequence[Click], clicks: Clicks, ids: Sequence[in
             if both.any():
                 voxel = np.argwhere(both)[0] + np.array(corner_of(one.box))
                 raise InputError(
-                    f"refine: {voxel_named(voxel, geometry)} is clicked both inside and outside",
+                    f"refine: {voxel_named(voxel, geometry, first)} is clicked both inside and outside",
                     "undo the earlier click, or make the new one smaller",
                 )

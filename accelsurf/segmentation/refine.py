@@ -89,5 +89,5 @@ def state_of(run: Run) -> RunState | None:
     """What a finished run leaves to be refined from; None where the settings say so."""
     if run.config.keep_state == "no":
         return None
-    contexts = {one.id: one.context for one in run.objects} if run.has_ids else {}
-    return RunState(run.prepared, contexts, run.energy_given)
+    contexts = {one.id: one.context for one in run.objects}
+    return RunState(run.prepared, contexts, run.energy_given, run.clicks)

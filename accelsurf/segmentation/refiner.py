@@ -21,7 +21,7 @@ from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, measures_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
-from accelsurf.segmentation.new_clicks import check_object, clicks_of, refuse_contradictions
+from accelsurf.segmentation.new_clicks import check_object, clicks_of, placed_clicks, refuse_contradictions
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.result import Result, SegmentedObject
@@ -107,7 +107,7 @@ class Refiner:
         self._reach = window_reach(self._settings, state.prepared.geometry)
         self._surfaces = [self._surface_of(one) for one in result.objects]
         self._regional = RegionTotals(self._images, self._surfaces[0].psi, state.totals)
-        self._clicks = state.clicks or Clicks((), result.geometry.shape)
+        self._clicks = state.clicks or Clicks((), self._shape)
         self._undo: list[tuple[RunConfig, Clicks, list[_Before]]] = []
         self._seconds = 0.0
 
@@ -148,9 +148,10 @@ class Refiner:
         """
         ids = [one.id for one in self._surfaces]
         check_object(refinement, ids if self._result.has_ids else None)
-        new = clicks_of(refinement, self._result) if clicks is None else tuple(clicks)
+        prepared = self._state.prepared
+        new = placed_clicks(clicks_of(refinement, self._result) if clicks is None else clicks, prepared)
         everything = self._clicks.with_more(new)
-        refuse_contradictions(new, everything, ids, self._result.geometry)
+        refuse_contradictions(new, everything, ids, prepared.geometry, prepared.first)
         self._undo.append((self.config, self._clicks, []))
         self.config = self.config.replace(refine=(*self.config.refine, refinement))
         self._clicks = everything
@@ -159,7 +160,7 @@ class Refiner:
         with Workers(available_cores() if self.config.threads == "auto" else self.config.threads) as workers:
             for place, one in enumerate(self._surfaces):
                 own = tuple(click for click in new if click.id in (one.id, NO_OBJECT))
-                mine = Clicks(own, everything.shape).of(one.id).on_box(self._state.prepared.box)
+                mine = Clicks(own, everything.shape).of(one.id)
                 if mine.clicks:
                     changes.append(self._correct(place, mine.clicks, refinement.near, workers, on_step))
         self._seconds += time.perf_counter() - began
@@ -236,7 +237,7 @@ class Refiner:
         distance = self._bounding(one, region, takes)
         if distance is not None:
             energy = MaskConstraint(energy, distance)
-        clicks = self._clicks.of(one.id).on_box(state.prepared.box).on_box(region.box)
+        clicks = self._clicks.of(one.id).on_box(region.box)
         bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
         setup = setup_of(settings, 0, LEVELS, state.prepared.geometry)
         return LocalProblem(

@@ -9,7 +9,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import result_of
-from accelsurf.segmentation.new_clicks import clicks_of
+from accelsurf.segmentation.new_clicks import clicks_of, placed_clicks
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
@@ -42,9 +42,10 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         raise InputError("the state has other objects than its settings name", "run accelsurf segment again")
     objects = tuple(_object(one, known, base) for one, known in zip(state.objects, base.objects, strict=True))
     assert base.state is not None
-    clicks = base.state.clicks or Clicks((), state.shape)
+    prepared = base.state.prepared
+    clicks = base.state.clicks or Clicks((), prepared.geometry.shape)
     for refinement in state.config.refine:
-        clicks = clicks.with_more(clicks_of(refinement, base))
+        clicks = clicks.with_more(placed_clicks(clicks_of(refinement, base), prepared))
     return dataclasses.replace(
         base,
         objects=objects,

@@ -24,11 +24,11 @@ class RunState:
     prepared : PreprocessedInput
         Image and mask of the run.
     contexts : mapping of int to ImageContext
-        Of each of several objects.
+        Of each object.
     energy : Energy or callable or None
         One of the user's own; None for one with a name.
     clicks : Clicks or None
-        All clicks so far, on the image's grid; None for none.
+        All clicks so far, on the grid of the region of interest; None for none.
     totals : mapping of str to ndarray (2, m)
         Of `accelsurf.segmentation.region_totals.RegionTotals`; empty before the first refinement.
     """

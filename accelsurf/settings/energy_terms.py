@@ -105,6 +105,8 @@ class TermSpec:
         Of the settings: what was expected where they contradict each other, else an empty text.
     learns : callable
         Of the settings: whether it learns once from the start, unless it is given something else to learn from.
+    uses_model : bool
+        Whether it is of the model of what a person has clicked, which then gives the start too.
     """
 
     name: str
@@ -121,6 +123,7 @@ class TermSpec:
     reach: str | Callable[[Values, float], float] | None = None
     check: Callable[[Values], str] = _no_complaint
     learns: Callable[[Values], bool] = _never
+    uses_model: bool = False
 
     def is_used(self, key: str, settings: Values) -> bool:
         """Whether a setting of the run acts on the term with these settings of its own."""
