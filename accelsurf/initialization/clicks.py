@@ -91,7 +91,7 @@ def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int
             where = voxel_named(np.argwhere(both)[0], geometry, first)
             of = "" if {one.id for one in clicks.clicks} == {1} else f" of object {id}"
             raise InputError(
-                f"clicks: {where} is clicked both inside and outside{of}", "take one of the two away, or make one smaller"
+                f"clicks: {where} is clicked both inside and outside{of}", "take one away, or make one smaller"
             )
 
 

@@ -221,8 +221,6 @@ class ImageContext:
     def model_start(self) -> Image:
         """Psi, mm, of the first surface that the model gives."""
         start = self.seeded_model().start
-        if start.dtype != np.bool_:
-            return start.copy()
         half = np.float32(0.5 * min(axis_steps(start.shape, self.spacing)))
         return np.where(start, -half, half)
 

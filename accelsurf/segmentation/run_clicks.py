@@ -125,7 +125,7 @@ class RunClicks:
             if self._ids:
                 own = NO_OBJECT if edit.object is None else edit.object
                 to = "inside" if own == NO_OBJECT else side
-                read = [click._replace(id=own, side=to) for click in read]  # type: ignore[arg-type]
+                read = [click._replace(id=own, side=to) for click in read]
             out += read
         return out
 

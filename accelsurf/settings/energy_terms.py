@@ -234,6 +234,15 @@ TERMS: Registry[TermSpec] = Registry(
         sees_image=False,
         signed=True,
     ),
+    TermSpec(
+        "seeded",
+        "what lies nearer to the clicks inside than to those outside and the surroundings; needs --inside",
+        f"{_MAKERS}:seeded",
+        {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
+        uses=("size",),
+        example="seeded",
+        uses_model=True,
+    ),
     TermSpec("area", "the surface's area; its weight is in mm, as --smoothness", f"{_MAKERS}:area", sees_image=False),
 )
 

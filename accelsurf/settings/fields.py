@@ -369,7 +369,7 @@ class SettingFields(BaseModel):
         None,
         "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
         "not bound the result.",
-        entry=SettingEntry(RUN, metavar="VOLUME", fixed=True),
+        entry=SettingEntry(RUN, metavar="VOLUME", scope="term", fixed=True),
     )
     keep_state: Literal["auto", "yes", "no"] = setting(
         "auto",
