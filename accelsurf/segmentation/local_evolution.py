@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from accelsurf.energies import Energy
 from accelsurf.energies.constraints.clicks import ClickConstraint
@@ -16,6 +17,8 @@ from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import LoopState
 from accelsurf.grid.click_bounds import ClickBounds
+from accelsurf.grid.clicks import Side
+from accelsurf.grid.geometry import axis_steps
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.segmentation.near_region import NearRegion, near_bounds, signed_distance, united
 
@@ -28,7 +31,7 @@ class LocalProblem(NamedTuple):
     """What moves, and what holds it; arrays on the box of the region.
 
     ``psi`` (nz, ny, nx) of the surface before, mm; ``spacing``; ``region`` in which it may move; ``clicks``, the bounds
-    of all clicks there; ``start`` (nz, ny, nx) or None, psi to begin from within the region; ``energy`` of the box;
+    of all clicks there; ``won``, voxels (nz, ny, nx) that new clicks win, each with its side; ``energy`` of the box;
     ``setup`` of the solver; ``max_steps`` of this evolution; the ``history`` so far.
     """
 
@@ -36,7 +39,7 @@ class LocalProblem(NamedTuple):
     spacing: Spacing
     region: NearRegion
     clicks: ClickBounds
-    start: NDArray[np.float32] | None
+    won: list[tuple[Side, NDArray[np.bool_]]]
     energy: Energy
     setup: SolverSetup
     max_steps: int
@@ -71,7 +74,10 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     before = signed_distance(psi, float(surface.gamma), spacing)
     bounds = united(near_bounds(before, problem.region, spacing), problem.clicks)
     dense = surface.dense.psi.reshape(surface.shape)
-    dense[...] = before if problem.start is None else np.where(problem.region.mask, problem.start, before)
+    dense[...] = before
+    for side, basin in problem.won:
+        distance = _distance_to(basin & problem.region.mask, spacing)
+        np.copyto(dense, np.minimum(dense, distance) if side == "inside" else np.maximum(dense, -distance))
     bounds.apply(dense)
     surface.reinitialize(setup.half_width)
     past = problem.history
@@ -96,6 +102,18 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
         stop = stop._replace(reason="leaked", message=message)
     psi_after = np.where(problem.region.mask, surface.psi, psi)
     return LocalOutcome(psi_after, list(evolution.history), stop)
+
+
+def _distance_to(mask: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:
+    """Signed distance, mm, to some voxels, negative in them."""
+    if not mask.any():
+        return np.full(mask.shape, 1e6, np.float32)
+    half = 0.5 * min(axis_steps(mask.shape, spacing))
+    outside = ndimage.distance_transform_edt(~mask, spacing) - half
+    if mask.all():
+        return np.full(mask.shape, -1e6, np.float32)
+    inside = half - ndimage.distance_transform_edt(mask, spacing)
+    return np.where(mask, inside, outside).astype(np.float32)
 
 
 def _measures(surface: LevelSet) -> tuple[float, float]:

@@ -74,28 +74,46 @@ def around_clicks(
     return NearRegion(box, np.asarray(distance <= near), min(rim, 0.5 * near))
 
 
-def around_change(
-    changed: NDArray[np.bool_], at: Box, rim: float, shape: Sequence[int], spacing: Spacing, margin: float
+def around_changes(
+    changes: Sequence[tuple[Box, NDArray[np.bool_]]],
+    clicks: Sequence[Click],
+    rim: float,
+    shape: Sequence[int],
+    spacing: Spacing,
+    margin: float,
 ) -> NearRegion | None:
-    """The region of voxels whose force a click has changed, and the rim around them; None where there are none.
+    """The region where clicks have changed the force, with the clicks and the rim around; None where that is nothing.
 
     Parameters
     ----------
-    changed : ndarray of bool
-        On the box ``at`` of the grid.
-    at : tuple of slice
+    changes : sequence of (Box, ndarray of bool)
+        Where the force changed, each on a box of the grid.
+    clicks : sequence of Click
     rim, shape, spacing, margin
         As of `around_clicks`.
     """
-    inner = bounding_box(changed)
-    if inner is None:
+    parts = [(box, mask) for box, mask in changes if mask.any()]
+    if not parts:
         return None
-    z, y, x = (slice(s.start + a.start, s.stop + a.start) for s, a in zip(inner, at, strict=True))
+    parts += [(click.box, click.mask) for click in clicks]
+    tight = [_tight(box, mask) for box, mask in parts]
+    low = np.min([corner_of(box) for box, _ in tight], axis=0)
+    high = np.max([[s.stop for s in box] for box, _ in tight], axis=0)
+    first = (int(low[0]), int(low[1]), int(low[2]))
     room = [math.ceil((rim + margin) / h) + 1 for h in spacing]
-    box = widened((z, y, x), shape, room)
-    mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
-    mask[tuple(slice(s.start - b.start, s.stop - b.start) for s, b in zip((z, y, x), box, strict=True))] = changed[inner]
-    return NearRegion(box, np.asarray(ndimage.distance_transform_edt(~mask, spacing) <= rim), rim)
+    box = widened(box_at(first, tuple(high - low)), shape, room)
+    whole = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
+    for at, mask in tight:
+        whole[tuple(slice(s.start - b.start, s.stop - b.start) for s, b in zip(at, box, strict=True))] |= mask
+    return NearRegion(box, np.asarray(ndimage.distance_transform_edt(~whole, spacing) <= rim), rim)
+
+
+def _tight(box: Box, mask: NDArray[np.bool_]) -> tuple[Box, NDArray[np.bool_]]:
+    """The smallest part of a box with all voxels of its mask."""
+    inner = bounding_box(mask)
+    assert inner is not None
+    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(inner, box, strict=True))
+    return (z, y, x), mask[inner]
 
 
 def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:

@@ -57,6 +57,12 @@ def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple
     return own
 
 
+def clicks_on(new: Sequence[Click], id: int) -> tuple[Click, ...]:
+    """The new clicks that an object answers to, as it sees them: its own, and those on no object."""
+    own = tuple(click for click in new if click.id in (id, NO_OBJECT))
+    return Clicks(own, (0, 0, 0)).of(id).clicks
+
+
 def check_object(refinement: Refinement, ids: Sequence[int] | None) -> None:
     """Refuse a correction of an object that there is not; ``ids`` is None where there is one without an id.
 

@@ -16,12 +16,13 @@ from accelsurf.errors import UsageError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared
 from accelsurf.grid.click_bounds import click_bounds
-from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.grid.clicks import Click, Clicks, Side
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, measures_of
-from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
-from accelsurf.segmentation.new_clicks import check_object, clicks_of, placed_clicks, refuse_contradictions
+from accelsurf.segmentation.local_model import ModelChange, basin_of, local_models
+from accelsurf.segmentation.near_region import NearRegion, around_changes, around_clicks, automatic_near, rim_width
+from accelsurf.segmentation.new_clicks import check_object, clicks_of, clicks_on, placed_clicks, refuse_contradictions
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.result import Result, SegmentedObject
@@ -72,6 +73,15 @@ class _Before(NamedTuple):
     totals: dict[str, NDArray[np.float64]]
 
 
+class _Correction(NamedTuple):
+    """What `Refiner.undo` needs of a correction: settings and clicks before it, and what it changed, in order."""
+
+    config: RunConfig
+    clicks: Clicks
+    surfaces: list[_Before]
+    models: list[tuple[int, ModelChange]]
+
+
 class Refiner:
     """A finished run that is corrected, click by click.
 
@@ -108,7 +118,8 @@ class Refiner:
         self._surfaces = [self._surface_of(one) for one in result.objects]
         self._regional = RegionTotals(self._images, self._surfaces[0].psi, state.totals)
         self._clicks = state.clicks or Clicks((), self._shape)
-        self._undo: list[tuple[RunConfig, Clicks, list[_Before]]] = []
+        self._models = local_models(state, self._settings, [one.id for one in self._surfaces])
+        self._undo: list[_Correction] = []
         self._seconds = 0.0
 
     def _surface_of(self, one: SegmentedObject) -> _Surface:
@@ -152,17 +163,15 @@ class Refiner:
         new = placed_clicks(clicks_of(refinement, self._result) if clicks is None else clicks, prepared)
         everything = self._clicks.with_more(new)
         refuse_contradictions(new, everything, ids, prepared.geometry, prepared.first)
-        self._undo.append((self.config, self._clicks, []))
+        self._undo.append(_Correction(self.config, self._clicks, [], []))
         self.config = self.config.replace(refine=(*self.config.refine, refinement))
         self._clicks = everything
         began = time.perf_counter()
         changes = []
         with Workers(available_cores() if self.config.threads == "auto" else self.config.threads) as workers:
             for place, one in enumerate(self._surfaces):
-                own = tuple(click for click in new if click.id in (one.id, NO_OBJECT))
-                mine = Clicks(own, everything.shape).of(one.id)
-                if mine.clicks:
-                    changes.append(self._correct(place, mine.clicks, refinement.near, workers, on_step))
+                if mine := clicks_on(new, one.id):
+                    changes.append(self._correct(place, mine, refinement.near, workers, on_step))
         self._seconds += time.perf_counter() - began
         return tuple(changes)
 
@@ -170,8 +179,11 @@ class Refiner:
         """Go back to the state before the last correction; with none nothing happens."""
         if not self._undo:
             return
-        self.config, self._clicks, changed = self._undo.pop()
-        for place, before, box, psi, totals in reversed(changed):
+        last = self._undo.pop()
+        self.config, self._clicks = last.config, last.clicks
+        for id, change in reversed(last.models):
+            self._models[id].undo(change)
+        for place, before, box, psi, totals in reversed(last.surfaces):
             before.psi[box] = psi
             self._surfaces[place] = before
             self._regional.totals = totals
@@ -182,12 +194,11 @@ class Refiner:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
         one = self._grown(place, _box_around(new))
-        at = box_at(one.corner, one.psi.shape)
-        placed = Clicks(tuple(new), self._shape).on_box(at).clicks
-        if all(((one.psi[click.box] < 0) == (click.side == "inside"))[click.mask].all() for click in placed):
+        won = self._won(one.id, new)
+        if self._are_kept(one, new) and not any(self._is_near(one, change) for change in won):
             return Change(one.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, one.stop)
         takes = frozenset(self._holders(new)) - {place}
-        region = self._region(one, new, placed, near)
+        region = self._region(one, new, won, near)
         one = self._grown(place, region.box)
         box = _within(region.box, one.corner)
         psi = one.psi[box].copy()
@@ -195,7 +206,7 @@ class Refiner:
         if self._result.has_ids:
             domain = box_at(one.corner, one.psi.shape)
             totals = RegionTotals([image[domain] for image in self._images], one.psi)
-        problem = self._problem(one, region, psi, totals, box, takes)
+        problem = self._problem(one, region, psi, totals, takes)._replace(won=self._basins(one.id, new, won, region))
         outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, one.id))
         inside = one.inside + _count(outcome.psi) - _count(psi)
         stop = _stop_of(outcome.stop, inside, math.prod(self._shape))
@@ -209,31 +220,74 @@ class Refiner:
         """Put a changed part of a surface in its place, so that `undo` can take it back."""
         one = self._surfaces[place]
         before = one.psi[box].copy()
-        self._undo[-1][2].append(_Before(place, one, box, before, dict(self._regional.totals)))
+        self._undo[-1].surfaces.append(_Before(place, one, box, before, dict(self._regional.totals)))
         one.psi[box] = psi
         if not self._result.has_ids:
             self._regional.change(box, before < 0, psi < 0)
         self._surfaces[place] = after
 
-    def _region(self, one: _Surface, new: Sequence[Click], placed: Sequence[Click], near: float | str) -> NearRegion:
-        """Where the surface may move for new clicks; ``placed`` are the same on the surface's own array."""
+    def _won(self, id: int, new: Sequence[Click]) -> list[ModelChange]:
+        """Change the model of an object by new clicks; none where its energy has no model."""
+        if id not in self._models:
+            return []
+        won = [self._models[id].add(click) for click in new]
+        self._undo[-1].models.extend((id, change) for change in won)
+        return won
+
+    def _are_kept(self, one: _Surface, new: Sequence[Click]) -> bool:
+        """Whether all voxels of new clicks are on their sides already."""
+        placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape)).clicks
+        return all(((one.psi[click.box] < 0) == (click.side == "inside"))[click.mask].all() for click in placed)
+
+    def _is_near(self, one: _Surface, change: ModelChange) -> bool:
+        """Whether a change of the model comes within the band of a surface."""
+        mine, theirs = shared(one.corner, one.psi.shape, corner_of(change.box), change.mask.shape)
+        if any(s.start >= s.stop for s in mine):
+            return False
+        band = np.abs(one.psi[mine]) < half_width(self._settings) * max(self._spacing)
+        return bool((band & change.mask[theirs]).any())
+
+    def _basins(
+        self, id: int, new: Sequence[Click], won: Sequence[ModelChange], region: NearRegion
+    ) -> list[tuple[Side, NDArray[np.bool_]]]:
+        """What new clicks win by the model, with their sides, on the box of a region."""
+        out: list[tuple[Side, NDArray[np.bool_]]] = []
+        for click, change in zip(new, won, strict=False):
+            basin = basin_of(click, change.box, change.mask, self._models[id].field[change.box])
+            mask = np.zeros(region.mask.shape, np.bool_)
+            mine, theirs = shared(corner_of(region.box), mask.shape, corner_of(change.box), basin.shape)
+            if all(s.start < s.stop for s in mine):
+                mask[mine] = basin[theirs]
+            out.append((click.side, mask))
+        return out
+
+    def _region(
+        self, one: _Surface, new: Sequence[Click], won: Sequence[ModelChange], near: float | str
+    ) -> NearRegion:
+        """Where the surface may move for new clicks: within ``near``, or where they win, or by their depth."""
         rim = rim_width(self._shape, self._spacing)
         margin = max(MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1), self._reach)
+        if isinstance(near, str) and won:
+            found = around_changes([(c.box, c.mask) for c in won], new, rim, self._shape, self._spacing, margin)
+            if found is not None:
+                return found
         if isinstance(near, str):
+            placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape)).clicks
             near = automatic_near(one.psi, placed, self._spacing) + rim
         return around_clicks(new, near, rim, self._shape, self._spacing, margin)
 
     def _problem(
-        self, one: _Surface, region: NearRegion, psi: NDArray[np.float32], totals: RegionTotals, box: Box,
-        takes: frozenset[int],
+        self, one: _Surface, region: NearRegion, psi: NDArray[np.float32], totals: RegionTotals, takes: frozenset[int]
     ) -> LocalProblem:
         """What is evolved for a region: energy and clicks on its box."""
         state = self._state
         settings = self._settings.replace(seed=None if self.config.seed is None else self.config.seed + one.id)
-        context = state.contexts.get(one.id, state.prepared.context).seeing_elsewhere(totals, box)
+        context = state.contexts[one.id].seeing_elsewhere(totals, _within(region.box, one.corner))
         images = [np.ascontiguousarray(image[region.box]) for image in self._images]
         make = energy_maker(state.energy, settings, 1, self._result.has_ids)
-        energy = make(images[0], self._spacing, context.with_channels(images[1:])).energy
+        model = self._models.get(one.id)
+        field = None if model is None else lambda: np.ascontiguousarray(model.field[region.box])
+        energy = make(images[0], self._spacing, context.with_channels(images[1:], field)).energy
         distance = self._bounding(one, region, takes)
         if distance is not None:
             energy = MaskConstraint(energy, distance)
@@ -241,7 +295,7 @@ class Refiner:
         bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
         setup = setup_of(settings, 0, LEVELS, state.prepared.geometry)
         return LocalProblem(
-            psi, self._spacing, region, bounds, None, energy, setup, self.config.max_steps, one.history
+            psi, self._spacing, region, bounds, [], energy, setup, self.config.max_steps, one.history
         )
 
     # -- several objects -----------------------------------------------------------------------------------
@@ -311,7 +365,10 @@ class Refiner:
         """The present state as a result; later corrections do not change it."""
         base = self._result
         objects = tuple(self._object(one, now) for one, now in zip(base.objects, self._surfaces, strict=True))
-        state = dataclasses.replace(self._state, totals=dict(self._regional.totals), clicks=self._clicks)
+        models = {id: model.model() for id, model in self._models.items()}
+        state = dataclasses.replace(
+            self._state, totals=dict(self._regional.totals), clicks=self._clicks, models=models
+        )
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
         return dataclasses.replace(base, objects=objects, config=self.config, state=state, seconds=seconds)
 

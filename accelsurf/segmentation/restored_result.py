@@ -9,7 +9,8 @@ from accelsurf.errors import InputError
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import result_of
-from accelsurf.segmentation.new_clicks import clicks_of, placed_clicks
+from accelsurf.segmentation.local_model import local_models
+from accelsurf.segmentation.new_clicks import clicks_of, clicks_on, placed_clicks
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
@@ -44,8 +45,13 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
     assert base.state is not None
     prepared = base.state.prepared
     clicks = base.state.clicks or Clicks((), prepared.geometry.shape)
+    models = local_models(base.state, base.config, [one.id for one in objects])
     for refinement in state.config.refine:
-        clicks = clicks.with_more(placed_clicks(clicks_of(refinement, base), prepared))
+        new = placed_clicks(clicks_of(refinement, base), prepared)
+        clicks = clicks.with_more(new)
+        for id, model in models.items():
+            for click in clicks_on(new, id):
+                model.add(click)
     return dataclasses.replace(
         base,
         objects=objects,
@@ -53,7 +59,9 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         levels=list(state.levels),
         edits_done=state.edits_done,
         warnings=list(state.warnings),
-        state=dataclasses.replace(base.state, totals=dict(state.totals), clicks=clicks),
+        state=dataclasses.replace(
+            base.state, totals=dict(state.totals), clicks=clicks, models={id: one.model() for id, one in models.items()},
+        ),
     )
 
 
