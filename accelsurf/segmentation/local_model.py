@@ -74,7 +74,7 @@ class LocalModel:
         )
 
     def add(self, click: Click) -> ModelChange:
-        """Change the model where a click arrives earlier than all before, by the march of `seeded_model`.
+        """Change the model where a click arrives earlier than all before, and nowhere else; by the march of `seeded_model`.
 
         Parameters
         ----------
@@ -120,7 +120,8 @@ class LocalModel:
         times, _ = arrival(field_of(images, self._spacing, passes), learn(images, self._spacing, placed), seeds, cap)
         nearer = balance(times, cap).reshape(shape)
         inside = click.side == "inside"
-        force = np.minimum(field, nearer) if inside else np.maximum(field, -nearer)
+        came = np.isfinite(times).reshape(shape)
+        force = np.where(came, np.minimum(field, nearer) if inside else np.maximum(field, -nearer), field)
         force[placed.box][placed.mask] = -CLICKED if inside else CLICKED
         earlier = np.minimum(times_in if inside else times_out, times.reshape(shape))
         pair = (earlier, times_out) if inside else (times_in, earlier)
@@ -137,25 +138,24 @@ def _meets_edge(changed: NDArray[np.bool_], box: Box, shape: Sequence[int]) -> b
     return False
 
 
-def basin_of(click: Click, box: Box, changed: NDArray[np.bool_], field: Image) -> NDArray[np.bool_]:
-    """Voxels of a box that a click wins: where the changed field is on its side, connected to it.
+def basin_of(click: Click, change: ModelChange, field: Image) -> Click:
+    """What a click wins, as a click: its voxels, and those connected to it whose field is now on its side by it.
 
     Parameters
     ----------
     click : Click
-    box : tuple of slice
-        Has the click.
-    changed : ndarray of bool
-        Where the click changed the field, on the box.
-    field : ndarray, float32
-        On the box, after the click.
+    change : ModelChange
+        That it made.
+    field : ndarray (nz, ny, nx), float32
+        After the click.
     """
-    (placed,) = Clicks((click,), tuple(s.stop for s in box)).on_box(box).clicks  # type: ignore[arg-type]
-    own = changed & ((field < 0) if click.side == "inside" else (field > 0))
+    (placed,) = Clicks((click,), (field.shape[0], field.shape[1], field.shape[2])).on_box(change.box).clicks
+    now = field[change.box]
+    own = change.mask & ((now < 0) if click.side == "inside" else (now > 0))
     own[placed.box] |= placed.mask
     labels, _ = ndimage.label(own)
     found = np.unique(labels[placed.box][placed.mask])
-    return np.asarray(np.isin(labels, found[found > 0]))
+    return click._replace(box=change.box, mask=np.asarray(np.isin(labels, found[found > 0])))
 
 
 def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> dict[int, LocalModel]:

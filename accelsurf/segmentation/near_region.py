@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, widened
+from accelsurf.grid.boxes import Box, box_at, corner_of, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import axis_steps
@@ -57,7 +57,7 @@ def around_clicks(
     near : float
         How far the surface may move, mm.
     rim : float
-        Width of the rim, mm; at most half of ``near`` is used.
+        Width of the rim, mm.
     shape : (nz, ny, nx)
         Of the grid.
     spacing : (hz, hy, hx)
@@ -71,49 +71,7 @@ def around_clicks(
     room = [math.ceil((near + margin) / h) + 1 for h in spacing]
     box = widened(box_at(first, tuple(high - low)), shape, room)
     distance = ndimage.distance_transform_edt(~_voxels(clicks, box), spacing)
-    return NearRegion(box, np.asarray(distance <= near), min(rim, 0.5 * near))
-
-
-def around_changes(
-    changes: Sequence[tuple[Box, NDArray[np.bool_]]],
-    clicks: Sequence[Click],
-    rim: float,
-    shape: Sequence[int],
-    spacing: Spacing,
-    margin: float,
-) -> NearRegion | None:
-    """The region where clicks have changed the force, with the clicks and the rim around; None where that is nothing.
-
-    Parameters
-    ----------
-    changes : sequence of (Box, ndarray of bool)
-        Where the force changed, each on a box of the grid.
-    clicks : sequence of Click
-    rim, shape, spacing, margin
-        As of `around_clicks`.
-    """
-    parts = [(box, mask) for box, mask in changes if mask.any()]
-    if not parts:
-        return None
-    parts += [(click.box, click.mask) for click in clicks]
-    tight = [_tight(box, mask) for box, mask in parts]
-    low = np.min([corner_of(box) for box, _ in tight], axis=0)
-    high = np.max([[s.stop for s in box] for box, _ in tight], axis=0)
-    first = (int(low[0]), int(low[1]), int(low[2]))
-    room = [math.ceil((rim + margin) / h) + 1 for h in spacing]
-    box = widened(box_at(first, tuple(high - low)), shape, room)
-    whole = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
-    for at, mask in tight:
-        whole[tuple(slice(s.start - b.start, s.stop - b.start) for s, b in zip(at, box, strict=True))] |= mask
-    return NearRegion(box, np.asarray(ndimage.distance_transform_edt(~whole, spacing) <= rim), rim)
-
-
-def _tight(box: Box, mask: NDArray[np.bool_]) -> tuple[Box, NDArray[np.bool_]]:
-    """The smallest part of a box with all voxels of its mask."""
-    inner = bounding_box(mask)
-    assert inner is not None
-    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(inner, box, strict=True))
-    return (z, y, x), mask[inner]
+    return NearRegion(box, np.asarray(distance <= near), rim)
 
 
 def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, shared
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks, Side
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, measures_of
 from accelsurf.segmentation.local_model import ModelChange, basin_of, local_models
-from accelsurf.segmentation.near_region import NearRegion, around_changes, around_clicks, automatic_near, rim_width
+from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
 from accelsurf.segmentation.new_clicks import check_object, clicks_of, clicks_on, placed_clicks, refuse_contradictions
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.region_totals import RegionTotals
@@ -194,8 +194,8 @@ class Refiner:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
         one = self._grown(place, _box_around(new))
-        won = self._won(one.id, new)
-        if self._are_kept(one, new) and not any(self._is_near(one, change) for change in won):
+        won = self._won(one, new)
+        if not won:
             return Change(one.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, one.stop)
         takes = frozenset(self._holders(new)) - {place}
         region = self._region(one, new, won, near)
@@ -206,7 +206,7 @@ class Refiner:
         if self._result.has_ids:
             domain = box_at(one.corner, one.psi.shape)
             totals = RegionTotals([image[domain] for image in self._images], one.psi)
-        problem = self._problem(one, region, psi, totals, takes)._replace(won=self._basins(one.id, new, won, region))
+        problem = self._problem(one, region, psi, totals, takes)._replace(won=_on_box(won, region.box))
         outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, one.id))
         inside = one.inside + _count(outcome.psi) - _count(psi)
         stop = _stop_of(outcome.stop, inside, math.prod(self._shape))
@@ -226,54 +226,33 @@ class Refiner:
             self._regional.change(box, before < 0, psi < 0)
         self._surfaces[place] = after
 
-    def _won(self, id: int, new: Sequence[Click]) -> list[ModelChange]:
-        """Change the model of an object by new clicks; none where its energy has no model."""
-        if id not in self._models:
-            return []
-        won = [self._models[id].add(click) for click in new]
-        self._undo[-1].models.extend((id, change) for change in won)
-        return won
+    def _won(self, one: _Surface, new: Sequence[Click]) -> list[Click]:
+        """What new clicks win of an object: their own voxels and those of their basins, where a side is wrong.
 
-    def _are_kept(self, one: _Surface, new: Sequence[Click]) -> bool:
-        """Whether all voxels of new clicks are on their sides already."""
-        placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape)).clicks
-        return all(((one.psi[click.box] < 0) == (click.side == "inside"))[click.mask].all() for click in placed)
-
-    def _is_near(self, one: _Surface, change: ModelChange) -> bool:
-        """Whether a change of the model comes within the band of a surface."""
-        mine, theirs = shared(one.corner, one.psi.shape, corner_of(change.box), change.mask.shape)
-        if any(s.start >= s.stop for s in mine):
-            return False
-        band = np.abs(one.psi[mine]) < half_width(self._settings) * max(self._spacing)
-        return bool((band & change.mask[theirs]).any())
-
-    def _basins(
-        self, id: int, new: Sequence[Click], won: Sequence[ModelChange], region: NearRegion
-    ) -> list[tuple[Side, NDArray[np.bool_]]]:
-        """What new clicks win by the model, with their sides, on the box of a region."""
-        out: list[tuple[Side, NDArray[np.bool_]]] = []
-        for click, change in zip(new, won, strict=False):
-            basin = basin_of(click, change.box, change.mask, self._models[id].field[change.box])
-            mask = np.zeros(region.mask.shape, np.bool_)
-            mine, theirs = shared(corner_of(region.box), mask.shape, corner_of(change.box), basin.shape)
-            if all(s.start < s.stop for s in mine):
-                mask[mine] = basin[theirs]
-            out.append((click.side, mask))
-        return out
+        Nothing where all are on their sides already, and the model gives them nothing else.
+        """
+        won = list(new)
+        if one.id in self._models:
+            won = []
+            for click in new:
+                change = self._models[one.id].add(click)
+                self._undo[-1].models.append((one.id, change))
+                won.append(basin_of(click, change, self._models[one.id].field))
+        wrong = [_wrong_part(click, one) for click in won]
+        return [click for click in wrong if click is not None]
 
     def _region(
-        self, one: _Surface, new: Sequence[Click], won: Sequence[ModelChange], near: float | str
+        self, one: _Surface, new: Sequence[Click], won: Sequence[Click], near: float | str
     ) -> NearRegion:
         """Where the surface may move for new clicks: within ``near``, or where they win, or by their depth."""
         rim = rim_width(self._shape, self._spacing)
         margin = max(MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1), self._reach)
-        if isinstance(near, str) and won:
-            found = around_changes([(c.box, c.mask) for c in won], new, rim, self._shape, self._spacing, margin)
-            if found is not None:
-                return found
-        if isinstance(near, str):
-            placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape)).clicks
-            near = automatic_near(one.psi, placed, self._spacing) + rim
+        if not isinstance(near, str):
+            return around_clicks(new, near, min(rim, 0.5 * near), self._shape, self._spacing, margin)
+        if one.id in self._models:
+            return around_clicks([*new, *won], rim, rim, self._shape, self._spacing, margin)
+        placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape)).clicks
+        near = automatic_near(one.psi, placed, self._spacing) + rim
         return around_clicks(new, near, rim, self._shape, self._spacing, margin)
 
     def _problem(
@@ -407,6 +386,32 @@ def _within(box: Box, corner: Corner) -> Box:
     """A box counted from another first voxel."""
     z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, corner, strict=True))
     return z, y, x
+
+
+def _wrong_part(click: Click, one: _Surface) -> Click | None:
+    """The voxels of a click that are not on its side; None where there are none. Beyond its array nothing is inside."""
+    inside = np.zeros(click.mask.shape, np.bool_)
+    mine, theirs = shared(corner_of(click.box), inside.shape, one.corner, one.psi.shape)
+    if all(s.start < s.stop for s in mine):
+        inside[mine] = one.psi[theirs] < 0
+    wrong = click.mask & (inside != (click.side == "inside"))
+    tight = bounding_box(wrong)
+    if tight is None:
+        return None
+    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, click.box, strict=True))
+    return click._replace(box=(z, y, x), mask=wrong[tight])
+
+
+def _on_box(clicks: Sequence[Click], box: Box) -> list[tuple[Side, NDArray[np.bool_]]]:
+    """The voxels of clicks on a box, with their sides."""
+    out: list[tuple[Side, NDArray[np.bool_]]] = []
+    for click in clicks:
+        mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
+        mine, theirs = shared(corner_of(box), mask.shape, corner_of(click.box), click.mask.shape)
+        if all(s.start < s.stop for s in mine):
+            mask[mine] = click.mask[theirs]
+        out.append((click.side, mask))
+    return out
 
 
 def _box_around(clicks: Sequence[Click]) -> Box:
