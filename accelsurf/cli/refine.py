@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, RUN, SHOW, Display, Overwrite, required
-from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.errors import InputError, OutputError
 from accelsurf.settings.refinements import Refinement, refinements_of
 
 if TYPE_CHECKING:
@@ -90,7 +90,8 @@ def refine(
     compute = _Refinement(source, refinement, in_place)
     done = run_case(place, source.state.config, Watcher(display), strict, compute)
     if not display.quiet:
-        lines = summary_lines(place.name, done.result, done.log.outputs, done.place.report_path, done.log.seconds["total"])
+        log = done.log
+        lines = summary_lines(place.name, done.result, log.outputs, done.place.report_path, log.seconds["total"])
         print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
     return done.code
 

@@ -15,7 +15,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
-from accelsurf.segmentation.refine import refined, state_of
+from accelsurf.segmentation.refine import state_of, with_refinements
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
@@ -84,7 +84,7 @@ def segment(
     """
     with _run_of(volume, spacing, channels, config, energy, options) as run:
         result = _result_at_end(run, None if on_step is None else lambda record, own: on_step(record))
-    return refined(result, None if on_step is None else lambda record, own: on_step(record))
+    return with_refinements(result, None if on_step is None else lambda record, own: on_step(record))
 
 
 def evolve(
@@ -182,7 +182,7 @@ def segment_objects(
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     with _run_of(volume, spacing, channels, config, energy, options, objects) as run:
         result = _result_at_end(run, on_step)
-    return refined(result, on_step)
+    return with_refinements(result, on_step)
 
 
 def _result_at_end(run: Run, on_step: Callable[[StepRecord, int], bool | None] | None) -> Result:

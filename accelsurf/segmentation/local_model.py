@@ -74,7 +74,9 @@ class LocalModel:
         )
 
     def add(self, click: Click) -> ModelChange:
-        """Change the model where a click arrives earlier than all before, and nowhere else; by the march of `seeded_model`.
+        """Change the model where a click arrives earlier than all before, and nowhere else.
+
+        By the march of `seeded_model`, in a box that grows until the march does not come to its edge.
 
         Parameters
         ----------

@@ -78,7 +78,8 @@ def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
     """The voxels of clicks that lie in a box."""
     mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
     for click in clicks:
-        mask[tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True))] |= click.mask
+        at = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True))
+        mask[at] |= click.mask
     return mask
 
 

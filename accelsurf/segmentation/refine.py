@@ -70,7 +70,7 @@ def refine(
     return refiner.result()
 
 
-def refined(result: Result, on_step: OnObjectStep | None = None) -> Result:
+def with_refinements(result: Result, on_step: OnObjectStep | None = None) -> Result:
     """Make the corrections of a run's settings after it has ended; of one that was interrupted none is made."""
     wanted = result.config.refine
     if not wanted:

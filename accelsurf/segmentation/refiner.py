@@ -14,11 +14,21 @@ from numpy.typing import NDArray
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, shared
+from accelsurf.grid.boxes import Box, box_at, corner_of, shared
 from accelsurf.grid.click_bounds import click_bounds
-from accelsurf.grid.clicks import Click, Clicks, Side
+from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import Workers
+from accelsurf.segmentation.corrected_surface import (
+    CorrectedSurface,
+    box_around,
+    count_inside,
+    counted_from,
+    frozen_settings,
+    on_box,
+    stop_of_whole,
+    wrong_part,
+)
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, measures_of
 from accelsurf.segmentation.local_model import ModelChange, basin_of, local_models
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
@@ -49,25 +59,11 @@ class Change(NamedTuple):
     stop: Stop
 
 
-class _Surface(NamedTuple):
-    """A surface between two corrections, as a value: psi (nz, ny, nx) from voxel ``corner`` of the region of interest.
-
-    ``inside`` is the number of its voxels.
-    """
-
-    id: int
-    corner: Corner
-    psi: NDArray[np.float32]
-    inside: int
-    history: list[StepRecord]
-    stop: Stop
-
-
 class _Before(NamedTuple):
     """What `Refiner.undo` puts back: a surface, and its psi in the ``box`` of its array that was changed."""
 
     place: int
-    surface: _Surface
+    surface: CorrectedSurface
     box: Box
     psi: NDArray[np.float32]
     totals: dict[str, NDArray[np.float64]]
@@ -122,7 +118,7 @@ class Refiner:
         self._undo: list[_Correction] = []
         self._seconds = 0.0
 
-    def _surface_of(self, one: SegmentedObject) -> _Surface:
+    def _surface_of(self, one: SegmentedObject) -> CorrectedSurface:
         """The surface of an object on the grid of the region of interest."""
         roi = self._state.prepared.box
         box = tuple(slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(one.box, roi, strict=True))
@@ -130,7 +126,7 @@ class Refiner:
         psi = np.array(one.psi[part], np.float32, order="C")
         z, y, x = (s.start - r.start for s, r in zip(box, roi, strict=True))
         inside = int(np.count_nonzero(psi < 0))
-        return _Surface(one.id, (z, y, x), psi, inside, one.history, one.stop)
+        return CorrectedSurface(one.id, (z, y, x), psi, inside, one.history, one.stop)
 
     # -- corrections ---------------------------------------------------------------------------------------
 
@@ -193,30 +189,30 @@ class Refiner:
     ) -> Change:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
-        one = self._grown(place, _box_around(new))
+        one = self._grown(place, box_around(new))
         won = self._won(one, new)
         if not won:
             return Change(one.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, one.stop)
         takes = frozenset(self._holders(new)) - {place}
         region = self._region(one, new, won, near)
         one = self._grown(place, region.box)
-        box = _within(region.box, one.corner)
+        box = counted_from(region.box, one.corner)
         psi = one.psi[box].copy()
         totals = self._regional
         if self._result.has_ids:
             domain = box_at(one.corner, one.psi.shape)
             totals = RegionTotals([image[domain] for image in self._images], one.psi)
-        problem = self._problem(one, region, psi, totals, takes)._replace(won=_on_box(won, region.box))
+        problem = self._problem(one, region, psi, totals, takes)._replace(won=on_box(won, region.box))
         outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, one.id))
-        inside = one.inside + _count(outcome.psi) - _count(psi)
-        stop = _stop_of(outcome.stop, inside, math.prod(self._shape))
+        inside = one.inside + count_inside(outcome.psi) - count_inside(psi)
+        stop = stop_of_whole(outcome.stop, inside, math.prod(self._shape))
         self._put(place, box, outcome.psi, one._replace(inside=inside, history=outcome.history, stop=stop))
         for other in sorted(takes):
-            self._cut(other, region, outcome.psi, workers)
+            self._take_from(other, region, outcome.psi, workers)
         changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
         return Change(one.id, region.box, changed, time.perf_counter() - began, stop)
 
-    def _put(self, place: int, box: Box, psi: NDArray[np.float32], after: _Surface) -> None:
+    def _put(self, place: int, box: Box, psi: NDArray[np.float32], after: CorrectedSurface) -> None:
         """Put a changed part of a surface in its place, so that `undo` can take it back."""
         one = self._surfaces[place]
         before = one.psi[box].copy()
@@ -226,7 +222,7 @@ class Refiner:
             self._regional.change(box, before < 0, psi < 0)
         self._surfaces[place] = after
 
-    def _won(self, one: _Surface, new: Sequence[Click]) -> list[Click]:
+    def _won(self, one: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
         """What new clicks win of an object: their own voxels and those of their basins, where a side is wrong.
 
         Nothing where all are on their sides already, and the model gives them nothing else.
@@ -238,11 +234,11 @@ class Refiner:
                 change = self._models[one.id].add(click)
                 self._undo[-1].models.append((one.id, change))
                 won.append(basin_of(click, change, self._models[one.id].field))
-        wrong = [_wrong_part(click, one) for click in won]
+        wrong = [wrong_part(click, one) for click in won]
         return [click for click in wrong if click is not None]
 
     def _region(
-        self, one: _Surface, new: Sequence[Click], won: Sequence[Click], near: float | str
+        self, one: CorrectedSurface, new: Sequence[Click], won: Sequence[Click], near: float | str
     ) -> NearRegion:
         """Where the surface may move for new clicks: within ``near``, or where they win, or by their depth."""
         rim = rim_width(self._shape, self._spacing)
@@ -256,12 +252,17 @@ class Refiner:
         return around_clicks(new, near, rim, self._shape, self._spacing, margin)
 
     def _problem(
-        self, one: _Surface, region: NearRegion, psi: NDArray[np.float32], totals: RegionTotals, takes: frozenset[int]
+        self,
+        one: CorrectedSurface,
+        region: NearRegion,
+        psi: NDArray[np.float32],
+        totals: RegionTotals,
+        takes: frozenset[int],
     ) -> LocalProblem:
         """What is evolved for a region: energy and clicks on its box."""
         state = self._state
         settings = self._settings.replace(seed=None if self.config.seed is None else self.config.seed + one.id)
-        context = state.contexts[one.id].seeing_elsewhere(totals, _within(region.box, one.corner))
+        context = state.contexts[one.id].seeing_elsewhere(totals, counted_from(region.box, one.corner))
         images = [np.ascontiguousarray(image[region.box]) for image in self._images]
         make = energy_maker(state.energy, settings, 1, self._result.has_ids)
         model = self._models.get(one.id)
@@ -288,7 +289,7 @@ class Refiner:
                 out.append(place)
         return out
 
-    def _bounding(self, one: _Surface, region: NearRegion, takes: frozenset[int]) -> NDArray[np.float32] | None:
+    def _bounding(self, one: CorrectedSurface, region: NearRegion, takes: frozenset[int]) -> NDArray[np.float32] | None:
         """Signed distance, mm, that bounds an object: that of the mask, and those to others it takes nothing from."""
         mask = self._state.prepared.mask_distance
         distance = None if mask is None else mask[region.box]
@@ -306,7 +307,7 @@ class Refiner:
             distance[mine] = np.maximum(distance[mine], -other.psi[theirs])
         return distance
 
-    def _cut(self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers) -> None:
+    def _take_from(self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers) -> None:
         """Take from an object what another has gained in a region."""
         one = self._surfaces[place]
         mine, theirs = shared(corner_of(region.box), winner.shape, one.corner, one.psi.shape)
@@ -320,11 +321,11 @@ class Refiner:
         last = last._replace(
             volume_mm3=last.volume_mm3 + area[0] - volume[0], area_mm2=last.area_mm2 + area[1] - volume[1]
         )
-        inside = one.inside + _count(after) - _count(psi)
-        stop = _stop_of(one.stop, inside, math.prod(self._shape))
+        inside = one.inside + count_inside(after) - count_inside(psi)
+        stop = stop_of_whole(one.stop, inside, math.prod(self._shape))
         self._put(place, theirs, after, one._replace(inside=inside, history=[*one.history[:-1], last], stop=stop))
 
-    def _grown(self, place: int, box: Box) -> _Surface:
+    def _grown(self, place: int, box: Box) -> CorrectedSurface:
         """A surface on an array that has a box of the grid."""
         one = self._surfaces[place]
         low = np.minimum(one.corner, corner_of(box))
@@ -334,7 +335,7 @@ class Refiner:
             return one
         psi = np.full(shape, np.abs(one.psi).max(), np.float32)
         corner = (int(low[0]), int(low[1]), int(low[2]))
-        psi[_within(box_at(one.corner, one.psi.shape), corner)] = one.psi
+        psi[counted_from(box_at(one.corner, one.psi.shape), corner)] = one.psi
         self._surfaces[place] = one._replace(corner=corner, psi=psi)
         return self._surfaces[place]
 
@@ -351,7 +352,7 @@ class Refiner:
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
         return dataclasses.replace(base, objects=objects, config=self.config, state=state, seconds=seconds)
 
-    def _object(self, one: SegmentedObject, now: _Surface) -> SegmentedObject:
+    def _object(self, one: SegmentedObject, now: CorrectedSurface) -> SegmentedObject:
         prepared, whole = self._state.prepared, self._result.geometry
         if now.history is one.history:
             return one
@@ -366,67 +367,3 @@ class Refiner:
             one, box=box, psi=now.psi.copy(), image=part, geometry=cropped(whole, box), history=now.history,
             stop=now.stop,
         )
-
-
-def frozen_settings(result: Result) -> RunConfig:
-    """The settings at the end of a run; what was measured on the whole image is a number in them."""
-    settings = result.config.at(result.config.max_steps)
-    contrasts = [term["contrast"] for term in result.objects[0].terms if isinstance(term.get("contrast"), float)]
-    if settings.edge_contrast == "auto" and contrasts:
-        settings = settings.replace(edge_contrast=contrasts[0])
-    return settings.replace(refine=())
-
-
-def _count(psi: NDArray[np.float32]) -> int:
-    """Number of voxels inside."""
-    return int(np.count_nonzero(psi < 0))
-
-
-def _within(box: Box, corner: Corner) -> Box:
-    """A box counted from another first voxel."""
-    z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, corner, strict=True))
-    return z, y, x
-
-
-def _wrong_part(click: Click, one: _Surface) -> Click | None:
-    """The voxels of a click that are not on its side; None where there are none. Beyond its array nothing is inside."""
-    inside = np.zeros(click.mask.shape, np.bool_)
-    mine, theirs = shared(corner_of(click.box), inside.shape, one.corner, one.psi.shape)
-    if all(s.start < s.stop for s in mine):
-        inside[mine] = one.psi[theirs] < 0
-    wrong = click.mask & (inside != (click.side == "inside"))
-    tight = bounding_box(wrong)
-    if tight is None:
-        return None
-    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, click.box, strict=True))
-    return click._replace(box=(z, y, x), mask=wrong[tight])
-
-
-def _on_box(clicks: Sequence[Click], box: Box) -> list[tuple[Side, NDArray[np.bool_]]]:
-    """The voxels of clicks on a box, with their sides."""
-    out: list[tuple[Side, NDArray[np.bool_]]] = []
-    for click in clicks:
-        mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
-        mine, theirs = shared(corner_of(box), mask.shape, corner_of(click.box), click.mask.shape)
-        if all(s.start < s.stop for s in mine):
-            mask[mine] = click.mask[theirs]
-        out.append((click.side, mask))
-    return out
-
-
-def _box_around(clicks: Sequence[Click]) -> Box:
-    """The box around clicks."""
-    low = np.min([corner_of(click.box) for click in clicks], axis=0)
-    high = np.max([[s.stop for s in click.box] for click in clicks], axis=0)
-    return box_at((int(low[0]), int(low[1]), int(low[2])), [int(n) for n in high - low])
-
-
-def _stop_of(stop: Stop, inside: int, voxels: int) -> Stop:
-    """Why a correction ended, of the whole object: a part of it that is gone is not the whole."""
-    if inside == 0:
-        return stop._replace(reason="vanished", message="the corrected object has no voxel left")
-    if inside == voxels:
-        return stop._replace(reason="filled", message="the corrected object fills the whole volume")
-    if stop.reason in ("vanished", "filled"):
-        return stop._replace(reason="converged", message="the correction left no surface near the click")
-    return stop

@@ -60,7 +60,10 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         edits_done=state.edits_done,
         warnings=list(state.warnings),
         state=dataclasses.replace(
-            base.state, totals=dict(state.totals), clicks=clicks, models={id: one.model() for id, one in models.items()},
+            base.state,
+            totals=dict(state.totals),
+            clicks=clicks,
+            models={id: one.model() for id, one in models.items()},
         ),
     )
 

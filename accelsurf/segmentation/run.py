@@ -71,12 +71,10 @@ class Run:
         As given, with the current edits, and with the seed that was drawn if none was given.
     settings : RunConfig
         The settings in force.
-    energy_given : Energy or callable or None
-        As given.
     has_ids : bool
         Whether objects with ids were given: labels are then ids, and none overlap.
     given : tuple of str
-        Settings given as arrays in place of texts; ``given_digest`` is their SHA-256.
+        Settings given as arrays in place of texts; ``given_digest`` is their SHA-256. ``energy_given``: the energy.
     prepared : PreprocessedInput
         Image and mask, on the grid of the region of interest.
     objects : tuple of EvolvingObject

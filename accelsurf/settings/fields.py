@@ -383,7 +383,7 @@ class SettingFields(BaseModel):
     )
     refine: Annotated[tuple[Refinement, ...], BeforeValidator(refinements_of)] = setting(
         (),
-        "Corrections of the finished run, one after another: 'inside=point:X,Y,Z outside=WHERE near=MM' (with object=ID "
-        "among several objects); in TOML tables [[refine]]. accelsurf refine adds them.",
+        "Corrections of the finished run, one after another: 'inside=point:X,Y,Z outside=WHERE near=MM' (with "
+        "object=ID among several objects); in TOML tables [[refine]]. accelsurf refine adds them.",
         entry=SettingEntry(RUN, metavar="CLICKS", repeated=True, fixed=True),
     )

@@ -1,6 +1,7 @@
 """Corrections of a finished run: what moves, what stays, byte for byte."""
 
 import dataclasses
+import tomllib
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def test_a_click_that_changes_nothing_changes_nothing(image):
 
 
 def test_the_means_count_the_whole_object(image):
-    """A correction on a small box settles where one on the whole image does: with the box's own means it would not."""
+    """A correction on a small box has the means of one on the whole image, which the box alone does not have."""
     shade = image + np.linspace(0, 60, SHAPE[2], dtype=np.float32)  # brighter to the right, everywhere
     before = first_run(shade)
     click = {"outside": f"ball:{world(12, 14, 22)},1.5"}
@@ -146,7 +147,7 @@ def test_one_configuration_repeats_run_and_corrections(image, energy):
     result = first_run(image, energy)
     result = refine(result, inside=f"ball:{world(12, 14, 48)},3")
     result = refine(result, outside=f"point:{world(12, 14, 21)}", near=6)
-    config = RunConfig(**__import__("tomllib").loads(result.config.to_toml()))
+    config = RunConfig(**tomllib.loads(result.config.to_toml()))
     assert config.refine == result.config.refine and len(config.refine) == 2
     for threads in (1, 2):
         again = accelsurf.segment(image, spacing=SPACING, config=config.replace(threads=threads))
@@ -228,7 +229,8 @@ def test_a_contradiction_is_refused_with_the_voxel_and_changes_nothing(result):
 
 
 def test_a_result_without_state_is_refused(image):
-    result = accelsurf.segment(image, spacing=SPACING, start=f"ball:{world(12, 14, 14)},5", max_steps=2, keep_state="no")
+    start = f"ball:{world(12, 14, 14)},5"
+    result = accelsurf.segment(image, spacing=SPACING, start=start, max_steps=2, keep_state="no")
     assert result.state is None
     with pytest.raises(UsageError, match="keep_state"):
         refine(result, inside=f"point:{world(12, 14, 24)}")
