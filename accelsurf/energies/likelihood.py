@@ -265,9 +265,11 @@ class HistogramLikelihood(Energy):
             self.sums.image,
             self._parzen.scale,
         )
-        there = 0.0 if self._elsewhere is None else self._elsewhere.inside
+        total = self._beyond_band + band
+        if self._elsewhere is not None:
+            total = total + self._elsewhere.inside
         # A bin without voxels has a rounding error instead of 0.
-        inside = np.clip(self._beyond_band + band + there, 0.0, self._all)
+        inside = np.clip(total, 0.0, self._all)
         outside = self._all - inside
         if self._fixed is not None:
             energy = dot(self._fixed[0], inside) + dot(self._fixed[1], outside)

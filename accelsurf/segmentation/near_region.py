@@ -22,7 +22,7 @@ from accelsurf.grid.geometry import axis_steps
 
 #: Width of the rim: at least so many voxels of the smallest spacing, and of the largest.
 RIM_SMALLEST, RIM_LARGEST = 6.0, 2.0
-#: How far a correction goes unless it is known: times the distance from the click to the surface, and its own radius.
+#: How far a correction goes unless it is known: times the depth of the click in what is wrong.
 AUTO_TIMES = 2.0
 #: The smallest automatic region, voxels of the largest spacing.
 MIN_NEAR = 4.0
@@ -96,8 +96,7 @@ def automatic_near(psi: NDArray[np.float32], clicks: Sequence[Click], spacing: S
     """
     least = MIN_NEAR * max(axis_steps(psi.shape, spacing))
     for click in clicks:
-        radius = 0.5 * max(n * h for n, h in zip(click.mask.shape, spacing, strict=True))
-        least = max(least, AUTO_TIMES * (distance_to_surface(psi, click, spacing) + radius))
+        least = max(least, AUTO_TIMES * distance_to_surface(psi, click, spacing))
     return least
 
 
