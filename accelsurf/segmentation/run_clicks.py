@@ -68,9 +68,7 @@ class RunClicks:
     Parameters
     ----------
     volume : Volume
-        The image.
-    image : ndarray or None
-        What seeds and thresholds look at; None for the volume itself.
+        The image; seeds and thresholds of edits look at its own values, without presmoothing.
     box : tuple of slice
         Voxels of the region of interest.
     mask_distance : ndarray or None

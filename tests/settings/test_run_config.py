@@ -54,7 +54,16 @@ ODD = RunConfig(
     seed=2**40,
     reproducible=True,
     threads=2,
-    edit=["step=3 smoothness=0.25 add='ball:1,2,3,4'", {"step": 1, "flow": "momentum", "cfl": 1 / 3}],
+    edit=[
+        "step=3 smoothness=0.25 add='ball:1,2,3,4' inside='stroke:a b.csv' inside=point:1,2,3 outside=point:3,2,1",
+        {"step": 1, "flow": "momentum", "cfl": 1 / 3, "outside": ["ball:1,2,3,4"]},
+    ],
+    inside=("point:1,2,3", "stroke:\"a\" b.csv"),
+    outside=("ball:4,5,6,7vox",),
+    box="1,2,3,7,8,9",
+    size="2.5cm3",
+    keep_state="yes",
+    stop_at_rest=True,
 )
 
 
