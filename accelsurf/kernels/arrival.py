@@ -14,8 +14,9 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import neighbours, unravel
 from accelsurf.kernels.stages import Stage
 
-#: First capacity of the heap and of the list of accepted voxels; both double when full.
+#: First capacity of the queue and of the list of accepted voxels; both double when full.
 FIRST_CAPACITY = 4096
+MAX_BUCKET = 2**62
 
 
 class Medium(NamedTuple):
@@ -36,6 +37,16 @@ class Tissue(NamedTuple):
     spread: np.ndarray
     gradient: np.ndarray
     weights: np.ndarray
+
+
+class Queue(NamedTuple):
+    """Voxels by their times: ``heads`` (ring of buckets) the last entry of each, -1 for none; of each entry ``cells``
+    the voxel and ``links`` the one before it, or the next free one; ``free`` (1,) the first free entry."""
+
+    heads: np.ndarray
+    cells: np.ndarray
+    links: np.ndarray
+    free: np.ndarray
 
 
 @kernel(stage=Stage.ENERGY)
@@ -66,37 +77,104 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
         The accepted voxels, seeds included, in the order of their times; voxels of one time in an order that depends
         on the input alone.
     """
-    keys, cells = np.empty(FIRST_CAPACITY, np.float32), np.empty(FIRST_CAPACITY, np.int64)
-    order = np.empty(FIRST_CAPACITY, np.int64)
-    around = np.empty(6, np.int64)
-    size, count = 0, 0
+    width = bucket_width(tissue.weights, grid)
+    queue = new_queue(tissue.weights, grid, width)
+    order, around = np.empty(FIRST_CAPACITY, np.int64), np.empty(6, np.int64)
+    waiting, count = 0, 0
+    last = np.int64(max_time / width) if max_time / width < MAX_BUCKET else np.int64(MAX_BUCKET)
     for seed in seeds:
-        keys, cells = with_room(keys, cells, size)
-        size = push(keys, cells, size, times[seed], seed)
-    while size > 0 and count < max_count and keys[0] <= max_time:
-        now, cell = keys[0], cells[0]
-        size = pop(keys, cells, size)
-        if times[cell] != -now and times[cell] != now:
-            continue  # accepted before, at an earlier time
-        times[cell] = now
         order = with_space(order, count)
-        order[count] = cell
+        order[count] = seed
         count += 1
-        iz, iy, ix = unravel(cell, grid)
-        neighbours(cell, iz, iy, ix, grid, around)
-        for i in range(6):
-            other = around[i]
-            if other < 0 or 0.0 <= times[other] < np.inf or (len(medium.open) > 0 and not medium.open[other]):
-                continue
-            time = np.float32(upwind_time(times, other, medium, tissue, grid))
-            if (times[other] == np.inf or time < -times[other]) and (len(cap) == 0 or time < cap[other]):
-                times[other] = -time
-                keys, cells = with_room(keys, cells, size)
-                size = push(keys, cells, size, time, other)
-    for i in range(size):  # on their way, not arrived
-        if times[cells[i]] < 0.0:
-            times[cells[i]] = np.inf
+    done = 0
+    bucket = np.int64(0)
+    while True:
+        while done < count:
+            cell = order[done]
+            done += 1
+            iz, iy, ix = unravel(cell, grid)
+            neighbours(cell, iz, iy, ix, grid, around)
+            for i in range(6):
+                other = around[i]
+                if other < 0 or 0.0 <= times[other] < np.inf or (len(medium.open) > 0 and not medium.open[other]):
+                    continue
+                time = np.float32(upwind_time(times, other, medium, tissue, grid))
+                if time <= max_time and time < abs(times[other]) and (len(cap) == 0 or time < cap[other]):
+                    times[other] = -time
+                    queue = push(queue, np.int64(time / width), other)
+                    waiting += 1
+        if waiting == 0 or count >= max_count:
+            break
+        cell = pop(queue, bucket)
+        if cell < 0:
+            bucket += 1
+            continue
+        waiting -= 1
+        if times[cell] < 0.0 and np.int64(-times[cell] / width) <= bucket:
+            times[cell] = -times[cell]
+            order = with_space(order, count)
+            order[count] = cell
+            count += 1
+    while waiting > 0:  # on their way, not arrived
+        cell = pop(queue, bucket)
+        if cell < 0:
+            bucket += 1
+            continue
+        waiting -= 1
+        if times[cell] < 0.0:
+            times[cell] = np.inf
     return order[:count].copy()
+
+
+@kernel
+def bucket_width(w, grid):
+    """Times of one bucket: less than any voxel's time differs from those it was made of, so their order is free."""
+    return w[0] * min(grid.hz, grid.hy, grid.hx) / 2.0
+
+
+@kernel
+def new_queue(w, grid, width):
+    """An empty queue: buckets in a ring, longer than the longest step."""
+    step = (w[0] + w[1] * w[2] + w[3] * w[5]) * max(grid.hz, grid.hy, grid.hx)
+    length = 2
+    while length * width < step + 2.0 * width:
+        length *= 2
+    return Queue(np.full(length, -1, np.int64), np.empty(FIRST_CAPACITY, np.int64), fresh(0, FIRST_CAPACITY), np.zeros(1, np.int64))
+
+
+@kernel
+def fresh(first, last):
+    """Links of the free entries first..last - 1, each to the next."""
+    return np.arange(first + 1, last + 1)
+
+
+@kernel
+def push(queue, bucket, cell):
+    """Enter a voxel into a bucket; returns the queue, larger where it was full."""
+    entry = queue.free[0]
+    if entry == len(queue.cells):
+        cells, links = np.empty(2 * entry, np.int64), np.empty(2 * entry, np.int64)
+        cells[:entry], links[:entry] = queue.cells, queue.links
+        links[entry:] = fresh(entry, 2 * entry)
+        queue = Queue(queue.heads, cells, links, queue.free)
+    place = bucket & (len(queue.heads) - 1)
+    queue.free[0] = queue.links[entry]
+    queue.cells[entry], queue.links[entry] = cell, queue.heads[place]
+    queue.heads[place] = entry
+    return queue
+
+
+@kernel
+def pop(queue, bucket):
+    """Take the voxel that entered a bucket last; -1 where it is empty."""
+    place = bucket & (len(queue.heads) - 1)
+    entry = queue.heads[place]
+    if entry < 0:
+        return np.int64(-1)
+    queue.heads[place] = queue.links[entry]
+    queue.links[entry] = queue.free[0]
+    queue.free[0] = entry
+    return queue.cells[entry]
 
 
 @kernel
@@ -169,16 +247,6 @@ def earlier(times, cell, index, length, stride):
 
 
 @kernel
-def with_room(keys, cells, size):
-    """The heap with room for one more entry."""
-    if size < len(keys):
-        return keys, cells
-    more_keys, more_cells = np.empty(2 * size, np.float32), np.empty(2 * size, np.int64)
-    more_keys[:size], more_cells[:size] = keys, cells
-    return more_keys, more_cells
-
-
-@kernel
 def with_space(order, count):
     """The list of accepted voxels with space for one more."""
     if count < len(order):
@@ -186,39 +254,3 @@ def with_space(order, count):
     more = np.empty(2 * count, np.int64)
     more[:count] = order
     return more
-
-
-@kernel
-def push(keys, cells, size, key, cell):
-    """Enter a key and its voxel into a heap of ``size`` entries, four below each; returns the new size."""
-    i = size
-    while i > 0:
-        parent = (i - 1) >> 2
-        if keys[parent] <= key:
-            break
-        keys[i], cells[i] = keys[parent], cells[parent]
-        i = parent
-    keys[i], cells[i] = key, cell
-    return size + 1
-
-
-@kernel
-def pop(keys, cells, size):
-    """Take the first entry out of a heap; returns the new size."""
-    size -= 1
-    key, cell = keys[size], cells[size]
-    i = 0
-    while True:
-        child = 4 * i + 1
-        if child >= size:
-            break
-        smallest = child
-        for other in range(child + 1, min(child + 4, size)):
-            if keys[other] < keys[smallest]:
-                smallest = other
-        if keys[smallest] >= key:
-            break
-        keys[i], cells[i] = keys[smallest], cells[smallest]
-        i = smallest
-    keys[i], cells[i] = key, cell
-    return size

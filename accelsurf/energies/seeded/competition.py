@@ -7,14 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from accelsurf.grid.boxes import Box
 from accelsurf.kernels.arrival import Medium, Tissue, march
 from accelsurf.kernels.grid import Grid
 
 Times = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Order = NDArray[np.int64]
-_NO_CAP = np.zeros(0, np.float32)
+_NO_CAP, _ALL_OPEN = np.zeros(0, np.float32), np.zeros(0, np.bool_)
 
 
 class Field(NamedTuple):
@@ -24,62 +26,65 @@ class Field(NamedTuple):
     grid: Grid
 
     @property
+    def shape(self) -> tuple[int, int, int]:
+        """(nz, ny, nx)."""
+        return self.grid.nz, self.grid.ny, self.grid.nx
+
+    @property
     def size(self) -> int:
         """Number of voxels."""
         return self.grid.nz * self.grid.ny * self.grid.nx
+
+    def images_on(self, box: Box) -> list[NDArray[np.float32]]:
+        """The channels on a box."""
+        return [image.reshape(self.shape)[box] for image in self.medium.values]
+
+    def on_box(self, box: Box) -> Field:
+        """The same on a box, where all is open."""
+        values = np.stack([image.ravel() for image in self.images_on(box)])
+        nz, ny, nx = (s.stop - s.start for s in box)
+        return Field(Medium(values, _ALL_OPEN), self.grid._replace(nz=nz, ny=ny, nx=nx))
 
 
 def field_of(images: Sequence[NDArray[np.float32]], spacing: Sequence[float], mask: Mask | None) -> Field:
     """The channels for marches on their grid."""
     nz, ny, nx = images[0].shape
-    values = np.stack([image.ravel() for image in images])
+    values = np.stack([np.ravel(image) for image in images])
     passes = np.zeros(0, np.bool_) if mask is None else np.ascontiguousarray(mask).ravel()
     return Field(Medium(values, passes), Grid(nz, ny, nx, *(float(h) for h in spacing)))
 
 
-def arrival(
-    field: Field, tissue: Tissue, seeds: NDArray[np.int64], cap: Times | None = None, max_count: int | None = None
-) -> tuple[Times, Order]:
-    """Times from seeds (each at 0), inf where the march does not come, and the voxels in their order."""
+def arrival(field: Field, tissue: Tissue, seeds: NDArray[np.int64], max_count: int) -> tuple[Times, Order]:
+    """Times from seeds (each at 0), inf where the march does not come, and its voxels in the order of their times."""
     times = np.full(field.size, np.inf, np.float32)
     times[seeds] = 0.0
-    limit = field.size if max_count is None else max(max_count, len(seeds))
-    order = march(times, field.medium, tissue, field.grid, seeds, _NO_CAP if cap is None else cap, np.inf, limit)
-    return times, order
+    order = march(times, field.medium, tissue, field.grid, seeds, _NO_CAP, np.inf, max(max_count, len(seeds)))
+    return times, order[np.argsort(times[order], kind="stable")]
 
 
-def from_beyond(field: Field, tissue: Tissue, times: Times, order: Order, beyond: int) -> Times:
-    """Times from all that arrived after the first ``beyond`` voxels, inwards; 0 there.
+def from_beyond(field: Field, tissue: Tissue, beyond: Mask) -> NDArray[np.float32]:
+    """Times from the voxels ``beyond`` to the others, on the field's grid; all inf where there are none.
 
-    Parameters
-    ----------
-    tissue : Tissue
-        What the march back goes through.
-    times : ndarray (n,) float32
-    order : ndarray (m,) int64
-    beyond : int
+    Edges alone slow this march: the values of the surroundings are not known.
     """
-    back = np.zeros(field.size, np.float32)
-    back[order[:beyond]] = np.inf
-    shape = (field.grid.nz, field.grid.ny, field.grid.nx)
-    unknown = np.isinf(back).reshape(shape)
-    near = np.zeros(shape, np.bool_)
-    for axis in range(3):
-        one, other = [slice(None)] * 3, [slice(None)] * 3
-        one[axis], other[axis] = slice(1, None), slice(None, -1)
-        near[tuple(one)] |= unknown[tuple(other)]
-        near[tuple(other)] |= unknown[tuple(one)]
-    seeds = np.flatnonzero(near & ~unknown)
-    march(back, field.medium, tissue, field.grid, seeds, _NO_CAP, np.inf, field.size)
-    return back
+    times = np.where(beyond, np.float32(0.0), np.float32(np.inf)).ravel()
+    seeds = np.flatnonzero(beyond & ndimage.binary_dilation(~beyond, ndimage.generate_binary_structure(3, 1)))
+    edges = tissue._replace(weights=tissue.weights * np.array((1, 1, 1, 0, 1, 1)))
+    march(times, field.medium, edges, field.grid, seeds, _NO_CAP, np.inf, field.size)
+    return times.reshape(beyond.shape)
 
 
-def balance(inside: Times, outside: Times) -> NDArray[np.float32]:
-    """(T_in - T_out)/(T_in + T_out): -1 at the inside clicks, 1 outside; 0 where both are 0 or neither comes."""
+def balance(inside: Times, outside: Times) -> Times:
+    """(T_in - T_out)/(T_in + T_out): -1 at the inside clicks, 1 outside; 1 where T_in is inf, 0 where both are 0.
+
+    Examples
+    --------
+    >>> balance(np.array([0, 1, 3, 0, np.inf], np.float32), np.array([1, 3, 1, 0, 2], np.float32)).tolist()
+    [-1.0, -0.5, 0.5, 0.0, 1.0]
+    """
     with np.errstate(invalid="ignore"):
-        both = inside + outside
-        out = (inside - outside) / both
+        out = (inside - outside) / (inside + outside)
+    out[np.isinf(outside)] = -1.0
     out[np.isinf(inside)] = 1.0
-    out[np.isinf(outside) & ~np.isinf(inside)] = -1.0
-    out[(both == 0.0) | (np.isinf(inside) & np.isinf(outside))] = 0.0
+    out[inside + outside == 0.0] = 0.0
     return out

@@ -13,28 +13,30 @@ BINS, WIDTH = 128, 2.0
 
 
 def log_ratio(
-    images: Sequence[NDArray[np.float32]], inside: NDArray[np.int64], around: NDArray[np.int64]
+    images: Sequence[NDArray[np.float32]], inside: NDArray[np.bool_], around: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """(p - q)/(p + q) of the densities p inside and q around; the channels count as independent.
 
     Parameters
     ----------
     images : sequence of ndarray (nz, ny, nx), float32
-    inside, around : ndarray of int64
-        Raveled voxels.
+    inside, around : ndarray (nz, ny, nx) of bool
+        Without voxels in one of them the ratio is 0.
     """
     total = np.zeros(images[0].shape, np.float32)
+    if not (inside.any() and around.any()):
+        return total
     for image in images:
-        flat = image.ravel()
-        both = np.concatenate((flat[inside], flat[around]))
+        samples = image[inside], image[around]
+        both = np.concatenate(samples)
         low, high = (float(v) for v in np.percentile(both, (0.5, 99.5)))
         if not high > low:
             continue
         scale = BINS / (high - low)
-        density = [_density(flat[part], low, scale) for part in (inside, around)]
+        density = [_density(part, low, scale) for part in samples]
         table = np.log(density[0] / density[1]).astype(np.float32)
         total += table[np.clip((image - low) * scale, 0, BINS - 1).astype(np.int32)]
-    return np.tanh(0.5 * total)
+    return np.asarray(np.tanh(0.5 * total))
 
 
 def _density(values: NDArray[np.float32], low: float, scale: float) -> NDArray[np.float64]:

@@ -3,32 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from accelsurf.energies.seeded.answers import Answer, answered, first_answer, with_click
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
-from accelsurf.energies.seeded.competition import Field, Times, arrival, balance, field_of, from_beyond
-from accelsurf.energies.seeded.likelihood import log_ratio
-from accelsurf.energies.seeded.proposal import Proposal, by_evidence, of_size
+from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of
+from accelsurf.energies.seeded.proposal import FARTHEST, Prior, Proposal, by_evidence, of_size, prior_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.kernels.arrival import Tissue
 
-#: Smoothing of the image before costs are read from it, of the smallest spacing.
+#: Smoothing of the image before anything is learned from it, of the smallest spacing.
 SMOOTHING = 0.6
-#: F in the clicks; weight of the likelihood beside the competition; default weight of the area, smallest spacings.
-CLICKED, LIKELIHOOD, AREA = 3.0, 0.7, 0.3
-#: The surroundings of the first object start where the arrival time has so many times its volume.
+#: Default weight of the area, of the smallest spacing.
+AREA = 0.3
+#: The surroundings begin where the first click's arrival time has so many times the object's volume.
 BEYOND = 3.0
-#: A later click changes the field where it arrives earlier than this part of the earliest time before.
-EARLIER = 0.7
+#: Arrival times from a later click, as multiples of those that would give the object's volume at the same level.
+LATER = {"inside": 1.5, "outside": 1.0}
+#: No march of a first click without a size accepts more than this part of the volume.
+MAX_PART = 0.25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SeededModel:
     """A force field and a first surface from clicks.
 
@@ -39,13 +42,18 @@ class SeededModel:
     start : ndarray (nz, ny, nx) of bool
         Where F < 0, as far as it is connected to inside clicks, with holes filled.
     times_in, times_out : ndarray (nz, ny, nx), float32
-        Arrival times from inside and from outside clicks and the surroundings; inf where they do not come.
+        Arrival times from the inside clicks, and from the outside clicks and the surroundings; inf where they do not
+        come.
     proposal : Proposal
-        The level of the first click's arrival time that the surroundings were found with.
+        The level of the first click's arrival time.
     area_weight_mm : float
-        Weight of the area that suits the field.
+        Weight of the area that suits the field, mm.
     clicks : Clicks
         What it was made from.
+    answer : Answer
+        What the next click's answer is made from.
+    images : tuple of ndarray (nz, ny, nx), float32
+        The channels, smoothed.
     """
 
     field: Image
@@ -55,6 +63,8 @@ class SeededModel:
     proposal: Proposal
     area_weight_mm: float
     clicks: Clicks
+    answer: Answer
+    images: tuple[Image, ...]
 
 
 def seeded_model(
@@ -85,81 +95,98 @@ def seeded_model(
     mask : ndarray (nz, ny, nx) of bool, optional
         The object lies in it.
     threads : int, optional
-        The result is the same for any number.
+        Marches from so many clicks at once; the result is the same for any number.
     previous : SeededModel, optional
-        The model of all these clicks but the last ones; saves time, the result is the same.
+        The model of the first of these clicks, with the same images and the same other settings: the result is the
+        same, sooner.
 
     Raises
     ------
     InputError
-        When there is no inside click.
+        When there is no inside click, or the first one lies outside the box or the mask.
     """
     inside = [click for click in clicks.clicks if click.side == "inside"]
     if not inside:
         raise InputError("seeded: no inside click was given", "give one with --inside")
-    smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images]
-    open_ = mask
-    if box is not None:
-        open_ = np.zeros(images[0].shape, np.bool_)
-        open_[box] = True if mask is None else mask[box]
-    field = field_of(smooth, spacing, open_)
-    first = inside[0]
-    model = _first(smooth, spacing, field, first, size_mm3, clicks)
-    for click in clicks.clicks:
-        if click is not first:
-            model = _with_click(model, smooth, spacing, field, click)
-    return model
+    allowed = _allowed(images[0].shape, box, mask)
+    goes_on = previous is not None and _starts_with(clicks, previous.clicks)
+    smooth = previous.images if goes_on and previous is not None else _smoothed(images, spacing)
+    field = field_of(smooth, spacing, allowed)
+    if goes_on and previous is not None:
+        answer, proposal = previous.answer, previous.proposal
+        left = list(clicks.clicks[len(previous.clicks) :])
+    else:
+        answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
+        left = [click for click in clicks.clicks if click is not inside[0]]
+    with ThreadPoolExecutor(max(threads, 1)) as pool:
+        marched = pool.map(lambda click: _later(smooth, spacing, field, click, answer), left)
+        for click, times in zip(left, marched, strict=True):
+            answer = with_click(answer, field, click, times)
+    force, start, times_in, times_out = answered(answer, clicks)
+    return SeededModel(
+        force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, answer, tuple(smooth)
+    )
 
 
-def _seeds(click: Click, shape: tuple[int, int, int]) -> NDArray[np.int64]:
+def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
+    return tuple(gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images)
+
+
+def _same(one: Click, other: Click) -> bool:
+    return one.side == other.side and one.box == other.box and np.array_equal(one.mask, other.mask)
+
+
+def _starts_with(clicks: Clicks, before: Clicks) -> bool:
+    """Whether the clicks are those ``before`` and maybe more."""
+    pairs = zip(before.clicks, clicks.clicks, strict=False)
+    return len(clicks) >= len(before) and all(_same(one, other) for one, other in pairs)
+
+
+def _allowed(shape: tuple[int, ...], box: Box | None, mask: Mask | None) -> Mask | None:
+    """Where the object may be; None for everywhere."""
+    if box is None:
+        return mask
+    out = np.zeros(shape, np.bool_)
+    out[box] = True if mask is None else mask[box]
+    return out
+
+
+def _seeds(click: Click, field: Field) -> NDArray[np.int64]:
     where = [axis + side.start for axis, side in zip(np.nonzero(click.mask), click.box, strict=True)]
-    return np.ravel_multi_index(tuple(where), shape).astype(np.int64)
+    return np.ravel_multi_index(tuple(where), field.shape).astype(np.int64)
 
 
 def _first(
-    images: Sequence[Image], spacing: Spacing, field: Field, click: Click, size_mm3: float | None, clicks: Clicks
-) -> SeededModel:
-    """The model of the first inside click."""
-    shape, voxel = images[0].shape, float(np.prod(spacing))
-    tissue, seeds = learn(images, spacing, click), _seeds(click, clicks.shape)
-    limit = field.size // 4 if size_mm3 is None else int(3.2 * size_mm3 / voxel) + 1
-    times, order = arrival(field, tissue, seeds, max_count=limit)
+    images: Sequence[Image], spacing: Spacing, field: Field, click: Click, size_mm3: float | None, boxed: bool
+) -> tuple[Answer, Proposal]:
+    """The answer to the first inside click, and the level that it was made with."""
+    voxel = float(np.prod(spacing))
+    tissue, seeds = learn(images, spacing, click), _seeds(click, field)
+    open_count = int(np.count_nonzero(field.medium.open)) if field.medium.open.size else field.size
+    if field.medium.open.size and not field.medium.open[seeds].any():
+        raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
     if size_mm3 is None:
-        proposal = by_evidence(field.medium.values, times, order, len(seeds), voxel)
+        prior = prior_of(len(seeds), open_count if boxed else None)
+        times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
+        proposal = by_evidence(field.medium.values, times, order, len(seeds), prior, voxel)
     else:
+        times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * size_mm3 / voxel) + 1)
         proposal = of_size(times, order, voxel, size_mm3)
     count = round(proposal.volume_mm3 / voxel)
-    beyond = min(round(BEYOND * count), len(order))
-    edges_only = tissue._replace(weights=tissue.weights * (1, 1, 1, 0, 1, 1))
-    back = from_beyond(field, edges_only, times, order, beyond)
-    ratio = log_ratio(images, order[:count], order[count:beyond])
-    force = (balance(times, back).reshape(shape) - LIKELIHOOD * ratio).astype(np.float32)
-    return _finished(force, times.reshape(shape), back.reshape(shape), proposal, spacing, clicks)
+    last = float(times[order[min(round(BEYOND * count), len(order)) - 1]])
+    return first_answer(field, tissue, click, times, order, (count, proposal.level, last)), proposal
 
 
-def _with_click(
-    model: SeededModel, images: Sequence[Image], spacing: Spacing, field: Field, click: Click
-) -> SeededModel:
-    """The model with one more click: it changes where the click arrives first."""
-    shape = images[0].shape
-    before = np.minimum(model.times_in, model.times_out).ravel()
-    tissue, seeds = learn(images, spacing, click), _seeds(click, model.clicks.shape)
-    times, _ = arrival(field, tissue, seeds, (EARLIER * before).astype(np.float32))
-    nearer = balance(times, (EARLIER * before).astype(np.float32)).reshape(shape)
-    sides = {"inside": model.times_in, "outside": model.times_out}
-    side = np.minimum(sides[click.side], times.reshape(shape))
-    force = np.minimum(model.field, nearer) if click.side == "inside" else np.maximum(model.field, -nearer)
-    sides[click.side] = side
-    return _finished(force, sides["inside"], sides["outside"], model.proposal, spacing, model.clicks)
+def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
+    """How many voxels a march without a size may accept."""
+    most = open_count if boxed else int(MAX_PART * open_count)
+    return most if np.isinf(prior.spread) else int(min(prior.count * np.exp(FARTHEST * prior.spread), most))
 
 
-def _finished(
-    force: Image, times_in: Times, times_out: Times, proposal: Proposal, spacing: Spacing, clicks: Clicks
-) -> SeededModel:
-    """The model with its start."""
-    for click in clicks.clicks:
-        force[click.box][click.mask] = -CLICKED if click.side == "inside" else CLICKED
-    labels, _ = ndimage.label(force < 0)
-    own = np.unique(labels[clicks.mask("inside")])
-    start = ndimage.binary_fill_holes(np.isin(labels, own[own > 0]))
-    return SeededModel(force, np.asarray(start), times_in, times_out, proposal, AREA * min(spacing), clicks)
+def _later(images: Sequence[Image], spacing: Spacing, field: Field, click: Click, answer: Answer) -> tuple[Times, Tissue]:
+    """Arrival times from a later click, on the scale of the first one's."""
+    tissue = learn(images, spacing, click)
+    times, order = arrival(field, tissue, _seeds(click, field), int(1.05 * BEYOND * answer.count))
+    own = float(times[order[min(answer.count, len(order)) - 1]])
+    scale = LATER[click.side] * answer.level / own if own > 0.0 else 1.0
+    return times * np.float32(scale), tissue

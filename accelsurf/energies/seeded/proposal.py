@@ -12,6 +12,16 @@ Order = NDArray[np.int64]
 
 #: Volumes that are compared grow by this factor from one to the next.
 STEP = 1.08
+#: The front's speed is read off between the volumes this factor smaller and larger.
+NEAR = 1.25
+#: An object has about so many times the volume of the largest ball in it; spread of the logarithm.
+TIMES_BALL, BALL_SPREAD = 5.5, 1.2
+#: A click of fewer voxels than these is a point, and says nothing of the size.
+MIN_BALL = 5
+#: Part of a box that is object; spread of the logarithm.
+BOX_FILLED, BOX_SPREAD = 0.4, 0.5
+#: The march ends at so many spreads above the expected volume.
+FARTHEST = 2.5
 
 
 class Proposal(NamedTuple):
@@ -50,39 +60,59 @@ def of_size(times: NDArray[np.float32], order: Order, voxel_volume: float, size_
     return Proposal(float(times[order[count - 1]]), count * voxel_volume, 1.0)
 
 
+class Prior(NamedTuple):
+    """What is expected of the number of voxels before the image is looked at: its logarithm is normally distributed.
+
+    ``spread`` is inf where nothing is expected.
+    """
+
+    count: float
+    spread: float
+
+
+def prior_of(click: int, box: int | None) -> Prior:
+    """What a click's voxels, and a box, say of the object's.
+
+    A person who clicks a ball makes it about half as wide as the object is thick there, and objects are larger than the
+    largest ball in them. A box is filled to about two fifths.
+    """
+    if box is not None:
+        return Prior(BOX_FILLED * box, BOX_SPREAD)
+    if click < MIN_BALL:
+        return Prior(float(click), np.inf)
+    return Prior(TIMES_BALL * 8.0 * click, BALL_SPREAD)
+
+
 def by_evidence(
-    images: Sequence[NDArray[np.float32]], times: NDArray[np.float32], order: Order, first: int, voxel_volume: float
+    images: NDArray[np.float32], times: NDArray[np.float32], order: Order, first: int, prior: Prior, voxel_volume: float
 ) -> Proposal:
-    """The level with the most evidence: the front is slow there, and what arrives next differs from what has arrived.
+    """The level with the most evidence.
+
+    There the front is slow (d log T / d log V is large), what arrives next differs from what has arrived (difference of
+    the means in units of both spreads), and the volume is about as expected.
 
     Parameters
     ----------
-    images : sequence of ndarray (n,) float32
+    images : ndarray (channels, n), float32
     times : ndarray (n,) float32
     order : ndarray (m,) int64
         The voxels in the order of their times.
     first : int
         Number of seeds.
+    prior : Prior
     voxel_volume : float
         mm3.
     """
     counts = candidate_counts(first, len(order))
     if counts.size < 3:
         return Proposal(float(times[order[-1]]), len(order) * voxel_volume, 0.0)
-    score = scores(images, times, order, counts)
-    peaks = [
-        i for i in range(len(score)) if score[i] == score[max(i - 3, 0) : i + 4].max() and np.isfinite(score[i])
-    ]
+    score = scores(images, times, order, counts) - 0.5 * ((np.log(counts / prior.count)) / prior.spread) ** 2
+    peaks = [i for i in range(len(score)) if score[i] == score[max(i - 3, 0) : i + 4].max()]
     peaks.sort(key=lambda i: (-score[i], i))
-    best = peaks[0]
-    second = score[peaks[1]] if len(peaks) > 1 else 0.0
-    sure = float(np.clip(1.0 - second / score[best], 0.0, 1.0)) if score[best] > 0.0 else 0.0
-    return Proposal(
-        float(times[order[counts[best] - 1]]),
-        float(counts[best] * voxel_volume),
-        sure,
-        tuple(float(counts[i] * voxel_volume) for i in peaks[1:4]),
-    )
+    best = counts[peaks[0]]
+    sure = float(1.0 - np.exp(score[peaks[1]] - score[peaks[0]])) if len(peaks) > 1 else 1.0
+    others = tuple(float(counts[i] * voxel_volume) for i in peaks[1:4])
+    return Proposal(float(times[order[best - 1]]), float(best * voxel_volume), sure, others)
 
 
 def candidate_counts(first: int, last: int) -> NDArray[np.int64]:
@@ -95,19 +125,19 @@ def candidate_counts(first: int, last: int) -> NDArray[np.int64]:
 
 
 def scores(
-    images: Sequence[NDArray[np.float32]], times: NDArray[np.float32], order: Order, counts: NDArray[np.int64]
+    images: NDArray[np.float32], times: NDArray[np.float32], order: Order, counts: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Evidence of each candidate, see `by_evidence`."""
-    late = np.log(np.maximum(times[order].astype(np.float64), 1e-30))
-    below, above = (counts / 1.25).astype(np.int64), np.minimum((counts * 1.25).astype(np.int64), len(order) - 1)
-    slow = (late[above] - late[below]) / 2.0
+    """Logarithm of the evidence in the image for each candidate, see `by_evidence`."""
+    last = len(order) - 1
+    late = np.log(np.maximum(times[order].astype(np.float64), 1e-12))
+    slow = late[np.minimum((counts * NEAR).astype(np.int64), last)] - late[(counts / NEAR).astype(np.int64)]
     contrast = np.zeros(len(counts))
+    above = np.minimum(2 * counts, last)
     for image in images:
         values = image[order].astype(np.float64)
         total = np.concatenate(([0.0], np.cumsum(values)))
         square = np.concatenate(([0.0], np.cumsum(values * values)))
-        mean = total[counts] / counts
-        spread = np.sqrt(np.maximum(square[counts] / counts - mean * mean, 1e-12))
-        shell = (total[above] - total[counts]) / np.maximum(above - counts, 1)
-        contrast = np.maximum(contrast, np.abs(shell - mean) / spread)
-    return np.asarray(slow * contrast)
+        mean, shell = total[counts] / counts, (total[above] - total[counts]) / (above - counts)
+        variance = square[counts] / counts - mean**2 + (square[above] - square[counts]) / (above - counts) - shell**2
+        contrast = np.maximum(contrast, np.abs(shell - mean) / np.sqrt(np.maximum(variance, 1e-9)))
+    return np.asarray(np.log(np.maximum(slow, 1e-6)) + np.log(np.maximum(contrast, 1e-6)))

@@ -1,0 +1,227 @@
+"""What each click changes: the field of the first one, and corrections that stay near the later ones.
+
+The first click's field balances arrival times from inside and from the surroundings, the likelihood of the values, and
+the level of the size. A later inside click is answered by the balance with all clicks, without the first size; a later
+outside click by what it changes in that balance. Either changes labels towards its own side alone, and only in the piece
+that is connected to it: what was right elsewhere stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.seeded.appearance import Image, Mask
+from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
+from accelsurf.energies.seeded.likelihood import log_ratio
+from accelsurf.energies.seeded.proposal import Order
+from accelsurf.grid.boxes import Box, bounding_box
+from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.kernels.arrival import Tissue
+
+#: F in the clicks, by side.
+CLICKED = {"inside": -3.0, "outside": 3.0}
+#: F is the balance plus this part of the likelihood; of the first click's, this part is taken by the level of its size.
+LIKELIHOOD, LEVEL = 0.5, 0.5
+#: The first click's field is moved by so much at most, so that it has the size.
+MAX_OFFSET = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The field after some clicks, on a box of the grid; beyond it all is surroundings.
+
+    Attributes
+    ----------
+    box : tuple of slice
+    count : int
+        Voxels of the first click's proposal.
+    level, last : float
+        Its arrival time, and that at which the surroundings begin.
+    tissue : Tissue
+        Of the first click.
+    times_in, times_clicked : ndarray, float32
+        Arrival times from inside and from outside clicks.
+    times_out : ndarray, float32
+        The same with the surroundings.
+    total : ndarray, float32
+        Balance and likelihood with all clicks.
+    force : ndarray, float32
+        F, clicks not marked.
+    inside : ndarray of bool
+        Where F < 0, connected to inside clicks.
+    clicks : tuple of Click
+        Those that were answered.
+    """
+
+    box: Box
+    count: int
+    level: float
+    last: float
+    tissue: Tissue
+    times_in: Image
+    times_clicked: Image
+    times_out: Image
+    total: Image
+    force: Image
+    inside: Mask
+    clicks: tuple[Click, ...]
+
+
+def first_answer(
+    field: Field, tissue: Tissue, click: Click, times: Times, order: Order, level: tuple[int, float, float]
+) -> Answer:
+    """The answer to the first inside click.
+
+    Parameters
+    ----------
+    field : Field
+    tissue : Tissue
+    click : Click
+    times : ndarray (n,) float32
+    order : ndarray (m,) int64
+    level : (count, level, last)
+        See `Answer`.
+    """
+    count, at, last = level
+    box = _box_of(field, times <= last)
+    inside = times.reshape(field.shape)[box].copy()
+    far = _is_far(field, box, inside, last)
+    out = from_beyond(field.on_box(box), tissue, far)
+    near = (inside <= at) & ~far
+    competition = balance(inside, out)
+    likely = log_ratio(field.images_on(box), near, ~(near | far))
+    total = competition - LIKELIHOOD * likely
+    force = (1.0 - LEVEL) * competition + LEVEL * balance(inside, np.full_like(inside, at)) - LIKELIHOOD * likely
+    rank = min(count, force.size) - 1
+    force -= float(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET)) * ~far
+    none = np.full_like(inside, np.inf)
+    force = np.asarray(force, np.float32)
+    answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,))
+    return replace(answer, inside=_inside(answer))
+
+
+def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times, Tissue]) -> Answer:
+    """The answer to one more click.
+
+    Parameters
+    ----------
+    answer : Answer
+        To the clicks before.
+    field : Field
+    click : Click
+    marched : (times, tissue)
+        Arrival times (n,) from the click, and its tissue.
+    """
+    dense = marched[0].reshape(field.shape)
+    reached = _box_of(field, (dense <= answer.last).ravel()) if click.side == "inside" else click.box
+    answer = _on_larger_box(answer, field, _both(answer.box, reached))
+    times, is_inside = dense[answer.box], click.side == "inside"
+    times_in = np.minimum(answer.times_in, times) if is_inside else answer.times_in
+    clicked = answer.times_clicked if is_inside else np.minimum(answer.times_clicked, times)
+    far = _is_far(field, answer.box, times_in, answer.last)
+    out = np.minimum(from_beyond(field.on_box(answer.box), answer.tissue, far), clicked)
+    near = answer.inside & ~far
+    total = balance(times_in, out) - LIKELIHOOD * log_ratio(field.images_on(answer.box), near, ~(near | far))
+    if is_inside:
+        force, changed = total, (total < 0) & (answer.force >= 0)
+    else:
+        force = answer.force + np.maximum(total - answer.total, 0.0)
+        changed = (force >= 0) & (answer.force < 0)
+    seen = _part(click, answer.box)
+    changed |= seen
+    labels, _ = ndimage.label(changed)
+    own = np.unique(labels[seen])
+    force = np.where(np.isin(labels, own[own > 0]), force, answer.force).astype(np.float32)
+    answer = replace(
+        answer,
+        times_in=times_in,
+        times_clicked=clicked,
+        times_out=out,
+        total=total,
+        force=force,
+        clicks=(*answer.clicks, click),
+    )
+    return replace(answer, inside=_inside(answer))
+
+
+def answered(answer: Answer, clicks: Clicks) -> tuple[Image, Mask, Image, Image]:
+    """F, the start, and the times from inside and from outside on the whole grid."""
+    force, start = np.ones(clicks.shape, np.float32), np.zeros(clicks.shape, np.bool_)
+    times_in, times_out = np.full(clicks.shape, np.inf, np.float32), np.zeros(clicks.shape, np.float32)
+    force[answer.box], start[answer.box] = answer.force, answer.inside
+    times_in[answer.box], times_out[answer.box] = answer.times_in, answer.times_out
+    for click in clicks.clicks:
+        force[click.box][click.mask] = CLICKED[click.side]
+        start[click.box][click.mask] = click.side == "inside"
+    return force, start, times_in, times_out
+
+
+def _inside(answer: Answer) -> Mask:
+    """Where F < 0, connected to inside clicks, and its holes where no outside click lies."""
+    grows = answer.force < 0
+    clicked = {side: np.zeros(grows.shape, np.bool_) for side in CLICKED}
+    for click in answer.clicks:
+        clicked[click.side] |= _part(click, answer.box)
+    grows = (grows | clicked["inside"]) & ~clicked["outside"]
+    labels, _ = ndimage.label(grows)
+    own = np.unique(labels[clicked["inside"]])
+    connected = np.isin(labels, own[own > 0])
+    return np.asarray(ndimage.binary_fill_holes(connected) & ~clicked["outside"])
+
+
+def _box_of(field: Field, where: NDArray[np.bool_]) -> Box:
+    """The box around some voxels and one more on each side."""
+    box = bounding_box(where.reshape(field.shape), 1)
+    assert box is not None  # the seeds are among them
+    return box
+
+
+def _both(one: Box, other: Box) -> Box:
+    """The smallest box that holds two."""
+    z, y, x = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    return z, y, x
+
+
+def _is_far(field: Field, box: Box, times_in: Times, last: float) -> Mask:
+    """Where the surroundings begin: arrival is late, or the object may not be there."""
+    far = ~(times_in <= last)
+    if field.medium.open.size:
+        far |= ~field.medium.open.reshape(field.shape)[box]
+    return far
+
+
+def _part(click: Click, box: Box) -> Mask:
+    """The click's voxels in a box; none where it lies outside."""
+    out = np.zeros([s.stop - s.start for s in box], np.bool_)
+    where = [axis + s.start for axis, s in zip(np.nonzero(click.mask), click.box, strict=True)]
+    within = np.all([(axis >= s.start) & (axis < s.stop) for axis, s in zip(where, box, strict=True)], axis=0)
+    out[tuple(axis[within] - s.start for axis, s in zip(where, box, strict=True))] = True
+    return out
+
+
+def _on_larger_box(answer: Answer, field: Field, box: Box) -> Answer:
+    """The same answer on a box that holds its own."""
+    if box == answer.box:
+        return answer
+    place = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(answer.box, box, strict=True))
+    shape = [s.stop - s.start for s in box]
+
+    def larger(values: NDArray, beyond: float) -> NDArray:
+        out = np.full(shape, beyond, values.dtype)
+        out[place] = values
+        return out
+
+    return replace(
+        answer,
+        box=box,
+        times_in=larger(answer.times_in, np.inf),
+        times_clicked=larger(answer.times_clicked, np.inf),
+        times_out=larger(answer.times_out, 0.0),
+        total=larger(answer.total, 1.0),
+        force=larger(answer.force, 1.0),
+        inside=larger(answer.inside, False),
+    )
