@@ -1,4 +1,4 @@
-"""The clicks' model of an object that is corrected: a later click changes its arrays only where it arrives first."""
+"""The clicks' model of an object that is corrected: which voxels another click wins."""
 
 from __future__ import annotations
 
@@ -9,135 +9,82 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.seeded.appearance import learn
-from accelsurf.energies.seeded.competition import arrival, balance, field_of
-from accelsurf.energies.seeded.model import CLICKED, EARLIER, SMOOTHING, SeededModel
-from accelsurf.grid.boxes import Box, widened
+from accelsurf.energies.seeded import SeededModel, seeded_model
+from accelsurf.grid.boxes import Box, bounding_box, box_at
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.segmentation.preprocessing import uses_model
+from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig
-
-#: First half width, voxels, of the box in which a click's march is followed; it doubles while the march comes to its
-#: edge.
-FIRST_REACH = 12
-#: Voxels beyond that box that smoothing and appearance see.
-CONTEXT = 4
 
 Image = NDArray[np.float32]
 Spacing = tuple[float, float, float]
 
 
 class ModelChange(NamedTuple):
-    """What a click changed: the ``mask`` on a ``box`` of the grid, and the arrays there before."""
+    """What a click changed: the ``mask`` on a ``box`` of the grid where F has another side, and the model before."""
 
     box: Box
     mask: NDArray[np.bool_]
-    before: tuple[Image, Image, Image]
+    before: SeededModel
 
 
 class LocalModel:
-    """The arrays of a `SeededModel`, changed click by click.
+    """The model of an object, click by click.
 
     Parameters
     ----------
     model : SeededModel
-        Not changed.
     images : sequence of ndarray (nz, ny, nx), float32
         The channels, as they are evolved.
     spacing : (hz, hy, hx)
         mm.
     passes : ndarray of bool or None
         The mask of the run.
+    threads : int
+        The result is the same for any number.
     """
 
     def __init__(
-        self, model: SeededModel, images: Sequence[Image], spacing: Spacing, passes: NDArray[np.bool_] | None
+        self,
+        model: SeededModel,
+        images: Sequence[Image],
+        spacing: Spacing,
+        passes: NDArray[np.bool_] | None,
+        threads: int,
     ) -> None:
-        self._model, self._images, self._spacing, self._passes = model, images, spacing, passes
-        self._arrays = [model.field, model.times_in, model.times_out]
-        self._owned = False
+        self.model = model
+        self._images, self._spacing, self._passes, self._threads = images, spacing, passes, threads
 
     @property
     def field(self) -> Image:
         """F (nz, ny, nx): the surface grows where it is below 0."""
-        return self._arrays[0]
-
-    def model(self) -> SeededModel:
-        """The model as a value: later changes do not change it."""
-        self._owned = False
-        field, times_in, times_out = self._arrays
-        return SeededModel(
-            field, self._model.start, times_in, times_out, self._model.proposal, self._model.area_weight_mm,
-            self._model.clicks,
-        )
+        return self.model.field
 
     def add(self, click: Click) -> ModelChange:
-        """Change the model where a click arrives earlier than all before, and nowhere else.
-
-        By the march of `seeded_model`, in a box that grows until the march does not come to its edge.
+        """Go on to the model with one more click.
 
         Parameters
         ----------
         click : Click
             On the grid of the model, as its object sees it.
         """
-        reach, shape = FIRST_REACH, self.field.shape
-        while True:
-            box = widened(click.box, shape, (reach, reach, reach))
-            change = self._within(click, box)
-            if not _meets_edge(change[3], box, shape):
-                break
-            reach *= 2
-        self._own()
-        before = tuple(array[box].copy() for array in self._arrays)
-        for array, new in zip(self._arrays, change[:3], strict=True):
-            array[box] = new
-        return ModelChange(box, change[3], (before[0], before[1], before[2]))
+        before = self.model
+        self.model = seeded_model(
+            self._images,
+            self._spacing,
+            before.clicks.with_more([click]),
+            mask=self._passes,
+            threads=self._threads,
+            previous=before,
+        )
+        changed = (self.model.field < 0) != (before.field < 0)
+        box = bounding_box(changed) or box_at((0, 0, 0), (0, 0, 0))
+        return ModelChange(box, changed[box], before)
 
     def undo(self, change: ModelChange) -> None:
         """Take back the last change."""
-        self._own()
-        for array, old in zip(self._arrays, change.before, strict=True):
-            array[change.box] = old
-
-    def _own(self) -> None:
-        """Copy the arrays once, so that the model they came from stays as it is."""
-        if not self._owned:
-            self._arrays, self._owned = [array.copy() for array in self._arrays], True
-
-    def _within(self, click: Click, box: Box) -> tuple[Image, Image, Image, NDArray[np.bool_]]:
-        """Field and times of arrival on a box after a click, and where the field changed."""
-        wide = widened(box, self.field.shape, (CONTEXT, CONTEXT, CONTEXT))
-        inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, wide, strict=True))
-        images = [gaussian_mm(image[wide], self._spacing, SMOOTHING * min(self._spacing)) for image in self._images]
-        shape = (wide[0].stop - wide[0].start, wide[1].stop - wide[1].start, wide[2].stop - wide[2].start)
-        (placed,) = Clicks((click,), self.field.shape).on_box(wide).clicks
-        field, times_in, times_out = (array[wide] for array in self._arrays)
-        passes = np.zeros(shape, np.bool_)
-        passes[inner] = True if self._passes is None else self._passes[box]
-        seeds = np.flatnonzero(Clicks((placed,), shape).mask(placed.side))
-        cap = np.asarray(EARLIER * np.minimum(times_in, times_out), np.float32).ravel()
-        times, _ = arrival(field_of(images, self._spacing, passes), learn(images, self._spacing, placed), seeds, cap)
-        nearer = balance(times, cap).reshape(shape)
-        inside = click.side == "inside"
-        came = np.isfinite(times).reshape(shape)
-        force = np.where(came, np.minimum(field, nearer) if inside else np.maximum(field, -nearer), field)
-        force[placed.box][placed.mask] = -CLICKED if inside else CLICKED
-        earlier = np.minimum(times_in if inside else times_out, times.reshape(shape))
-        pair = (earlier, times_out) if inside else (times_in, earlier)
-        return force[inner], pair[0][inner], pair[1][inner], np.asarray((force != field)[inner])
-
-
-def _meets_edge(changed: NDArray[np.bool_], box: Box, shape: Sequence[int]) -> bool:
-    """Whether a change comes to a face of a box that is not the grid's own."""
-    for axis, (side, n) in enumerate(zip(box, shape, strict=True)):
-        if side.start > 0 and changed.take(0, axis=axis).any():
-            return True
-        if side.stop < n and changed.take(-1, axis=axis).any():
-            return True
-    return False
+        self.model = change.before
 
 
 def basin_of(click: Click, change: ModelChange, field: Image) -> Click:
@@ -151,13 +98,21 @@ def basin_of(click: Click, change: ModelChange, field: Image) -> Click:
     field : ndarray (nz, ny, nx), float32
         After the click.
     """
-    (placed,) = Clicks((click,), (field.shape[0], field.shape[1], field.shape[2])).on_box(change.box).clicks
-    now = field[change.box]
-    own = change.mask & ((now < 0) if click.side == "inside" else (now > 0))
+    side = (field < 0) if click.side == "inside" else (field > 0)
+    corners = np.array([[t.start for t in click.box], [t.start for t in change.box]])
+    ends = np.array([[t.stop for t in click.box], [t.stop for t in change.box]])
+    if not change.mask.size:
+        return click
+    low, high = corners.min(axis=0), ends.max(axis=0)
+    box = box_at((int(low[0]), int(low[1]), int(low[2])), [int(n) for n in high - low])
+    own = np.zeros(tuple(t.stop - t.start for t in box), np.bool_)
+    own[tuple(slice(t.start - b.start, t.stop - b.start) for t, b in zip(change.box, box, strict=True))] = change.mask
+    own &= side[box]
+    (placed,) = Clicks((click,), (field.shape[0], field.shape[1], field.shape[2])).on_box(box).clicks
     own[placed.box] |= placed.mask
     labels, _ = ndimage.label(own)
     found = np.unique(labels[placed.box][placed.mask])
-    return click._replace(box=change.box, mask=np.asarray(np.isin(labels, found[found > 0])))
+    return click._replace(box=box, mask=np.asarray(np.isin(labels, found[found > 0])))
 
 
 def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> dict[int, LocalModel]:
@@ -169,5 +124,6 @@ def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> di
     passes = None if distance is None else np.asarray(distance < 0)
     models = {id: state.models.get(id) or state.contexts[id].seeded_model() for id in ids}
     return {
-        id: LocalModel(model, prepared.images, prepared.geometry.spacing, passes) for id, model in models.items()
+        id: LocalModel(model, prepared.images, prepared.geometry.spacing, passes, thread_count(settings))
+        for id, model in models.items()
     }

@@ -345,7 +345,7 @@ class Refiner:
         """The present state as a result; later corrections do not change it."""
         base = self._result
         objects = tuple(self._object(one, now) for one, now in zip(base.objects, self._surfaces, strict=True))
-        models = {id: model.model() for id, model in self._models.items()}
+        models = {id: model.model for id, model in self._models.items()}
         state = dataclasses.replace(
             self._state, totals=dict(self._regional.totals), clicks=self._clicks, models=models
         )
