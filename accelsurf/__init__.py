@@ -34,6 +34,8 @@ _HOMES = {
     "segment": "accelsurf.segmentation.api",
     "evolve": "accelsurf.segmentation.api",
     "segment_objects": "accelsurf.segmentation.api",
+    "refine": "accelsurf.segmentation.refine",
+    "Refiner": "accelsurf.segmentation.refiner",
     "evaluate": "accelsurf.analysis.metrics",
     "report_of": "accelsurf.report.document",
     "show": "accelsurf.viewer.frontends.notebook",
@@ -63,6 +65,8 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.api import evolve as evolve
     from accelsurf.segmentation.api import segment as segment
     from accelsurf.segmentation.api import segment_objects as segment_objects
+    from accelsurf.segmentation.refine import refine as refine
+    from accelsurf.segmentation.refiner import Refiner as Refiner
     from accelsurf.segmentation.result import Result as Result
 
     ObjectsResult = Result

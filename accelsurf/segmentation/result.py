@@ -24,6 +24,7 @@ from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.ensemble import overall_stop
+from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig
 
 #: Columns of the history that are summed over objects, and those of which the largest counts.
@@ -190,6 +191,8 @@ class Result:
         Index (z, y, x) of the place where the surfaces grew most in the last quarter of their growth; None without any.
     clicks : Clicks or None
         What a person has clicked, on the image's grid.
+    state : RunState or None
+        What `accelsurf.refine` goes on from; None where it is not to be kept.
     """
 
     objects: tuple[SegmentedObject, ...]
@@ -209,6 +212,7 @@ class Result:
     resolved_settings: dict[str, Any] = field(default_factory=dict)
     late_growth: tuple[float, float, float] | None = None
     clicks: Clicks | None = None
+    state: RunState | None = None
 
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)

@@ -74,7 +74,7 @@ class Run:
     has_ids : bool
         Whether objects with ids were given: labels are then ids, and none overlap.
     given : tuple of str
-        Settings given as arrays in place of texts; ``given_digest`` is their SHA-256.
+        Settings given as arrays in place of texts; ``given_digest`` is their SHA-256. ``energy_given``: the energy.
     prepared : PreprocessedInput
         Image and mask, on the grid of the region of interest.
     objects : tuple of EvolvingObject
@@ -99,7 +99,7 @@ class Run:
     ) -> None:
         began = time.perf_counter()
         begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks)
-        self.volume, self.config, self._energy, config = volume, begin.config, energy, begin.config
+        self.volume, self.config, self.energy_given, config = volume, begin.config, energy, begin.config
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
         self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
         self.prepared, starts, contexts = begin.prepared, begin.starts, begin.contexts
@@ -142,7 +142,7 @@ class Run:
         )
 
     def _energy_maker(self, settings: RunConfig) -> EnergyMaker:
-        return energy_maker(self._energy, settings, self._levels, self.has_ids)
+        return energy_maker(self.energy_given, settings, self._levels, self.has_ids)
 
     @property
     def geometry(self) -> Geometry:
@@ -345,7 +345,7 @@ class Run:
         ``edits`` are all up to this one; those that are in force and this one unless given.
         """
         ids = ids or [one.id for one in self._all]
-        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self._energy)
+        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self.energy_given)
         self._clicks.after((*self.config.edit[: self._edits_done], edit) if edits is None else edits)
 
     @property

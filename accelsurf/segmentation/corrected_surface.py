@@ -1,0 +1,94 @@
+"""A surface between two corrections, and what new clicks are about on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, shared
+from accelsurf.grid.clicks import Click, Side
+from accelsurf.segmentation.result import Result
+from accelsurf.settings.run_config import RunConfig
+
+
+class CorrectedSurface(NamedTuple):
+    """A surface between two corrections, as a value: psi (nz, ny, nx) from voxel ``corner`` of the region of interest.
+
+    ``inside`` is the number of its voxels.
+    """
+
+    id: int
+    corner: Corner
+    psi: NDArray[np.float32]
+    inside: int
+    history: list[StepRecord]
+    stop: Stop
+
+
+def frozen_settings(result: Result) -> RunConfig:
+    """The settings at the end of a run; what was measured on the whole image is a number in them."""
+    done = result.config.edit[: result.edits_done]
+    settings = result.config.replace(edit=done).at(max((edit.step for edit in done), default=0))
+    contrasts = [term["contrast"] for term in result.objects[0].terms if isinstance(term.get("contrast"), float)]
+    if settings.edge_contrast == "auto" and contrasts:
+        settings = settings.replace(edge_contrast=contrasts[0])
+    return settings.replace(refine=())
+
+
+def count_inside(psi: NDArray[np.float32]) -> int:
+    """Number of voxels inside."""
+    return int(np.count_nonzero(psi < 0))
+
+
+def counted_from(box: Box, corner: Corner) -> Box:
+    """A box counted from another first voxel."""
+    z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, corner, strict=True))
+    return z, y, x
+
+
+def wrong_part(click: Click, one: CorrectedSurface) -> Click | None:
+    """The voxels of a click that are not on its side; None where there are none. Beyond its array nothing is inside."""
+    inside = np.zeros(click.mask.shape, np.bool_)
+    mine, theirs = shared(corner_of(click.box), inside.shape, one.corner, one.psi.shape)
+    if all(s.start < s.stop for s in mine):
+        inside[mine] = one.psi[theirs] < 0
+    wrong = click.mask & (inside != (click.side == "inside"))
+    tight = bounding_box(wrong)
+    if tight is None:
+        return None
+    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, click.box, strict=True))
+    return click._replace(box=(z, y, x), mask=wrong[tight])
+
+
+def on_box(clicks: Sequence[Click], box: Box) -> list[tuple[Side, NDArray[np.bool_]]]:
+    """The voxels of clicks on a box, with their sides."""
+    out: list[tuple[Side, NDArray[np.bool_]]] = []
+    for click in clicks:
+        mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
+        mine, theirs = shared(corner_of(box), mask.shape, corner_of(click.box), click.mask.shape)
+        if all(s.start < s.stop for s in mine):
+            mask[mine] = click.mask[theirs]
+        out.append((click.side, mask))
+    return out
+
+
+def box_around(clicks: Sequence[Click]) -> Box:
+    """The box around clicks."""
+    low = np.min([corner_of(click.box) for click in clicks], axis=0)
+    high = np.max([[s.stop for s in click.box] for click in clicks], axis=0)
+    return box_at((int(low[0]), int(low[1]), int(low[2])), [int(n) for n in high - low])
+
+
+def stop_of_whole(stop: Stop, inside: int, voxels: int) -> Stop:
+    """Why a correction ended, of the whole object: a part of it that is gone is not the whole."""
+    if inside == 0:
+        return stop._replace(reason="vanished", message="the corrected object has no voxel left")
+    if inside == voxels:
+        return stop._replace(reason="filled", message="the corrected object fills the whole volume")
+    if stop.reason in ("vanished", "filled"):
+        return stop._replace(reason="converged", message="the correction left no surface near the click")
+    return stop

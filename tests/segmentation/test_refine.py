@@ -1,0 +1,284 @@
+"""Corrections of a finished run: what moves, what stays, byte for byte."""
+
+import dataclasses
+import tomllib
+
+import numpy as np
+import pytest
+
+import accelsurf
+from accelsurf.analysis.surface_mesh import extract
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import box_at
+from accelsurf.segmentation.near_region import rim_width
+from accelsurf.segmentation.refine import refine
+from accelsurf.segmentation.refiner import Refiner
+from accelsurf.settings.refinements import Refinement, refinements_of
+from accelsurf.settings.run_config import RunConfig
+
+SHAPE, SPACING = (26, 30, 64), (1.5, 1.0, 1.0)
+
+
+def world(*index):
+    """Text of the world coordinates of a voxel (z, y, x)."""
+    return ",".join(f"{i * h:.6g}" for i, h in zip(index[::-1], SPACING[::-1], strict=True))
+
+
+def two_balls(noise=8.0, seed=3):
+    """Two bright balls of different brightness, far apart, in noise; and their masks."""
+    z, y, x = np.indices(SHAPE) * np.array(SPACING)[:, None, None, None]
+    one = (z - 18) ** 2 + (y - 14) ** 2 + (x - 14) ** 2 < 8**2
+    other = (z - 18) ** 2 + (y - 14) ** 2 + (x - 48) ** 2 < 7**2
+    image = 100.0 * one + 90.0 * other + np.random.default_rng(seed).normal(0, noise, SHAPE)
+    return image.astype(np.float32), one, other
+
+
+ENERGIES = ("chan-vese", "threshold:50,", "likelihood:model=gauss", "local-region:R=6", "seeded")
+
+
+@pytest.fixture(scope="module")
+def image():
+    return two_balls()[0]
+
+
+def first_run(image, energy="chan-vese", **options):
+    start = {} if energy == "seeded" else {"start": f"ball:{world(12, 14, 14)},5"}
+    if energy == "seeded":
+        start["inside"] = f"ball:{world(12, 14, 14)},3"
+    return accelsurf.segment(
+        image, spacing=SPACING, energy=energy, smoothness=0.3, threads=1, keep_state="yes", **start, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def result(image):
+    return first_run(image)
+
+
+def far_from(points, near, shape=SHAPE):
+    """Voxels farther than ``near`` mm from some voxels."""
+    index = np.indices(shape).reshape(3, -1).T * np.array(SPACING)
+    distance = np.min([np.linalg.norm(index - np.array(p) * SPACING, axis=1) for p in points], axis=0)
+    return (distance > near).reshape(shape)
+
+
+@pytest.mark.parametrize("energy", ENERGIES)
+def test_beyond_near_every_byte_stays_and_the_click_is_on_its_side(image, energy):
+    before = first_run(image, energy)
+    psi = before.psi.copy()
+    z, y, x = 12, 14, 21  # near the surface of the first ball
+    side = "outside" if before.labels[z, y, x] else "inside"
+    after = refine(before, **{side: f"point:{world(z, y, x)}"}, near=7)
+    assert bool(after.labels[z, y, x]) == (side == "inside")
+    far = far_from([(z, y, x)], 7.0)
+    assert after.psi[far].tobytes() == psi[far].tobytes()
+    assert (after.psi != psi).any()
+    np.testing.assert_array_equal(before.psi, psi)
+
+
+def test_vertices_away_from_the_region_are_the_same(result):
+    both = refine(result, inside=f"ball:{world(12, 14, 48)},3")
+    after = refine(both, outside=f"ball:{world(12, 14, 21)},2", near=6)
+    before, now = both.surface.vertices, after.surface.vertices
+    # A vertex depends on psi two voxels around it, and on its neighbours' displacements in four rounds.
+    far = [np.linalg.norm(v - np.array([21.0, 14.0, 18.0]), axis=1) > 6 + 6 * 1.5 for v in (before, now)]
+    assert {v.tobytes() for v in before[far[0]]} == {v.tobytes() for v in now[far[1]]}
+    assert len(before[far[0]]) > 100
+
+
+def test_what_is_missing_is_added_whole(image, result):
+    other = two_balls()[2]
+    after = refine(result, inside=f"ball:{world(12, 14, 48)},3")
+    added = (after.labels > 0) & ~(result.labels > 0)
+    assert 2 * (added & other).sum() / (added.sum() + other.sum()) > 0.9
+    assert after.volume_mm3 == pytest.approx(after.labels.sum() * 1.5, rel=0.03)
+    assert after.history[: len(result.history) - 1] == result.history[:-1]
+
+
+def test_a_click_that_changes_nothing_changes_nothing(image):
+    for energy in ("chan-vese", "seeded"):
+        before = first_run(image, energy)
+        z, y, x = 12, 14, 14
+        after = refine(before, inside=f"point:{world(z, y, x)}")
+        assert after.psi.tobytes() == before.psi.tobytes()
+        assert after.history == before.history
+
+
+def test_the_means_count_the_whole_object(image):
+    """A correction on a small box has the means of one on the whole image, which the box alone does not have."""
+    shade = image + np.linspace(0, 60, SHAPE[2], dtype=np.float32)  # brighter to the right, everywhere
+    before = first_run(shade)
+    click = {"outside": f"ball:{world(12, 14, 22)},1.5"}
+    found = {}
+    for near in (9, 200):
+        refiner = Refiner(before)
+        original = refiner._problem
+        refiner._problem = lambda *args, make=original, near=near: found.setdefault(near, make(*args))
+        refiner.apply(*refinements_of({**click, "near": near}))
+    # 200 mm is the whole image.
+    assert found[200].region.box == box_at((0, 0, 0), SHAPE) != found[9].region.box
+    assert found[9].energy.means == pytest.approx(found[200].energy.means, abs=0.004)
+    alone = before.image[found[9].region.box]
+    outside = alone[before.labels[found[9].region.box] == 0].mean()
+    assert abs(outside - found[9].energy.means[1]) > 0.02  # what the box alone would say
+
+
+def test_undo_brings_back_every_byte(image):
+    for energy in ("chan-vese", "seeded"):
+        before = first_run(image, energy)
+        refiner = Refiner(before)
+        first = refiner.apply(*refinements_of({"inside": f"ball:{world(12, 14, 48)},3"}))
+        middle = refiner.result()
+        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 21)},2", "near": 6}))
+        refiner.undo()
+        again = refiner.result()
+        assert again.psi.tobytes() == middle.psi.tobytes() and again.config == middle.config
+        refiner.undo()
+        assert refiner.result().psi.tobytes() == before.psi.tobytes()
+        assert first[0].voxels > 0
+        # What follows is the same as if the undone had never been.
+        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 21)},2", "near": 6}))
+        direct = refine(before, outside=f"ball:{world(12, 14, 21)},2", near=6)
+        assert refiner.result().psi.tobytes() == direct.psi.tobytes()
+
+
+@pytest.mark.parametrize("energy", ["chan-vese", "likelihood:model=histogram", "seeded"])
+def test_one_configuration_repeats_run_and_corrections(image, energy):
+    result = first_run(image, energy)
+    result = refine(result, inside=f"ball:{world(12, 14, 48)},3")
+    result = refine(result, outside=f"point:{world(12, 14, 21)}", near=6)
+    config = RunConfig(**tomllib.loads(result.config.to_toml()))
+    assert config.refine == result.config.refine and len(config.refine) == 2
+    for threads in (1, 2):
+        again = accelsurf.segment(image, spacing=SPACING, config=config.replace(threads=threads))
+        assert again.psi.tobytes() == result.psi.tobytes()
+        assert again.surface.vertices.tobytes() == result.surface.vertices.tobytes()
+
+
+def test_no_crease_at_the_seam(image):
+    """The surface leaves its old place at a tangent: its curvature along the seam stays as it is around it."""
+    before = first_run(image, "threshold:50,")
+    at, near = np.array([12, 14, 21]), 12.0
+    after = refine(before, outside=f"ball:{world(*at)},2.5", near=near)
+    rim = rim_width(SHAPE, SPACING)
+    index = np.indices(SHAPE).reshape(3, -1).T.reshape(*SHAPE, 3) * np.array(SPACING)
+    depth = near - np.linalg.norm(index - at * SPACING, axis=-1)
+    seam = (np.abs(depth) < 2.0) & (np.abs(before.psi) < 1.5)
+    assert seam.sum() > 50
+
+    def curvature(psi):
+        gradient = np.stack(np.gradient(psi.astype(float), *SPACING))
+        unit = gradient / np.maximum(np.linalg.norm(gradient, axis=0), 1e-6)
+        return sum(np.gradient(unit[i], SPACING[i], axis=i) for i in range(3))
+
+    old, new = (np.abs(curvature(one.psi))[seam] for one in (before, after))
+    assert np.percentile(new, 99) <= np.percentile(old, 99) + 1.0 / rim
+    # A hard edge of the region would be a crease: there psi would jump.
+    jump = np.abs(after.psi - before.psi)[(depth > 0) & (depth < 1.5) & (np.abs(before.psi) < 1.0)]
+    assert jump.max() < 0.25
+
+
+@pytest.mark.parametrize("shape, spacing", [((1, 40, 48), (5.0, 1.0, 1.0)), ((9, 40, 48), (5.0, 0.8, 0.8))])
+def test_two_dimensions_and_thick_slices(shape, spacing):
+    z, y, x = np.indices(shape)
+    inside = ((y - 20) ** 2 + (x - 16) ** 2 < 9**2) & (abs(z - shape[0] // 2) < 3)
+    image = 100.0 * inside + np.random.default_rng(0).normal(0, 10, shape)
+    middle = shape[0] // 2
+    start = f"ball:{16 * spacing[2]},{20 * spacing[1]},{middle * spacing[0]},{5 * spacing[1]}"
+    before = accelsurf.segment(image.astype(np.float32), spacing=spacing, start=start, threads=1)
+    click = np.array([middle, 20, 26])
+    text = "point:" + ",".join(str(i * h) for i, h in zip(click[::-1], spacing[::-1], strict=True))
+    side = "outside" if before.labels[tuple(click)] else "inside"
+    after = refine(before, **{side: text}, near=6)
+    assert bool(after.labels[tuple(click)]) == (side == "inside")
+    index = np.stack(np.indices(shape), -1) * np.array(spacing)
+    far = np.linalg.norm(index - click * np.array(spacing), axis=-1) > 6
+    assert after.psi[far].tobytes() == before.psi[far].tobytes()
+
+
+def test_several_objects_never_overlap_and_the_named_one_is_corrected():
+    image, one, other = two_balls()
+    starts = np.zeros(SHAPE, int)
+    starts[10:14, 12:16, 12:16], starts[10:14, 12:16, 46:50] = 3, 7
+    before = accelsurf.segment_objects(image, starts, spacing=SPACING, threads=1)
+    after = refine(before, outside=f"ball:{world(12, 14, 53)},2", object=7, near=8)
+    assert not (after.labels[12, 13:16, 53] == 7).any() and (before.labels[12, 13:16, 53] == 7).all()
+    assert after.by_id[3].psi.tobytes() == before.by_id[3].psi.tobytes()
+    far = far_from([(12, 14, 53)], 10.5)
+    np.testing.assert_array_equal(after.labels[far], before.labels[far])
+    grown = refine(before, inside=f"ball:{world(12, 14, 21)},2", object=7, near=6)
+    assert grown.labels[12, 14, 21] == 7  # taken from 3, or from nothing
+    own = [grown.by_id[i] for i in (3, 7)]
+    whole = np.zeros(SHAPE, int)
+    for part in own:
+        whole[part.box] += part.labels
+    assert whole.max() == 1
+    with pytest.raises(UsageError, match="object 5 was given"):
+        refine(before, inside=f"point:{world(12, 14, 21)}", object=5)
+    with pytest.raises(UsageError, match="without object"):
+        refine(before, inside=f"point:{world(12, 14, 21)}")
+
+
+def test_a_contradiction_is_refused_with_the_voxel_and_changes_nothing(result):
+    refiner = Refiner(result)
+    refiner.apply(*refinements_of({"inside": f"point:{world(12, 14, 24)}", "near": 5}))
+    psi, config = refiner.result().psi, refiner.config
+    with pytest.raises(InputError, match=r"voxel 24,14,12 .* both inside and outside"):
+        refiner.apply(*refinements_of({"outside": f"point:{world(12, 14, 24)}"}))
+    assert refiner.result().psi.tobytes() == psi.tobytes() and refiner.config == config
+
+
+def test_a_result_without_state_is_refused(image):
+    start = f"ball:{world(12, 14, 14)},5"
+    result = accelsurf.segment(image, spacing=SPACING, start=start, max_steps=2, keep_state="no")
+    assert result.state is None
+    with pytest.raises(UsageError, match="keep_state"):
+        refine(result, inside=f"point:{world(12, 14, 24)}")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_clicks_after_random_corrections_hold(result, seed):
+    """Every click so far is on its side, bytes beyond each region stay, and undoing all gives the first surface."""
+    rng = np.random.default_rng(seed)
+    refiner, said = Refiner(result), {}
+    for _ in range(4):
+        at = tuple(int(v) for v in rng.integers((3, 4, 4), (23, 26, 60)))
+        side = "inside" if rng.random() < 0.5 else "outside"
+        if said.get(at, side) != side:
+            continue
+        near = float(rng.uniform(3, 12))
+        before = refiner.result().psi
+        refiner.apply(*refinements_of({side: f"point:{world(*at)}", "near": near}))
+        said[at] = side
+        after = refiner.result()
+        far = far_from([at], near)
+        assert after.psi[far].tobytes() == before[far].tobytes()
+        for place, wanted in said.items():
+            assert bool(after.labels[place]) == (wanted == "inside")
+    for _ in said:
+        refiner.undo()
+    assert refiner.result().psi.tobytes() == result.psi.tobytes()
+
+
+def test_refinements_are_read_from_texts_and_tables():
+    (one,) = refinements_of("inside=point:1,2,3 inside=point:4,5,6 outside=ball:1,1,1,2 near=7 object=2")
+    assert one == Refinement(inside=("point:1,2,3", "point:4,5,6"), outside=("ball:1,1,1,2",), near=7.0, object=2)
+    assert refinements_of(str(one)) == (one,)
+    for wrong, said in (
+        ("near=3", "no click was given"),
+        ("inside=point:1,2,3 near=-1", "near"),
+        ("inside=point:1,2,3 depth=1", "depth"),
+        ("inside=point:1,2,3 object=x", "object"),
+        ({"inside": 3}, "inside 3"),
+        (7, "expected clicks"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            refinements_of(wrong)
+
+
+def test_the_mesh_of_the_result_is_that_of_its_psi(result):
+    after = refine(result, outside=f"ball:{world(12, 14, 21)},2", near=6)
+    fresh = extract(after.psi, after.geometry)
+    assert fresh.vertices.tobytes() == after.surface.vertices.tobytes()
+    assert dataclasses.replace(after).stop == after.stop
+    assert box_at((0, 0, 0), SHAPE) == after.objects[0].box
