@@ -15,6 +15,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.given import psi_of, split_given
 from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.segmentation.rest_points import rest_points
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
@@ -281,9 +282,9 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     psi = run.prepared.on_whole_grid(one.psi_on_finest()[1])
     box = tuple(slice(0, n) for n in psi.shape)
     learned = run.prepared.learned_by(one.context)
-    return SegmentedObject(
-        1, (box[0], box[1], box[2]), psi, image, run.volume.geometry, history, stop, one.made.terms, learned
-    )
+    whole: Box = (box[0], box[1], box[2])
+    rests = rest_points(one.evolution.state.rests.found, run.prepared, whole)
+    return SegmentedObject(1, whole, psi, image, run.volume.geometry, history, stop, one.made.terms, learned, rests)
 
 
 def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
@@ -302,7 +303,8 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
         learned = run.prepared.learned_by(one.context)
         objects.append(
             SegmentedObject(
-                one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned
+                one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned,
+                rest_points(one.evolution.state.rests.found, run.prepared, box),
             )
         )
     return tuple(objects)
