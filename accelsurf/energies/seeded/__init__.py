@@ -1,0 +1,6 @@
+"""The seeded model: a force field learned from inside and outside clicks."""
+
+from accelsurf.energies.seeded.model import SeededModel, seeded_model
+from accelsurf.energies.seeded.proposal import Proposal
+
+__all__ = ["Proposal", "SeededModel", "seeded_model"]

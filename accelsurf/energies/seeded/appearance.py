@@ -1,0 +1,89 @@
+"""What the tissue under a click looks like, robustly: medians and median-based spreads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.clicks import Click
+from accelsurf.kernels.arrival import Tissue
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Spacing = tuple[float, float, float]
+
+#: Of a normal distribution: its standard deviation, in median absolute deviations.
+DEVIATION = 1.4826
+#: A click of fewer voxels learns also from its neighbours, so many voxels around it.
+MIN_VOXELS = 20
+#: The spread is at least this many median differences between neighbours: a small ball deep inside an object knows
+#: little of how much the object varies.
+MIN_SPREAD = 3.0
+#: No spread and no gradient counts as less than this part of the range of the values near the click.
+MIN_RANGE_FRACTION = 1e-3
+#: A gradient counts as 1 at so many times the median gradient around the click.
+EDGE = 6.0
+#: Cost per mm, see `accelsurf.kernels.arrival.cost_at`.
+WEIGHTS = (0.02, 0.1, 50.0, 0.15, 2.0, 16.0)
+
+
+def box_around(click: Click, shape: Sequence[int], margin: int) -> tuple[Box, Mask]:
+    """A box some voxels larger than a click's, and the click's mask in it."""
+    margins = [margin if n > 1 else 0 for n in shape]
+    box = widened(click.box, shape, margins)
+    mask = np.zeros([s.stop - s.start for s in box], np.bool_)
+    mask[tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(click.box, box, strict=True))] = click.mask
+    return box, mask
+
+
+def robust(values: NDArray[np.floating]) -> tuple[float, float]:
+    """Median, and spread from the median absolute deviation: the standard deviation of a normal distribution.
+
+    Examples
+    --------
+    >>> middle, spread = robust(np.array([1.0, 2.0, 3.0, 1000.0, 2.0]))
+    >>> middle, round(spread, 2)
+    (2.0, 1.48)
+    """
+    middle = float(np.median(values))
+    return middle, DEVIATION * float(np.median(np.abs(values - middle)))
+
+
+def gradient(values: Image, spacing: Sequence[float]) -> NDArray[np.float64]:
+    """Length of the gradient by central differences, per mm."""
+    parts = (np.gradient(values, h, axis=i) for i, h in enumerate(spacing) if values.shape[i] > 1)
+    return np.asarray(np.sqrt(sum((part.astype(np.float64) ** 2 for part in parts), np.zeros(values.shape))))
+
+
+def learn(images: Sequence[Image], spacing: Spacing, click: Click) -> Tissue:
+    """The tissue of a click, for a march from it.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+    spacing : (hz, hy, hx)
+        mm.
+    click : Click
+
+    Returns
+    -------
+    Tissue
+    """
+    box, mask = box_around(click, images[0].shape, 3)
+    cross = ndimage.generate_binary_structure(3, 1)
+    sample = mask if np.count_nonzero(mask) >= MIN_VOXELS else ndimage.binary_dilation(mask, cross)
+    around = ndimage.binary_dilation(sample, cross, iterations=2)
+    smallest = min(spacing)
+    found = []
+    for image in images:
+        part = image[box]
+        middle, spread = robust(part[sample])
+        noise = float(np.median(gradient(part, spacing)[around]))
+        least = max(MIN_RANGE_FRACTION * float(np.ptp(part)), 1e-6)
+        found.append((middle, max(spread, MIN_SPREAD * noise * smallest, least), EDGE * max(noise, least / smallest)))
+    median, deviation, edge = (np.array(column, np.float64) for column in zip(*found, strict=True))
+    return Tissue(median, deviation, edge, np.array(WEIGHTS))
