@@ -8,9 +8,9 @@ from pathlib import Path
 END = "<!-- end of the table -->"
 
 
-def put_table(page: Path, study: str, text: str) -> None:
+def put_table(page: Path, study: str, text: str, command: str = "scripts/study") -> None:
     """Put what a study found in place of what stands between its comments."""
-    begin = f"<!-- scripts/study {study} writes this table -->"
+    begin = f"<!-- {command} {study} writes this table -->"
     before, rest = page.read_text().split(begin)
     page.write_text(f"{before}{begin}\n\n{text}\n{END}{rest.split(END)[1]}")
 

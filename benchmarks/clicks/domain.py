@@ -1,0 +1,200 @@
+"""What the peers work on: a crop around the clicks, on a coarser grid where it is large, with what is surely outside.
+
+One inside click says nothing about the outside, which all of the peers need. The rule for all of them: the crop reaches
+``reach`` times the depth (twice the ball's radius) around the inside clicks; the crop's faces count as outside, but for
+those nearer than half that margin to an inside click: there the object may well run on. Where all faces are that near,
+the farthest counts. A person who uses such a program marks the outside, or draws a box.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
+
+INSIDE, OUTSIDE = 1, 2
+#: Values are cut at so many spreads from the median of the inside clicks, as a person sets a window.
+WINDOW = 10.0
+
+
+class Domain(NamedTuple):
+    """A crop, ready for a peer.
+
+    ``values`` (float32): 0 at the median of the inside clicks, in units of their spread; ``seeds`` (uint8): 1 inside,
+    2 outside, 0 open; ``spacing`` (z, y, x) of the grid in units of its smallest; ``clicks``: for each its side and
+    the values in its ball.
+    """
+
+    values: NDArray[np.float32]
+    seeds: NDArray[np.uint8]
+    spacing: tuple[float, float, float]
+    clicks: list[tuple[str, NDArray[np.float32]]]
+
+
+#: Gives, on a domain's grid, a field that is above 0 inside.
+Solver = Callable[[Domain, Mapping[str, Any]], NDArray[Any]]
+
+
+class CroppedSession:
+    """A peer in a crop: all clicks so far, solved anew at every click.
+
+    Parameters
+    ----------
+    image : Volume
+    solver : callable
+    settings : mapping
+        ``reach`` and what the solver takes.
+    cap : int
+        Voxels above which the crop is coarsened.
+    """
+
+    def __init__(self, image: Volume, solver: Solver, settings: Mapping[str, Any], cap: int) -> None:
+        self.image, self.solver, self.settings, self.cap = image, solver, settings, cap
+        self.clicks: list[PersonClick] = []
+
+    def click(self, click: PersonClick) -> Mask:
+        """Solve with one click more."""
+        self.clicks.append(click)
+        geometry = self.image.geometry
+        box, margin = crop(self.clicks, geometry, self.settings["reach"])
+        steps = strides(box, geometry.spacing, self.cap)
+        domain = made(self.image.array, geometry, self.clicks, box, steps, margin)
+        field = np.asarray(self.solver(domain, self.settings), np.float32)
+        labels = np.zeros(geometry.shape, bool)
+        labels[box] = enlarged(field, steps, labels[box].shape) > 0
+        for one in self.clicks:
+            where, ball = ball_voxels(one, geometry)
+            labels[where][ball] = one.side == "inside"
+        return labels
+
+
+def crop(clicks: Sequence[PersonClick], geometry: Geometry, reach: float) -> tuple[Box, float]:
+    """The box that a peer gets, and the margin (mm) around the inside clicks."""
+    margin = reach * 2 * max(one.radius for one in clicks if one.side == "inside")
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for one in clicks:
+        width = margin if one.side == "inside" else 2 * one.radius
+        extent = width / np.array(geometry.spacing)
+        low, high = np.minimum(low, one.index - extent), np.maximum(high, one.index + extent)
+    first = [max(math.floor(a), 0) for a in low]
+    stop = [min(math.ceil(b) + 1, n) for b, n in zip(high, geometry.shape, strict=True)]
+    return (slice(first[0], stop[0]), slice(first[1], stop[1]), slice(first[2], stop[2])), margin
+
+
+def strides(box: Box, spacing: Sequence[float], cap: int) -> tuple[int, int, int]:
+    """Whole steps by which a box is coarsened to at most ``cap`` voxels, the finest axis first.
+
+    Examples
+    --------
+    >>> strides((slice(0, 40), slice(0, 40), slice(0, 40)), (3.0, 1.0, 1.0), 20000)
+    (1, 2, 2)
+    """
+    sizes = [side.stop - side.start for side in box]
+    steps = [1, 1, 1]
+    while math.prod(-(-n // s) for n, s in zip(sizes, steps, strict=True)) > cap:
+        axis = min((i for i in range(3) if steps[i] < sizes[i]), key=lambda i: (steps[i] * spacing[i], -i))
+        steps[axis] += 1
+    return steps[0], steps[1], steps[2]
+
+
+def made(
+    image: NDArray[Any], geometry: Geometry, clicks: Sequence[PersonClick], box: Box, steps: tuple[int, int, int],
+    margin: float,
+) -> Domain:
+    """Cut, coarsen, scale, and mark the seeds."""
+    part = image[box].astype(np.float32)
+    seeds = np.zeros(part.shape, np.uint8)
+    balls: list[tuple[str, NDArray[np.float32]]] = []
+    for one in clicks:
+        where, ball = ball_voxels(one, geometry)
+        inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(where, box, strict=True))
+        seeds[inner][ball] = INSIDE if one.side == "inside" else OUTSIDE
+        balls.append((one.side, image[where][ball].astype(np.float32)))
+    inside = np.concatenate([values for side, values in balls if side == "inside"])
+    middle = np.median(inside)
+    # The spread of a ball of very few voxels, or of a flat one, is that of its neighbourhood's gradient.
+    gradient = [np.abs(np.diff(part, axis=axis)) for axis in range(3) if part.shape[axis] > 1]
+    floor = 0.5 * float(np.median(np.concatenate([one.ravel() for one in gradient])))
+    spread = max(1.4826 * float(np.median(np.abs(inside - middle))), floor, 1e-3 * float(np.ptp(part)), 1e-20)
+    values = np.clip((part - middle) / np.float32(spread), -WINDOW, WINDOW)
+    coarse = coarsened_seeds(seeds, steps)
+    for axis, end in outer_faces(clicks, geometry, box, margin):
+        face = [slice(None)] * 3
+        face[axis] = slice(0, 1) if end == 0 else slice(-1, None)
+        layer = coarse[tuple(face)]
+        layer[layer == 0] = OUTSIDE
+    mm = np.array(geometry.spacing) * steps
+    relative = mm / mm.min()
+    scaled = [(side, np.clip((v - middle) / np.float32(spread), -WINDOW, WINDOW)) for side, v in balls]
+    return Domain(block_mean(values, steps), coarse, (relative[0], relative[1], relative[2]), scaled)
+
+
+def outer_faces(
+    clicks: Sequence[PersonClick], geometry: Geometry, box: Box, margin: float
+) -> list[tuple[int, int]]:
+    """Faces (axis, end 0 or 1) of a crop that count as outside."""
+    inside = [one.index for one in clicks if one.side == "inside"]
+    far: dict[tuple[int, int], float] = {}
+    for axis, end in itertools.product(range(3), range(2)):
+        at = box[axis].start if end == 0 else box[axis].stop - 1
+        far[axis, end] = min(abs(index[axis] - at) for index in inside) * geometry.spacing[axis]
+    return [face for face, mm in far.items() if mm >= 0.5 * margin] or [max(far, key=lambda face: far[face])]
+
+
+def block_mean(values: NDArray[np.float32], steps: tuple[int, int, int]) -> NDArray[np.float32]:
+    """Means of blocks; those at the far ends may be smaller."""
+    out = values
+    for axis, step in enumerate(steps):
+        if step > 1:
+            starts = np.arange(0, out.shape[axis], step)
+            counts = np.diff(np.append(starts, out.shape[axis])).astype(np.float32)
+            shape = [1, 1, 1]
+            shape[axis] = -1
+            out = np.add.reduceat(out, starts, axis) / counts.reshape(shape)
+    return np.ascontiguousarray(out, np.float32)
+
+
+def coarsened_seeds(seeds: NDArray[np.uint8], steps: tuple[int, int, int]) -> NDArray[np.uint8]:
+    """Seeds of blocks: none is lost; a block with seeds of both sides gets neither."""
+    sides = []
+    for side in (INSIDE, OUTSIDE):
+        out = seeds == side
+        for axis, step in enumerate(steps):
+            if step > 1:
+                out = np.logical_or.reduceat(out, np.arange(0, out.shape[axis], step), axis)
+        sides.append(out)
+    both = sides[0] & sides[1]
+    return np.where(both, 0, sides[0] * INSIDE + sides[1] * OUTSIDE).astype(np.uint8)
+
+
+def enlarged(field: NDArray[np.float32], steps: tuple[int, int, int], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """A coarse field at the voxels of the crop, linearly between the centres of the blocks."""
+    out = field
+    for axis, step in enumerate(steps):
+        if step == 1:
+            continue
+        at = (np.arange(shape[axis]) - 0.5 * (step - 1)) / step
+        below = np.clip(np.floor(at).astype(int), 0, max(field.shape[axis] - 1, 0))
+        above = np.minimum(below + 1, field.shape[axis] - 1)
+        size = [1, 1, 1]
+        size[axis] = -1
+        part = np.clip(at - below, 0, 1).astype(np.float32).reshape(size)
+        out = np.take(out, below, axis) * (1 - part) + np.take(out, above, axis) * part
+    return out
+
+
+def connected(mask: Mask, seeds: NDArray[np.uint8]) -> Mask:
+    """The parts of a mask that hold an inside seed."""
+    parts, _ = ndimage.label(mask | (seeds == INSIDE))
+    wanted = np.unique(parts[seeds == INSIDE])
+    return np.isin(parts, wanted[wanted > 0]) & (seeds != OUTSIDE)
