@@ -204,7 +204,8 @@ def _warnings(found: Quality, stop: Stop) -> list[str]:
         warnings.append(f"leak: {stop.message}; try --outside point:X,Y,Z in what it ran into")
     if found.probability < good_result.threshold() and found.next_click is not None:
         click = f"look at {there} first and try --inside point:{there}, or --outside if it is not the object"
-        warnings.append(f"doubt: probably not right ({_why(found)}; {found.probability:.0%} likely to be good); {click}")
+        sure = f"{found.probability:.0%} likely to be good"
+        warnings.append(f"doubt: probably not right ({_why(found)}; {sure}); {click}")
     if abs(found.late_growth) > MAX_GROWTH and stop.reason not in ("converged", "rested", "leaked"):
         change = f"the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps"
         warnings.append(f"growth: {change}; try --stop-at-rest, or a larger --max-steps")
