@@ -6,8 +6,10 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from accelsurf.levelset import BandChange, LevelSet
+from accelsurf.flows import Flow
+from accelsurf.levelset import NO_CELLS, BandChange, LevelSet
 
 
 class Energy(ABC):
@@ -42,6 +44,15 @@ class Energy(ABC):
     def restore(self, surface: LevelSet, state: Any) -> None:
         """Set the state that `state` returned on this surface. By default the energy starts on it again."""
         self.start(surface)
+
+    @property
+    def held_cells(self) -> NDArray[np.int64]:
+        """Raveled cells, in rising order, whose side must not change; small components with one are not removed."""
+        return NO_CELLS
+
+    def reaction(self, surface: LevelSet, flow: Flow) -> np.ndarray | None:
+        """Return the change (n,) of the normal velocity by which a constraint stops it; None for no change."""
+        return None
 
     @property
     def is_disturbed(self) -> bool:

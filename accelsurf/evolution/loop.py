@@ -258,6 +258,7 @@ class Evolution:
         restarted = self.restart is not None and self.restart.is_due(potential, self.history[state.first :])
         if restarted:
             state.budget.record_loss(flow.zero_momentum(area))
+        self._react(area)
         front, force, curvature = self._force()
         plan = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self._limits_now())
         if not plan.dt > 0:
@@ -291,6 +292,14 @@ class Evolution:
         variation = self.surface.area_variation(front, curvature)
         return front, self.energy.force(self.surface, front, variation), curvature
 
+    def _react(self, area: np.ndarray) -> None:
+        """Take out the momentum that a constraint stops; the energy budget records the loss."""
+        change = self.energy.reaction(self.surface, self.flow)
+        if change is not None:
+            before = self.flow.energy(area)
+            self.flow.add_velocity(self.surface, change)
+            self.state.budget.record_jump(before - self.flow.energy(area))
+
     def _columns(self, n: int, potential: float, fraction: np.ndarray, area: np.ndarray) -> dict[str, Any]:
         """The columns of a record that say where the surface is."""
         return {
@@ -313,7 +322,7 @@ class Evolution:
             surface.advect(plan.velocity, plan.dt)
         # An energy may be infinite for some surfaces, such as those beyond a mask.
         self.energy.project(surface)
-        removed = surface.remove_small()
+        removed = surface.remove_small(self.energy.held_cells)
         motion = None if plan.velocity is None else (plan.velocity, plan.dt)
         change = surface.redistance(self.flow.fields, motion)
         self.flow.set_fields(change.fields)

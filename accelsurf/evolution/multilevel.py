@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.evolution.convergence import StopRule
 from accelsurf.evolution.records import StopReason
 from accelsurf.flows import Flow
-from accelsurf.grid.pyramid import Level, prolong
+from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import transfer_fields
 
@@ -39,12 +39,14 @@ def rule_on_level(rule: StopRule | None, number: int) -> StopRule | None:
 
 
 def prolong_surface(
-    old: LevelSet, flow: Flow, coarse: Level, fine: Level, half_width: float
+    psi: NDArray[np.float32], old: LevelSet, flow: Flow, coarse: Level, fine: Level, half_width: float
 ) -> tuple[LevelSet, list[NDArray[np.float32]]]:
     """A surface and its flow's fields on the next finer grid.
 
     Parameters
     ----------
+    psi : ndarray (nz, ny, nx), float32
+        That of ``old``, prolonged to ``fine``; its memory is used.
     old : LevelSet
         On the grid ``coarse``.
     flow : Flow
@@ -59,5 +61,5 @@ def prolong_surface(
     surface : LevelSet
     fields : list of ndarray (n,)
     """
-    surface = LevelSet(prolong(old.psi, coarse, fine), fine.spacing, half_width, old.workers, overwrite=True)
+    surface = LevelSet(psi, fine.spacing, half_width, old.workers, overwrite=True)
     return surface, transfer_fields(flow.fields, flow.fill_values, old.dense.slot, coarse, surface, fine)

@@ -31,6 +31,9 @@ from accelsurf.settings.wording import did_you_mean, shown
 MAX_LENGTH = 1e12
 _LABEL = re.compile(r"[0-9]{1,18}")
 
+#: The start that is made of the inside clicks of the run.
+CLICKS = "clicks"
+
 #: Kind -> the form in which it is written.
 KINDS: dict[str, str] = {
     "ball": "ball:X,Y,Z,R",
@@ -42,6 +45,7 @@ KINDS: dict[str, str] = {
     "otsu": "otsu",
     "mesh": "mesh:FILE",
     "center": "center",
+    CLICKS: CLICKS,
 }
 
 
@@ -86,9 +90,9 @@ def parse(text: str) -> Start:
     if kind not in KINDS:
         hint = f"{did_you_mean(kind, KINDS)}use one of {', '.join(KINDS.values())}"
         raise UsageError(f"start {text!r}: unknown kind {shown(kind)!r}", hint)
-    if kind == "center":
+    if kind in ("center", CLICKS):
         if colon:
-            raise UsageError(f"start {text!r}: center takes no values", "write --start center, or a ball")
+            raise UsageError(f"start {text!r}: {kind} takes no values", f"write --start {kind}, or a ball")
         return Start(kind)
     if kind in ("label", "mesh"):
         return _parse_file(text, kind, rest)
@@ -232,16 +236,20 @@ def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
         return f"start {text!r}: no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
     if kind in ("threshold", "largest", "otsu"):
         return f"start {text!r}: no voxel lies between these values", "thresholds are in the image's own units"
+    return f"start {text!r}: no voxel centre is inside it", extent_hint(geometry)
+
+
+def extent_hint(geometry: Geometry) -> str:
+    """Say where the volume lies, for messages about places outside of it."""
     corner = geometry.index_to_world(np.array([[0, 0, 0], [n - 1 for n in geometry.shape]]))
     low, high = corner.min(axis=0), corner.max(axis=0)
     ranges = "; ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    return (
-        f"start {text!r}: no voxel centre is inside it",
-        f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices",
-    )
+    return f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices"
 
 
 def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> NDArray[np.float32]:
+    if start.kind == CLICKS:
+        raise UsageError(f"start {text!r}: there is no click inside", "give --inside point:X,Y,Z, or another start")
     if start.kind == "label":
         return psi_of_mask(_read_mask(start, geometry), geometry)
     if start.kind == "mesh":

@@ -319,11 +319,12 @@ def is_peak(psi, grid, cell, near):
 
 
 @kernel(stage=Stage.BAND)
-def small_components(dense, grid, band, peaks, most):
-    """Flip the sign of psi on every component, inside or outside, of at most ``most`` cells.
+def small_components(dense, grid, band, peaks, most, held):
+    """Flip the sign of psi on every component, inside or outside, of at most ``most`` cells and none of ``held``.
 
     Each has a cell that no 6-neighbour on its side exceeds in |psi|, among the slots ``peaks``; the flood starts there
     and stops beyond ``most`` cells. A component that touches the border of the volume counts like any other.
+    ``held`` are raveled cells in rising order.
     Returns (components removed inside, outside, cells flipped).
     """
     psi = dense.psi
@@ -339,7 +340,7 @@ def small_components(dense, grid, band, peaks, most):
             continue
         inside = psi[cell] < 0.0
         count = flood_component(psi, grid, cell, inside, flood, near)
-        if count > most:
+        if count > most or holds_any(flood, count, held):
             continue
         for i in range(count):
             psi[flood[i]] = -psi[flood[i]]
@@ -349,6 +350,18 @@ def small_components(dense, grid, band, peaks, most):
         else:
             removed_outside += 1
     return removed_inside, removed_outside, flipped
+
+
+@kernel
+def holds_any(flood, count, held):
+    """Whether one of the first ``count`` cells of ``flood`` is among ``held``, which is in rising order."""
+    if held.shape[0] == 0:
+        return False
+    for i in range(count):
+        at = np.searchsorted(held, flood[i])
+        if at < held.shape[0] and held[at] == flood[i]:
+            return True
+    return False
 
 
 @kernel

@@ -2,12 +2,13 @@
 
 from accelsurf.levelset.checkpoint import SurfaceState, checkpoint_surface, restore_surface
 from accelsurf.levelset.displacement import FAR, Snapshot
-from accelsurf.levelset.level_set import FRONT_WIDTH, BandChange, LevelSet
+from accelsurf.levelset.level_set import FRONT_WIDTH, NO_CELLS, BandChange, LevelSet
 from accelsurf.levelset.threads import Workers, dot
 
 __all__ = [
     "FAR",
     "FRONT_WIDTH",
+    "NO_CELLS",
     "BandChange",
     "LevelSet",
     "Snapshot",

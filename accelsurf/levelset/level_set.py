@@ -31,6 +31,7 @@ from accelsurf.levelset.threads import Workers
 FRONT_WIDTH = 2.0
 #: Components of at most this many voxels are below what the grid resolves (a ball of radius 1.5 voxels).
 MAX_UNRESOLVED = 14
+NO_CELLS = np.empty(0, np.int64)
 
 
 class BandChange(NamedTuple):
@@ -266,10 +267,10 @@ class LevelSet:
         self.workers.parallel(transport.normals, self.size, self.dense.psi, self.grid, self.band, out)
         return out
 
-    def remove_small(self) -> int:
-        """Remove components, inside or outside, of at most `MAX_UNRESOLVED` voxels; returns how many.
+    def remove_small(self, held: np.ndarray = NO_CELLS) -> int:
+        """Remove components, inside or outside, of at most `MAX_UNRESOLVED` voxels, but those with ``held`` cells.
 
-        Between `advance` and `redistance`: signs are flipped, distances follow in the latter.
+        Returns how many. Between `advance` and `redistance`: signs are flipped, distances follow in the latter.
         """
         self._find_residues()
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
@@ -277,7 +278,7 @@ class LevelSet:
         peak, where = np.empty(self.size, np.bool_), (self.dense, self.grid, self.band)
         self.workers.parallel(band_kernels.find_peaks, self.size, *where, depth, peak)
         inside, outside, _ = self.workers.serial(
-            band_kernels.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED
+            band_kernels.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED, held
         )
         if inside + outside:
             flipped, slot = inside_before != (self.dense.psi[self.band.cells] < 0), self.dense.slot

@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid.boxes import Box
+from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
-from accelsurf.segmentation.given import psi_of, split_given
+from accelsurf.segmentation.given import clicks_of, psi_of, split_given
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.rest_points import rest_points
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
 from accelsurf.segmentation.solver_setup import half_width, stop_rule
+from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 
 __all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "segment_objects"]
@@ -56,7 +58,8 @@ def segment(
     **options
         Settings by name, over those of ``config``: ``start="ball:x,y,z,r"``, ``flow="gradient"``, ... ``start``,
         ``mask``, ``foreground`` and ``background`` may also be a mask (an array on the image's grid, or a Volume), a
-        closed mesh with ``vertices`` and ``faces`` in mm (LPS), or a list of balls (x, y, z, r) in mm.
+        closed mesh with ``vertices`` and ``faces`` in mm (LPS), or a list of balls (x, y, z, r) in mm; so may
+        ``inside`` and ``outside``, or a point (x, y, z), or a list of any of these.
 
     Returns
     -------
@@ -201,8 +204,12 @@ def _run_of(
     first = as_volume(volume, spacing)
     others = [as_channel(one, first) for one in channels]
     texts, given = split_given(options)
+    clicks = [click for side in SIDES if side in given for click in clicks_of(side, given.pop(side), first)]
     arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
-    return Run(first, *with_options(config, energy, texts), others, objects, arrays)
+    if "start" in arrays:
+        texts.setdefault("start", default_of("start"))
+    config, energy = with_options(config, energy, texts, any(click.side == "inside" for click in clicks))
+    return Run(first, config, energy, others, objects, arrays, clicks)
 
 
 def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
@@ -221,12 +228,20 @@ def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
 
 
 def with_options(
-    config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any]
+    config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any], clicked: bool = False
 ) -> tuple[RunConfig, EnergyLike | None]:
-    """The configuration, and the energy if it is not given by name."""
+    """The configuration, and the energy if it is not given by name; ``clicked``: voxels inside are given as arrays."""
     if isinstance(energy, str):
         options, energy = {**options, "energy": energy}, None
-    return (config or RunConfig()).replace(**options) if options else config or RunConfig(), energy
+    config = config or RunConfig()
+    known = config.model_fields_set | options.keys()
+    if energy is not None and (clicked or "inside" in options):
+        # What clicks choose otherwise; the energy of one's own has no model of them.
+        options = {"energy": default_of("energy"), **options}
+    if clicked:
+        chosen = {"energy": "seeded", "start": ("clicks",)}
+        options = {**{key: value for key, value in chosen.items() if key not in known}, **options}
+    return config.replace(**options) if options else config, energy
 
 
 def result_of(run: Run) -> Result:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import Energy
+from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.contact import Neighbour, NonOverlap
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.evolution.loop import Evolution
@@ -17,7 +18,7 @@ from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import LoopState
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared, widened
-from accelsurf.grid.pyramid import Level
+from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
@@ -25,6 +26,7 @@ from accelsurf.segmentation.balls import BallEdit, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
+from accelsurf.segmentation.run_clicks import LevelClicks
 from accelsurf.segmentation.start_pyramid import StartPyramid, finer_box, to_finest
 
 #: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the
@@ -71,6 +73,7 @@ class EvolvingObject:
         self._among_others = among_others
         self._max_steps, self._stop_requested = max_steps, False
         self._starts = StartPyramid(start, inputs.grids)
+        self._clicks = LevelClicks(context, inputs.grids)
         self.corner: Corner = (0, 0, 0)
         self.made: MadeEnergy
         self.evolution: Evolution
@@ -152,10 +155,12 @@ class EvolvingObject:
         corner, psi = self._starts.current()
         if not self._among_others:
             self.corner = corner
+            self._clicks.apply(psi, self.level)
             self._evolve(LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True), state)
             return
         inside = np.argwhere(psi < 0)
         low, high = inside.min(axis=0) + corner, inside.max(axis=0) + 1 + corner
+        low, high = self._clicks.extended(low, high, self.level)
         self._lay_out(self._boxed(low, high), psi, corner, None, state)
 
     def next_level(self) -> None:
@@ -171,7 +176,9 @@ class EvolvingObject:
         mine = coarse.on_box(self.corner, before.surface.shape)
         self.corner, shape = finer_box(self.corner, before.surface.shape, coarse, self.grid)
         theirs = self.grid.on_box(self.corner, shape)
-        surface, fields = prolong_surface(before.surface, before.flow, mine, theirs, self._setup.half_width)
+        psi = prolong(before.surface.psi, mine, theirs)
+        self._clicks.apply(psi, self.level, box_at(self.corner, shape))
+        surface, fields = prolong_surface(psi, before.surface, before.flow, mine, theirs, self._setup.half_width)
         self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
 
     def failed_on_level(self) -> Stop | None:
@@ -204,6 +211,7 @@ class EvolvingObject:
         distance = self._inputs.mask_distance(self.level, box)
         if distance is not None:
             np.maximum(psi, distance, out=psi)
+        self._clicks.apply(psi, self.level, box)
         surface = LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True)
         fields = None
         if before is not None:
@@ -242,10 +250,14 @@ class EvolvingObject:
         """The energy on a box of the present level's grid."""
         inputs = self._inputs
         images = inputs.images(self.level, box)
-        self.made = self._make_energy(images[0], self.grid.spacing, self.context.with_channels(images[1:]))
-        energy, distance = self.made.energy, inputs.mask_distance(self.level, box)
+        level, clicks = self.level, self._clicks
+        context = self.context.with_channels(images[1:], lambda: clicks.field(level, box))
+        self.made = self._make_energy(images[0], self.grid.spacing, context)
+        energy, distance, bounds = self.made.energy, inputs.mask_distance(level, box), clicks.bounds(level, box)
         if distance is not None:
             energy = MaskConstraint(energy, distance)
+        if bounds is not None:
+            energy = ClickConstraint(energy, bounds)
         return NonOverlap(energy, self.corner) if self._among_others else energy
 
     # -- to run --------------------------------------------------------------------------------------------
@@ -305,14 +317,23 @@ class EvolvingObject:
         stop = self.evolution.stop
         return stop is None or (stop.reason in ("converged", "stalled") and self.surface.size > 0)
 
-    def set_up(self, setup: SolverSetup, make_energy: EnergyMaker) -> None:
-        """Have another set-up and energy on the following levels."""
+    def set_up(self, setup: SolverSetup, make_energy: EnergyMaker, context: ImageContext) -> bool:
+        """Have another set-up, energy and context on the following levels; returns whether the context is another."""
         self._setup, self._make_energy = setup, make_energy
+        if context is self.context:
+            return False
+        self.context, self._clicks = context, LevelClicks(context, self._inputs.grids)
+        return True
 
     def edit(
-        self, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool, balls: tuple[BallEdit, ...]
+        self,
+        setup: SolverSetup,
+        make_energy: EnergyMaker,
+        new_energy: bool,
+        balls: tuple[BallEdit, ...],
+        context: ImageContext,
     ) -> None:
-        """Continue with other settings, and with balls added to the object or removed from it.
+        """Continue with other settings, and with balls added to the object or removed from it, or more clicks.
 
         Parameters
         ----------
@@ -323,15 +344,21 @@ class EvolvingObject:
         new_energy : bool
             Whether the energy changes.
         balls : tuple of Ball
+        context : ImageContext
+            Another one than before where clicks were added.
         """
         if self._among_others:
-            for ball in balls:
-                if ball.kind == "add":
-                    self._make_room(ball)
+            # On the grid as it is the old energy goes on, until the new one begins.
+            extents = [ball.extent(self.grid) for ball in balls if ball.kind == "add"]
+            nothing = np.array(self.grid.shape), np.zeros(3, np.int64)
+            extents.append(LevelClicks(context, self._inputs.grids).extended(*nothing, self.level))
+            for low, high in extents:
+                if (low < high).all():
+                    self._make_room(low, high)
             if self.evolution.stop is not None and self.level == 0:
                 self.evolution.history.pop()
-        self.set_up(setup, make_energy)
-        energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy else None
+        clicked = self.set_up(setup, make_energy, context)
+        energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy or clicked else None
         self.evolution = self.evolution.edited(
             energy,
             setup.flow,
@@ -339,12 +366,11 @@ class EvolvingObject:
             setup.restart,
             rule_on_level(setup.rule, self.level),
             setup.half_width,
-            (lambda surface: self._change_psi(surface, balls)) if balls else None,
+            (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None,
         )
 
-    def _make_room(self, ball: BallEdit) -> None:
-        """Make the box large enough for a ball."""
-        low, high = ball.extent(self.grid)
+    def _make_room(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
+        """Make the box large enough for what lies between two voxels."""
         own_low, own_high = self.extent()
         if self.surface.size:
             low, high = np.minimum(low, own_low), np.maximum(high, own_high)
@@ -357,6 +383,7 @@ class EvolvingObject:
         distance = self._inputs.mask_distance(self.level, box_at(self.corner, self.surface.shape))
         if distance is not None:
             np.maximum(psi, distance, out=psi)
+        self._clicks.apply(psi, self.level, box_at(self.corner, self.surface.shape))
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
@@ -365,10 +392,15 @@ class EvolvingObject:
         return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, self.evolution.checkpoint())
 
     def restore(
-        self, checkpoint: ObjectCheckpoint, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool
+        self,
+        checkpoint: ObjectCheckpoint,
+        setup: SolverSetup,
+        make_energy: EnergyMaker,
+        new_energy: bool,
+        context: ImageContext,
     ) -> None:
         """Go back to a state of this level, with the settings that were in force then."""
-        self.set_up(setup, make_energy)
+        new_energy |= self.set_up(setup, make_energy, context)
         self.leaked, self._stop_requested = checkpoint.leaked, False
         now = self.evolution
         if (self.corner, now.surface.shape) != (checkpoint.corner, checkpoint.shape):
@@ -390,4 +422,9 @@ class EvolvingObject:
 
     def psi_on_finest(self) -> tuple[Corner, NDArray[np.float32]]:
         """First voxel and psi of the surface on the finest level's grid; from a coarse level it is interpolated."""
-        return to_finest(self.corner, self.surface.psi, self.level, self._inputs.grids)
+        corner, psi = to_finest(self.corner, self.surface.psi, self.level, self._inputs.grids)
+        bounds = self._clicks.bounds(0, box_at(corner, psi.shape))
+        if bounds is not None and not bounds.is_kept_by(psi):
+            psi = psi.copy()
+            bounds.apply(psi)
+        return corner, psi

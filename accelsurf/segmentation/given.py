@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume, array_on_grid, plain_array
 from accelsurf.initialization import starts
+from accelsurf.initialization.clicks import (
+    click_of_mask,
+    click_of_numbers,
+    click_of_voxels,
+    point_voxels,
+    read_clicks,
+)
 from accelsurf.io import meshes
 
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
-GIVEN = ("start", "mask", "foreground", "background")
+GIVEN = ("start", "mask", "foreground", "background", "inside", "outside")
 EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, or a list of (x, y, z, r) in mm"
 
 
@@ -86,3 +95,52 @@ def _balls(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
         raise UsageError(f"{name}: a {type(value).__name__} was given, expected {EXPECTED}", "see accelsurf.segment")
     texts = [f"ball:{x!r},{y!r},{z!r},{r!r}" for x, y, z, r in table.tolist()]
     return starts.build(texts, Volume(np.zeros(geometry.shape, np.uint8), geometry))
+
+
+def clicks_of(side: Side, value: Any, volume: Volume) -> list[Click]:
+    """Clicks from the value of ``inside`` or ``outside``: texts, masks, meshes, points (x, y, z), balls (x, y, z, r).
+
+    Parameters
+    ----------
+    side : {"inside", "outside"}
+    value
+        One of these, or a list of them; each is a click.
+    volume : Volume
+        The image.
+
+    Raises
+    ------
+    UsageError
+        When the value is none of these.
+    InputError
+        When nothing of the grid is inside, or a point lies outside of it.
+    """
+    if isinstance(value, str):
+        return read_clicks([value], side, volume)
+    if hasattr(value, "vertices") or isinstance(value, Volume) or _is_mask(value, volume.geometry):
+        return [click_of_mask(side, psi_of(side, value, volume.geometry) < 0)]
+    numbers = _numbers_of(value)
+    if len(numbers) == 3:
+        return [click_of_voxels(side, point_voxels([numbers], str(numbers), side, volume.geometry))]
+    if len(numbers) == 4:
+        return [click_of_numbers(side, numbers, False, volume.geometry)]
+    if numbers or not isinstance(value, (Sequence, np.ndarray)) or len(value) == 0:
+        raise UsageError(
+            f"{side}: a {type(value).__name__} was given, expected a text, a mask, a mesh, a point (x, y, z), a ball "
+            "(x, y, z, r), or a list of them", "see accelsurf.segment"
+        )
+    return [click for one in value for click in clicks_of(side, one, volume)]
+
+
+def _is_mask(value: Any, geometry: Geometry) -> bool:
+    """Whether an array is a mask, and no table of points or balls."""
+    if not isinstance(value, np.ndarray) or value.ndim < 2:
+        return False
+    return value.ndim != 2 or value.shape in (geometry.shape, geometry.shape[1:]) or value.shape[1] not in (3, 4)
+
+
+def _numbers_of(value: Any) -> tuple[float, ...]:
+    """The numbers of a point or a ball; none where the value is something else."""
+    if not isinstance(value, (Sequence, np.ndarray)) or not all(isinstance(one, (Real, np.number)) for one in value):
+        return ()
+    return tuple(float(one) for one in value)

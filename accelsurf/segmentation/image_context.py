@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,14 @@ from accelsurf.energies import gaussian_of
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at
+from accelsurf.grid.clicks import Clicks
+from accelsurf.grid.geometry import axis_steps
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.settings.energy_terms import HALF, Values
 from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.energies.seeded.model import SeededModel
 
 #: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
 #: between two of them, and ConfidenceConnected of ITK takes as many.
@@ -60,6 +65,23 @@ class TrainingVoxels(NamedTuple):
     def outside(self) -> Mask:
         """Voxels of the background."""
         return ~self.foreground if self.background is None else self.background
+
+
+class ModelInputs(NamedTuple):
+    """What the model of clicks needs besides images and clicks.
+
+    Attributes
+    ----------
+    size_mm3 : float or None
+        About how large the object is.
+    mask : ndarray (nz, ny, nx) of bool or None
+        Where it may be.
+    threads : int
+    """
+
+    size_mm3: float | None = None
+    mask: Mask | None = None
+    threads: int = 1
 
 
 class ImageContext:
@@ -109,6 +131,11 @@ class ImageContext:
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
         self._outside: dict[int, NDArray[Any]] = {}
         self._found: dict[tuple[Any, ...], Any] = {}
+        self.clicks: Clicks | None = None
+        self._model_inputs = ModelInputs()
+        self._model: list[SeededModel] = []
+        self._before: ImageContext | None = None
+        self._field: Callable[[], Image] | None = None
 
     def of_object(self, corner: tuple[int, int, int], start: Mask) -> ImageContext:
         """The context of one of several objects; ``start`` is its mask, from voxel ``corner`` on.
@@ -120,11 +147,64 @@ class ImageContext:
             part._training, part._learned = self._training._replace(box=box_at(corner, start.shape), inside=start), {}
         return part
 
-    def with_channels(self, images: Sequence[Image]) -> ImageContext:
-        """The same context for energies on another grid, where the channels after the first are ``images``."""
+    def with_channels(self, images: Sequence[Image], field: Callable[[], Image] | None = None) -> ImageContext:
+        """The same context for energies on another grid, where the channels after the first are ``images``.
+
+        ``field`` returns that of the clicks' model there.
+        """
         part = copy.copy(self)
-        part.others = tuple(images)
+        part.others, part._field = tuple(images), field
         return part
+
+    # -- clicks --------------------------------------------------------------------------------------------
+
+    def with_model_inputs(self, inputs: ModelInputs) -> ImageContext:
+        """The same context with what the model of clicks needs."""
+        part = copy.copy(self)
+        part._model_inputs = inputs
+        return part
+
+    def with_clicks(self, clicks: Clicks, before: ImageContext | None = None) -> ImageContext:
+        """The context of an object that a person has clicked, as `Clicks.of` returns it.
+
+        ``before`` is its context before the last clicks: the model then changes where these ask for it.
+        """
+        part = copy.copy(self)
+        part.clicks, part._before, part._model = clicks, before, []
+        return part
+
+    def seeded_model(self) -> SeededModel:
+        """The model of the clicks on the object, computed once.
+
+        Raises
+        ------
+        UsageError
+            When there is no click inside.
+        """
+        from accelsurf.energies.seeded.model import seeded_model
+
+        if self.clicks is None or not self.clicks.mask("inside").any():
+            raise UsageError("energy: seeded was given without a click inside", "give --inside point:X,Y,Z")
+        if not self._model:
+            has_previous = self._before is not None and self._before.clicks is not None and self._before.clicks.ids()
+            previous = self._before.seeded_model() if self._before is not None and has_previous else None
+            size, mask, threads = self._model_inputs
+            self._model.append(
+                seeded_model(
+                    self.images, self.spacing, self.clicks, size_mm3=size, mask=mask, threads=threads, previous=previous
+                )
+            )
+        return self._model[0]
+
+    def model_start(self) -> Image:
+        """Psi, mm, of the first surface that the model gives."""
+        start = self.seeded_model().start
+        half = np.float32(0.5 * min(axis_steps(start.shape, self.spacing)))
+        return np.where(start, -half, half)
+
+    def model_field(self) -> Image:
+        """The field of the model on the grid at hand."""
+        return self.seeded_model().field if self._field is None else self._field()
 
     def once(self, make: Callable[..., Found], channel: int, *args: Any) -> Found:
         """``make(image, *args)`` of a whole channel, computed once for all objects."""

@@ -13,21 +13,29 @@ from numpy.typing import NDArray
 from accelsurf import io
 from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import Box
+from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import MIN_RANGE, Volume, check_image
 from accelsurf.initialization import starts
-from accelsurf.segmentation.image_context import ImageContext, Mask, Scale
+from accelsurf.initialization.clicks import read_clicks
+from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
 from accelsurf.segmentation.region_of_interest import cropped, region_of_interest
+from accelsurf.segmentation.run_clicks import placed
+from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.settings import budgets, energy_expression
+from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.volumes import volume_mm3
 from accelsurf.settings.wording import shown
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
 #: Values farther beyond those percentiles than so many times their range are no measurements; their squares overflow.
 MAX_RANGES = 1e15
+#: Least margin, voxels, of the region of a run around the box of --box: what is learned of the surroundings lies there.
+AROUND_BOX = 10
 #: Settings that name voxels to learn from.
 TRAINING = ("foreground", "background")
 
@@ -50,6 +58,8 @@ class PreprocessedInput:
         Further data of the image for energies.
     mask_distance : ndarray (nz, ny, nx), float32, or None
         Signed distance of the mask, mm, negative within; None without a mask.
+    clicks : Clicks or None
+        What a person has clicked before the run, on the region of interest; None without clicks.
     presmooth : float
         Sigma that the image was smoothed by, mm.
     smoothed : ndarray or None
@@ -66,6 +76,7 @@ class PreprocessedInput:
     images: tuple[NDArray[np.float32], ...]
     context: ImageContext
     mask_distance: NDArray[np.float32] | None
+    clicks: Clicks | None
     presmooth: float
     smoothed: NDArray[np.float32] | None
     start: NDArray[np.float32] | None
@@ -108,6 +119,8 @@ def preprocess(
     volumes: Sequence[Volume],
     config: RunConfig,
     given: Mapping[str, NDArray[np.float32]] | None = None,
+    clicks: Sequence[Click] = (),
+    has_ids: bool = False,
 ) -> tuple[PreprocessedInput, NDArray[np.float32]]:
     """Prepare the image, the first surface and the mask of a run.
 
@@ -118,6 +131,10 @@ def preprocess(
     config : RunConfig
     given : mapping of str to ndarray (nz, ny, nx), optional
         psi on the whole grid in place of the texts of ``start``, ``mask``, ``foreground`` and ``background``.
+    clicks : sequence of Click, optional
+        On the whole grid, besides those that ``config`` names.
+    has_ids : bool, optional
+        Whether there are several objects: --outside then is in none of them.
 
     Returns
     -------
@@ -132,34 +149,83 @@ def preprocess(
     """
     check_channels(volumes)
     first, whole, given = volumes[0], volumes[0].geometry, given or {}
-    box = region_of_interest(config.roi, whole)
+    box = region_of_run(config, whole)
     geometry = cropped(whole, box)
     presmooth = in_mm(config.presmooth, whole)
     smoothed = presmoothed(first, presmooth)
-    start = given["start"] if "start" in given else starts.build(config.start, first, smoothed)
-    foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
     distance = _mask_distance(config, given, whole, box)
+    said = placed([*_clicks_of(config, first, smoothed, has_ids), *clicks], first, box, distance, None)
+    start = given["start"] if "start" in given else _first_surface(config, first, smoothed, said, box)
+    foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
-    around = smoothed if config.roi is not None else None  # the result shows it
-    values = _crop(smoothed, box) if config.roi is None else smoothed[box].copy()
+    is_part = geometry.shape != whole.shape
+    around = smoothed if is_part else None  # the result shows it
+    values = smoothed[box].copy() if is_part else _crop(smoothed, box)
     del smoothed, start
     images, scales = _scaled_channels(values, volumes, presmooth, box)
     del values
+    context, learns = _context(config, volumes, (images, scales), box, psi, (foreground, background))
+    if said.clicks:
+        limits = None if distance is None else np.asarray(distance < 0)
+        size = None if config.size is None else volume_mm3(config.size)
+        context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config)))
+        if not has_ids and config.start == (starts.CLICKS,) and "start" not in given and uses_model(config):
+            psi = _start_within(context.with_clicks(said).model_start(), distance, config, "of the clicks' model")
+    shown = psi.copy() if whole.slice_axis is not None else None
+    prepared = PreprocessedInput(
+        tuple(volumes), box, geometry, tuple(images), context, distance, said if said.clicks else None, presmooth,
+        around, shown, learns,
+    )
+    return prepared, psi
+
+
+def uses_model(config: RunConfig) -> bool:
+    """Whether a term of the energy is of the clicks' model."""
+    return any(TERMS[term.name].uses_model for term in energy_expression.parse(config.energy))
+
+
+def _context(
+    config: RunConfig,
+    volumes: Sequence[Volume],
+    channels: tuple[list[NDArray[np.float32]], list[Scale]],
+    box: Box,
+    psi: NDArray[np.float32],
+    training: tuple[Mask | None, Mask | None],
+) -> tuple[ImageContext, bool]:
+    """What energies need of the image, and whether a model of the energy is learned once."""
+    (images, scales), (foreground, background) = channels, training
     terms = energy_expression.parse(config.energy)
     learns = any(energy_expression.learns(term) for term in terms)
     from_start = foreground is None and learns  # fixed models learn from the start where nothing else is given
     learned_from = psi < 0 if from_start else None if foreground is None else _crop(foreground, box)
     context = ImageContext(
-        images, scales, geometry.spacing, learned_from, None if background is None else _crop(background, box), None,
-        _raw_values(volumes, box, scales), is_start=from_start,
+        images, scales, volumes[0].geometry.spacing, learned_from,
+        None if background is None else _crop(background, box), None, _raw_values(volumes, box, scales),
+        is_start=from_start,
     )
     # Likelihood learns from --foreground once; with update=yes it refuses it.
-    learns = learns or any(term.name == "likelihood" for term in terms)
-    shown = psi.copy() if whole.slice_axis is not None else None
-    prepared = PreprocessedInput(
-        tuple(volumes), box, geometry, tuple(images), context, distance, presmooth, around, shown, learns
-    )
-    return prepared, psi
+    return context, learns or any(term.name == "likelihood" for term in terms)
+
+
+def _clicks_of(config: RunConfig, volume: Volume, image: NDArray[np.float32], has_ids: bool) -> list[Click]:
+    """The clicks that a configuration names, on the image's grid; of several objects those that are in none."""
+    out: list[Click] = []
+    for side in SIDES:
+        out += read_clicks(getattr(config, side), side, volume, image)
+    return [click._replace(side="inside", id=NO_OBJECT) for click in out] if has_ids else out
+
+
+def _first_surface(
+    config: RunConfig, volume: Volume, image: NDArray[np.float32], clicks: Clicks, box: Box
+) -> NDArray[np.float32]:
+    """Psi of the start on the whole grid; ``clicks`` are on the region of interest, ``box``."""
+    others = [text for text in config.start if text != starts.CLICKS]
+    if len(others) == len(config.start) or not clicks.ids():
+        return starts.build(config.start, volume, image)
+    inside = np.zeros(volume.geometry.shape, np.bool_)
+    inside[box] = clicks.mask("inside")
+    psi = starts.psi_of_mask(inside, volume.geometry)
+    return np.minimum(psi, starts.build(others, volume, image)) if others else psi
 
 
 def _scaled_channels(
@@ -243,6 +309,15 @@ def _training_voxels(
         raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
 
 
+def region_of_run(config: RunConfig, geometry: Geometry) -> Box:
+    """Voxels that a run is made on: of --roi, or of --box with as much around it as half its extent."""
+    if config.roi is not None or config.box is None:
+        return region_of_interest(config.roi, geometry)
+    box = region_of_interest(config.box, geometry, "box")
+    margin = [max(AROUND_BOX, math.ceil(0.5 * (s.stop - s.start))) for s in box]
+    return widened(box, geometry.shape, margin)
+
+
 def _mask_distance(
     config: RunConfig, given: Mapping[str, NDArray[np.float32]], whole: Geometry, box: Box
 ) -> NDArray[np.float32] | None:
@@ -251,8 +326,15 @@ def _mask_distance(
         mask = np.asarray(given["mask"] < 0)
     elif config.mask is not None:
         mask = read_mask(config.mask, whole)
+    elif config.box is not None:
+        mask = np.ones(whole.shape, np.bool_)
     else:
         return None
+    if config.box is not None:
+        within = np.zeros(whole.shape, np.bool_)
+        part = region_of_interest(config.box, whole, "box")
+        within[part] = mask[part]
+        mask = within
     return mask_distance(_crop(mask, box), cropped(whole, box).spacing)
 
 

@@ -11,8 +11,10 @@ from accelsurf.initialization import starts
 from accelsurf.settings.wording import shown
 
 
-def region_of_interest(text: str | None, geometry: Geometry) -> Box:
+def region_of_interest(text: str | None, geometry: Geometry, name: str = "roi") -> Box:
     """Voxels of a box, the whole grid for None; on an oblique grid all between the box's corners along its axes.
+
+    Messages call it ``name``.
 
     Raises
     ------
@@ -32,7 +34,7 @@ def region_of_interest(text: str | None, geometry: Geometry) -> Box:
         box = starts.parse(f"box:{text}")
     except UsageError:
         raise UsageError(
-            f"roi: {shown(text)} was given, expected X0,Y0,Z0,X1,Y1,Z1 with the first corner below the second",
+            f"{name}: {shown(text)} was given, expected X0,Y0,Z0,X1,Y1,Z1 with the first corner below the second",
             "world mm, or voxel indices with the suffix vox",
         ) from None
     corners = np.array([[box.numbers[3 * (i >> axis & 1) + axis] for axis in range(3)] for i in range(8)])
@@ -43,7 +45,7 @@ def region_of_interest(text: str | None, geometry: Geometry) -> Box:
         high = min(int(np.floor(index[:, axis].max() + 1e-6)), n - 1)
         if high - low + 1 < min(n, 2):
             raise InputError(
-                f"roi: {shown(text)} was given, which contains fewer than two of the image's voxels along "
+                f"{name}: {shown(text)} was given, which contains fewer than two of the image's voxels along "
                 f"{'zyx'[axis]}",
                 "accelsurf reads world mm (LPS); the suffix vox takes voxel indices",
             )

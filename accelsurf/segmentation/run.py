@@ -12,36 +12,35 @@ from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Corner
+from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.initialization import object_starts
 from accelsurf.initialization.object_starts import ObjectStart
-from accelsurf.io.channels import read_further
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import edit_checks
-from accelsurf.segmentation.ensemble import Ensemble, overall_stop, union_of, within
+from accelsurf.segmentation.ensemble import Ensemble, overall_stop
 from accelsurf.segmentation.evolving_object import EvolvingObject
-from accelsurf.segmentation.given import given_arrays
+from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.object_records import EnergyMaker
-from accelsurf.segmentation.preprocessing import preprocess
-from accelsurf.segmentation.run_checkpoint import RunCheckpoint, digest_of
+from accelsurf.segmentation.run_checkpoint import RunCheckpoint
+from accelsurf.segmentation.run_clicks import RunClicks
 from accelsurf.segmentation.run_setup import (
     EnergyLike,
     ObjectsLike,
-    available_cores,
     choose_levels,
     energy_key,
     energy_maker,
     seeded,
     setup_of,
     thin_start_warnings,
+    thread_count,
 )
+from accelsurf.segmentation.run_start import AROUND, start_of_run
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
-#: Voxels around an object's own grid that belong to its part of a result.
-AROUND = 2
+__all__ = ["AROUND", "Run"]
 
 
 class Run:
@@ -63,6 +62,8 @@ class Run:
     arrays : mapping of str to ndarray, optional
         psi (nz, ny, nx) on the image's grid in place of the settings ``start``, ``mask``, ``foreground`` and
         ``background``.
+    clicks : sequence of Click, optional
+        On the image's grid, besides those that ``config`` names.
 
     Attributes
     ----------
@@ -77,7 +78,7 @@ class Run:
     prepared : PreprocessedInput
         Image and mask, on the grid of the region of interest.
     objects : tuple of EvolvingObject
-        In order of their ids.
+        In order of their ids; without what competes for the id 0, "no object".
     level : int
         The present level; 0 is the image's own grid.
     workers : Workers
@@ -94,39 +95,33 @@ class Run:
         channels: Sequence[Volume] = (),
         objects: ObjectsLike | None = None,
         arrays: Mapping[str, NDArray[np.float32]] | None = None,
+        clicks: Sequence[Click] = (),
     ) -> None:
         began = time.perf_counter()
-        config = seeded(config)
-        self.volume, self.config, self._energy = volume, config, energy
+        begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks)
+        self.volume, self.config, self._energy, config = volume, begin.config, energy, begin.config
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
-        labels = config.objects if objects is None else objects
-        self.has_ids = labels is not None
-        several = [] if labels is None else object_starts.read(labels, volume.geometry, AROUND)
-        union = union_of(several, volume.geometry) if several else None
-        channels = [volume, *channels, *read_further(config.channel)]
-        given = {**(arrays or {}), **({} if union is None else {"start": union})}
-        by_array = given_arrays(labels, arrays)
-        self.given, self.given_digest = tuple(by_array), digest_of(by_array)
-        self.prepared, psi = preprocess(channels, config, given)
-        starts = [within(one, self.prepared) for one in several]
-        for edit in config.edit:
-            self.check(edit, [one.id for one in starts] or [1])
-        threads = available_cores() if config.threads == "auto" else config.threads
-        self.workers = Workers(threads)
+        self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
+        self.prepared, starts = begin.prepared, begin.starts
+        ids, contexts = [one.id for one in starts] if self.has_ids else [], begin.contexts
+        distance, first = self.prepared.mask_distance, self.prepared.clicks
+        self._clicks = RunClicks(volume, self.prepared.box, distance, first, contexts, ids)
+        for number, edit in enumerate(config.edit, start=1):
+            self.check(edit, ids or [1], config.edit[:number])
+        self.workers = Workers(thread_count(config))
         named = energy is None or isinstance(energy, str)
-        grids = choose_levels(config, self.geometry, None if starts else psi, named)
+        grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named)
         self._levels = len(grids)
-        self._inputs = LevelInputs(self.prepared.images, self.prepared.mask_distance, grids)
-        if not starts:
-            starts = [ObjectStart(1, (0, 0, 0), psi)]
+        self._inputs = LevelInputs(self.prepared.images, distance, grids)
         self.level_warnings = thin_start_warnings(starts, self.geometry, self.has_ids)
-        del psi, union, several, given, arrays, by_array
+        del begin
         self._max_steps = config.max_steps
-        self.objects = tuple(self._object(place, start) for place, start in enumerate(starts))
+        self._all = tuple(self._object(place, *one) for place, one in enumerate(zip(starts, contexts, strict=True)))
+        self.objects = tuple(one for one in self._all if one.id != NO_OBJECT)
         del starts
         self.level_summaries: list[LevelSummary] = []
         self.level = self._levels - 1
-        self._ensemble = Ensemble(self.objects, self.workers, self.geometry.steps, self.has_ids)
+        self._ensemble = Ensemble(self._all, self.workers, self.geometry.steps, self.has_ids)
         self._stop_requested = False
         self._steps_made = 0
         self._begin_first_level()
@@ -134,10 +129,7 @@ class Run:
         self.workers.seconds.clear()
         self.began = time.perf_counter()
 
-    def _object(self, place: int, start: ObjectStart) -> EvolvingObject:
-        context = self.prepared.context
-        if self.has_ids:
-            context = context.of_object(start.corner, start.psi < 0)
+    def _object(self, place: int, start: ObjectStart, context: ImageContext) -> EvolvingObject:
         return EvolvingObject(
             start,
             self._inputs,
@@ -196,13 +188,13 @@ class Run:
     def extend(self, max_steps: int) -> None:
         """Set the limit of the steps."""
         self._max_steps = max_steps
-        for one in self.objects:
+        for one in self._all:
             one.set_max_steps(max_steps)
 
     def request_stop(self) -> None:
         """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
         self._stop_requested = True
-        for one in self.objects:
+        for one in self._all:
             one.request_stop()
 
     def close(self) -> None:
@@ -219,7 +211,7 @@ class Run:
     def __iter__(self) -> Iterator[Step]:
         """Run, yielding a Step after each step of each object."""
         while steps := self.step():
-            yield from steps
+            yield from (step for step in steps if step.object_id != NO_OBJECT)
 
     def step(self) -> tuple[Step, ...]:
         """Apply the edits of the coming step, then make one step of each object that moves.
@@ -251,7 +243,7 @@ class Run:
     def seconds_by_kernel(self) -> dict[str, float]:
         """Seconds in each kernel so far, over all objects and threads."""
         total = dict(self.workers.seconds)
-        for one in self.objects if self.has_ids else ():
+        for one in self._all if self.has_ids else ():
             for name, seconds in one.workers.seconds.items():
                 total[name] = total.get(name, 0.0) + seconds
         return total
@@ -260,33 +252,33 @@ class Run:
 
     def _begin_first_level(self) -> None:
         """Begin on the coarsest level whose grid has voxels inside and outside of each start."""
-        while self.level > 0 and not all(one.start_is_resolved() for one in self.objects):
+        while self.level > 0 and not all(one.start_is_resolved() for one in self._all):
             self._warn("the start is not resolved there", "began")
             self.level_summaries.append(LevelSummary(self.grid, 0, None))
             self.level -= 1
-            for one in self.objects:
+            for one in self._all:
                 one.skip_level()
         self._inputs.release_coarser(self.level)
-        for one in self.objects:
+        for one in self._all:
             one.start_level()
 
     def _next_level(self) -> None:
         """Continue every object on the next finer level: from its surface, or from its start if the level failed."""
-        for one in self.objects:
+        for one in self._all:
             if (failed := one.failed_on_level()) is not None:
                 name = f"object {one.id}: " if self.has_ids else ""
                 self._warn(f"{name}{failed.message}", "went on from the start")
         self.level_summaries.append(self._summary())
         self.level -= 1
         self._inputs.release_coarser(self.level)
-        for one in self.objects:
+        for one in self._all:
             one.next_level()
 
     def _summary(self) -> LevelSummary:
-        stops = [one.evolution.stop for one in self.objects]
+        stops = [one.evolution.stop for one in self._all]
         ended = [stop for stop in stops if stop is not None]
         reason = overall_stop(ended).reason if len(ended) == len(stops) else None
-        return LevelSummary(self.grid, max(one.steps_on_level() for one in self.objects), reason)
+        return LevelSummary(self.grid, max(one.steps_on_level() for one in self._all), reason)
 
     def summaries(self) -> list[LevelSummary]:
         """The levels so far, coarsest first."""
@@ -310,14 +302,15 @@ class Run:
             if edit.settings:
                 settings = settings.replace(**edit.settings, seed=self.config.seed)
             new_energy = energy_key(settings) != energy_key(self.settings)
+            contexts = self._clicks.contexts(self.config.edit[: self._edits_done + 1])
             balls = edit_checks.balls_of(edit, self.geometry)
-            for place, one in enumerate(self.objects):
+            for place, one in enumerate(self._all):
                 own = balls if not self.has_ids else edit_checks.balls_for(one.id, edit, balls)
                 setup, maker = setup_of(settings, place, self._levels, self.geometry), self._energy_maker(settings)
                 if one.takes_edits:
-                    one.edit(setup, maker, new_energy, own)
+                    one.edit(setup, maker, new_energy, own, contexts[place])
                 else:
-                    one.set_up(setup, maker)
+                    one.set_up(setup, maker, contexts[place])
             self.settings, self._edits_done = settings, self._edits_done + 1
 
     @property
@@ -338,17 +331,26 @@ class Run:
         same = 0
         while same < min(len(edits), len(self.config.edit)) and edits[same] == self.config.edit[same]:
             same += 1
-        for edit in edits[same:]:
-            self.check(edit)
+        for number, edit in enumerate(edits[same:], start=same + 1):
+            self.check(edit, (), edits[:number])
         config = seeded(self.config.replace(edit=edits))
         if config.edit[: self._edits_done] != self.config.edit[: self._edits_done]:
             raise ValueError("an edit that has been applied cannot change: restore a state before it first")
         self.config = config
 
-    def check(self, edit: Edit, ids: Sequence[int] = ()) -> None:
-        """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.edit_checks.check`."""
-        ids = ids or [one.id for one in self.objects]
+    def check(self, edit: Edit, ids: Sequence[int] = (), edits: Sequence[Edit] | None = None) -> None:
+        """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.edit_checks.check`.
+
+        ``edits`` are all up to this one; those that are in force and this one unless given.
+        """
+        ids = ids or [one.id for one in self._all]
         edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self._energy)
+        self._clicks.after((*self.config.edit[: self._edits_done], edit) if edits is None else edits)
+
+    @property
+    def clicks(self) -> Clicks | None:
+        """The clicks in force, on the grid of the region of interest; None where there are none."""
+        return self._clicks.after(self.config.edit[: self._edits_done])
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
@@ -359,7 +361,7 @@ class Run:
             self.settings,
             self._edits_done,
             self.level,
-            tuple(one.checkpoint() for one in self.objects),
+            tuple(one.checkpoint() for one in self._all),
             tuple(self.level_summaries),
             tuple(self.level_warnings),
         )
@@ -378,12 +380,13 @@ class Run:
         if checkpoint.level < self.level:
             self.level = checkpoint.level
             self._inputs.release_coarser(self.level)
-            for one in self.objects:
+            for one in self._all:
                 one.release_to(self.level)
-        for place, (one, state) in enumerate(zip(self.objects, checkpoint.objects, strict=True)):
+        contexts = self._clicks.contexts(self.config.edit[: checkpoint.edits_done])
+        for place, (one, state) in enumerate(zip(self._all, checkpoint.objects, strict=True)):
             settings = checkpoint.settings
             setup = setup_of(settings, place, self._levels, self.geometry)
-            one.restore(state, setup, self._energy_maker(settings), changed)
+            one.restore(state, setup, self._energy_maker(settings), changed, contexts[place])
         self._stop_requested = False
         self.settings, self._edits_done = checkpoint.settings, checkpoint.edits_done
         self._steps_made = checkpoint.step
@@ -392,4 +395,5 @@ class Run:
 
     def separated(self) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
-        return self._ensemble.separated(self.prepared.mask_distance)
+        parts = self._ensemble.separated(self.prepared.mask_distance)
+        return [part for one, part in zip(self._all, parts, strict=True) if one.id != NO_OBJECT]

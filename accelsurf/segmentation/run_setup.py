@@ -141,6 +141,11 @@ def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_i
     return lines
 
 
+def thread_count(config: RunConfig) -> int:
+    """How many threads a run uses."""
+    return available_cores() if config.threads == "auto" else config.threads
+
+
 def available_cores() -> int:
     """How many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):

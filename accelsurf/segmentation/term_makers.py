@@ -21,6 +21,7 @@ from accelsurf.energies import (
     HistogramLikelihood,
     LocalRegion,
     Parzen,
+    RegionField,
     Threshold,
     gaussian_of,
 )
@@ -122,6 +123,15 @@ def geodesic(inputs: TermInputs) -> Made:
     contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
     used = {"scale": scale, "contrast": contrast, "balloon": balloon}
     return Geodesic(edge_indicator_of(gradient, contrast), inputs.alpha, balloon), used
+
+
+def seeded(inputs: TermInputs) -> Made:
+    """The field of the model of clicks, which is made of all channels."""
+    model = inputs.context.seeded_model()
+    area = inputs.number("area", model.area_weight_mm)
+    energy: Energy = RegionField(inputs.context.model_field(), inputs.alpha + area)
+    used = {"area": area, "volume_mm3": model.proposal.volume_mm3, "sureness": model.proposal.sureness}
+    return energy, used
 
 
 def balloon(inputs: TermInputs) -> Made:

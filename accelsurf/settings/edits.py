@@ -1,4 +1,4 @@
-"""Changes of a run while it runs: settings, and balls added to or removed from an object, each before a given step.
+"""Changes of a run while it runs: settings, clicks, and balls added to or removed from an object, each before a step.
 
 A run that a person changed by hand is repeated when its edits are given to it: viewer, command line and Python apply
 them in one place, `accelsurf.segmentation.run.Run`.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, model_serializer
@@ -20,6 +20,7 @@ from accelsurf.settings.entry import entry_of
 from accelsurf.settings.wording import did_you_mean, shown
 
 _WHOLE = re.compile(r"[0-9]{1,18}")
+_CLICKS = ("inside", "outside")
 FORM = 'step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on'
 
 
@@ -32,9 +33,11 @@ class Edit(BaseModel):
         Number of the step, as in the history, before which it happens; 0 is the start.
     add, remove : str, optional
         A ball, ``ball:X,Y,Z,R`` as a start: added to the object, or removed from it.
+    inside, outside : tuple of str, optional
+        Clicks, as ``--inside`` and ``--outside`` take them; they hold from this step on.
     object : int, optional
-        Id of the object that the ball is added to or removed from, where there are several; what one gains is taken
-        from the others.
+        Id of the object that the ball or the clicks are for, where there are several; what one gains is taken from the
+        others. 0 is no object.
     **settings
         Fields of RunConfig that are in force from this step on, but for those that are fixed while a run runs. A ball
         comes after them.
@@ -55,6 +58,8 @@ class Edit(BaseModel):
     step: int
     add: str | None = None
     remove: str | None = None
+    inside: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()
     object: int | None = None
 
     @property
@@ -68,13 +73,24 @@ class Edit(BaseModel):
         both = (("add", self.add), ("remove", self.remove))
         return tuple((kind, ball) for kind, ball in both if ball is not None)
 
+    @property
+    def has_clicks(self) -> bool:
+        """Whether it has clicks."""
+        return bool(self.inside or self.outside)
+
     @model_serializer
     def _table(self) -> dict[str, Any]:
-        given = {"step": self.step, **self.settings, "add": self.add, "remove": self.remove, "object": self.object}
+        given = {"step": self.step, **self.settings, "add": self.add, "remove": self.remove}
+        given |= {"inside": list(self.inside) or None, "outside": list(self.outside) or None, "object": self.object}
         return {key: value for key, value in given.items() if value is not None}
 
     def __str__(self) -> str:
-        return " ".join(f"{key}={shlex.quote(str(value))}" for key, value in self._table().items())
+        words = ((key, one) for key, value in self._table().items() for one in _each(value))
+        return " ".join(f"{key}={shlex.quote(str(value))}" for key, value in words)
+
+
+def _each(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list) else (value,)
 
 
 def edits_of(value: Any) -> Any:
@@ -120,15 +136,26 @@ def _edit(value: Any) -> Edit:
         ball = table.get(key)
         if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
             raise UsageError(f"edit at step {step}: {key} {shown(ball)} was given, expected ball:X,Y,Z,R", FORM)
+    clicks = {side: _texts(table.get(side, ()), side, step) for side in _CLICKS}
     own = table.get("object")
     if isinstance(own, str) and _WHOLE.fullmatch(own):
         own = int(own)
-    if own is not None and (not isinstance(own, int) or isinstance(own, bool) or own < 1):
+    if own is not None and (not isinstance(own, int) or isinstance(own, bool) or own < 0):
         raise UsageError(f"edit at step {step}: object {shown(own)} was given, expected an object's id", FORM)
-    return Edit(**{**table, "step": step, "object": own})
+    return Edit(**{**table, **clicks, "step": step, "object": own})
 
 
-def _words(text: str) -> dict[str, str]:
+def _texts(value: Any, side: str, step: int) -> tuple[str, ...]:
+    """The clicks of one side of an edit."""
+    texts = (value,) if isinstance(value, str) else value
+    if not isinstance(texts, (list, tuple)) or not all(isinstance(text, str) and text for text in texts):
+        raise UsageError(
+            f"edit at step {step}: {side} {shown(value)} was given, expected clicks such as point:X,Y,Z", FORM
+        )
+    return tuple(texts)
+
+
+def _words(text: str) -> dict[str, Any]:
     budgets.EXPRESSION.check(len(text), "edit", kind=UsageError)
     try:
         pairs = [word.partition("=") for word in shlex.split(text)]
@@ -136,7 +163,8 @@ def _words(text: str) -> dict[str, str]:
         pairs = [(text, "", "")]
     if not pairs or not all(sign and key and value for key, sign, value in pairs):
         raise UsageError(f"edit: {shown(text)} was given, expected words like step=30", FORM)
-    return {key: value for key, _, value in pairs}
+    table: dict[str, Any] = {key: value for key, _, value in pairs}
+    return table | {side: [v for k, _, v in pairs if k == side] for side in _CLICKS if side in table}
 
 
 def refuse_unknown(edit: Edit, known: Mapping[str, FieldInfo]) -> None:
@@ -147,6 +175,7 @@ def refuse_unknown(edit: Edit, known: Mapping[str, FieldInfo]) -> None:
     UsageError
         With the nearest valid name.
     """
+    own = ("add", "remove", *_CLICKS)
     possible = [key for key, field in known.items() if not entry_of(field).fixed]
     for key in edit.settings:
         if key in possible:
@@ -157,5 +186,5 @@ def refuse_unknown(edit: Edit, known: Mapping[str, FieldInfo]) -> None:
             )
         raise UsageError(
             f"edit at step {edit.step}: {shown(key)}: there is no such setting",
-            f"{did_you_mean(key, [*possible, 'add', 'remove'])}Valid are add, remove, {', '.join(possible)}",
+            f"{did_you_mean(key, [*own, *possible])}Valid are {', '.join([*own, *possible])}",
         )

@@ -105,6 +105,8 @@ class TermSpec:
         Of the settings: what was expected where they contradict each other, else an empty text.
     learns : callable
         Of the settings: whether it learns once from the start, unless it is given something else to learn from.
+    uses_model : bool
+        Whether it is of the model of what a person has clicked, which then gives the start too.
     """
 
     name: str
@@ -121,6 +123,7 @@ class TermSpec:
     reach: str | Callable[[Values, float], float] | None = None
     check: Callable[[Values], str] = _no_complaint
     learns: Callable[[Values], bool] = _never
+    uses_model: bool = False
 
     def is_used(self, key: str, settings: Values) -> bool:
         """Whether a setting of the run acts on the term with these settings of its own."""
@@ -230,6 +233,15 @@ TERMS: Registry[TermSpec] = Registry(
         f"{_MAKERS}:balloon",
         sees_image=False,
         signed=True,
+    ),
+    TermSpec(
+        "seeded",
+        "what lies nearer to the clicks inside than to those outside and the surroundings; needs --inside",
+        f"{_MAKERS}:seeded",
+        {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
+        uses=("size",),
+        example="seeded",
+        uses_model=True,
     ),
     TermSpec("area", "the surface's area; its weight is in mm, as --smoothness", f"{_MAKERS}:area", sees_image=False),
 )

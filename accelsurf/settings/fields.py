@@ -72,7 +72,8 @@ class SettingFields(BaseModel):
     )
     energy: Annotated[str, BeforeValidator(_expression)] = setting(
         "chan-vese",
-        "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'.",
+        "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'. "
+        "With --inside it is seeded unless given.",
         entry=SettingEntry(RUN, metavar="EXPRESSION", choice=True, names=_term_names),
     )
     flow: Annotated[str, OneOf(lambda: FLOWS)] = setting(
@@ -83,7 +84,7 @@ class SettingFields(BaseModel):
     start: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
         ("center",),
         "First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, seed:X,Y,Z,R, label:FILE, threshold:LO,HI, "
-        "largest:LO,HI, otsu, mesh:FILE or center. "
+        "largest:LO,HI, otsu, mesh:FILE, center, or clicks (what --inside says; the default with it). "
         "Coordinates in world mm (LPS), or voxel indices (x,y,z) with the suffix vox. Several are united.",
         entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
         min_length=1,
@@ -92,7 +93,8 @@ class SettingFields(BaseModel):
         None,
         "Several objects at once, in place of --start: a label map on the image's grid with the first voxels of each "
         "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
-        "id,x_vox,y_vox,z_vox,r_vox. They never overlap.",
+        "id,x_vox,y_vox,z_vox,r_vox. They never overlap. With a column side (inside or outside) its rows are clicks, "
+        "as --inside; then r may be left out, and id 0 is no object.",
         entry=SettingEntry(RUN, metavar="FILE", fixed=True),
     )
     mask: str | None = setting(
@@ -341,7 +343,8 @@ class SettingFields(BaseModel):
     edit: Annotated[tuple[Edit, ...], BeforeValidator(edits_of)] = setting(
         (),
         "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
-        "(or remove=; with object=ID among several objects); in TOML tables [[edit]].",
+        "(or remove=), 'step=40 inside=point:X,Y,Z' (or outside=, repeated; with object=ID "
+        "among several objects); in TOML tables [[edit]].",
         entry=SettingEntry(RUN, metavar="CHANGE", repeated=True, fixed=True),
     )
     inside: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
@@ -365,7 +368,7 @@ class SettingFields(BaseModel):
         None,
         "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
         "not bound the result.",
-        entry=SettingEntry(RUN, metavar="VOLUME", fixed=True),
+        entry=SettingEntry(RUN, metavar="VOLUME", scope="term", fixed=True),
     )
     keep_state: Literal["auto", "yes", "no"] = setting(
         "auto",

@@ -24,6 +24,14 @@ from accelsurf.settings.presets import PRESETS
 MAX_WHOLE = 2**63 - 1
 
 
+def _with_clicks(values: dict[str, Any]) -> dict[str, Any]:
+    """Settings with the energy and the start that clicks choose where none is given."""
+    if not values.get("inside"):
+        return values
+    chosen = {"energy": "seeded"} if values.get("objects") is not None else {"energy": "seeded", "start": ("clicks",)}
+    return {**chosen, **values}
+
+
 class RunConfig(SettingFields):
     """Settings of one segmentation run.
 
@@ -52,8 +60,9 @@ class RunConfig(SettingFields):
         # The validation refuses an unknown preset.
         preset = values.get("preset")
         under = PRESETS[preset].settings if isinstance(preset, str) and preset in PRESETS else {}
+        values = _with_clicks({**under, **values})
         try:
-            super().__init__(**{**under, **values})
+            super().__init__(**values)
         except ValidationError as error:
             raise messages.usage_error(error, values) from None
         self._check_sizes()
@@ -85,6 +94,11 @@ class RunConfig(SettingFields):
             raise UsageError(
                 f"start: {' + '.join(self.start)} was given with objects {self.objects}, expected one of the two",
                 "objects are starts: put what is to be segmented into that file",
+            )
+        if self.objects is not None and self.inside:
+            raise UsageError(
+                f"inside: {' + '.join(self.inside)} was given with objects {self.objects}, which does not say of which",
+                "give the table of objects a column side, with a row for each click",
             )
         if self.t0 == 0 and self.k <= 1:
             raise UsageError(
@@ -151,10 +165,12 @@ class RunConfig(SettingFields):
         >>> RunConfig().replace(flow="gradient").flow
         'gradient'
         """
-        present = self.model_dump()
+        # What was given and what was not must stay so: the defaults of some settings depend on others.
+        present = self.model_dump(include=self.model_fields_set)
         if "preset" in changes:
             under = PRESETS[self.preset].settings if self.preset is not None else {}
-            former = type(self)(**under)
+            former = type(self)(**{**under, "inside": self.inside})
+            former = former.model_copy(update={"inside": default_of("inside")})
             present = {key: value for key, value in present.items() if value != getattr(former, key)}
         return type(self)(**{**present, **changes})
 

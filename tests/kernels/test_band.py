@@ -359,12 +359,12 @@ def islands(shape, sizes, seed):
     return np.where(label > 0, -1.0, 1.0), label
 
 
-def remove_components(dense, grid, band, most, depth):
+def remove_components(dense, grid, band, most, depth, held=()):
     peak = np.zeros(band.cells.size, np.bool_)
     # In two ranges, as two threads would.
     for start, stop in ((0, 100), (100, band.cells.size)):
         band_kernels.find_peaks(start, stop, dense, grid, band, depth, peak)
-    return band_kernels.small_components(dense, grid, band, np.flatnonzero(peak), most)
+    return band_kernels.small_components(dense, grid, band, np.flatnonzero(peak), most, np.array(held, np.int64))
 
 
 @pytest.mark.parametrize("sign", [1, -1])

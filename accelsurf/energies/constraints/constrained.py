@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.energies.energy import Energy
+from accelsurf.flows import Flow
 from accelsurf.levelset import BandChange, LevelSet
 
 
@@ -28,6 +30,15 @@ class ConstrainedEnergy(Energy):
     def alpha(self) -> float:  # type: ignore[override]  # read only: it is the inner energy's
         """The energy's own."""
         return self._energy.alpha
+
+    @property
+    def held_cells(self) -> NDArray[np.int64]:
+        """The energy's own."""
+        return self._energy.held_cells
+
+    def reaction(self, surface: LevelSet, flow: Flow) -> np.ndarray | None:
+        """The energy's own."""
+        return self._energy.reaction(surface, flow)
 
     @property
     def is_disturbed(self) -> bool:

@@ -1,0 +1,275 @@
+"""Clicks as they are written: points, strokes, and every kind of start, inside or outside of an object."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf import io
+from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
+from accelsurf.grid.boxes import Box, bounding_box, widened
+from accelsurf.grid.clicks import SIDES, Click, Clicks, Side
+from accelsurf.grid.distances import ball_distance
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization import starts
+from accelsurf.io.files import naming
+from accelsurf.settings import budgets
+from accelsurf.settings.wording import shown
+
+#: Kinds of clicks besides those of starts -> the form in which they are written.
+KINDS = {"point": "point:X,Y,Z", "stroke": "stroke:FILE"}
+#: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
+WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
+_FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
+_LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
+
+
+def read_clicks(
+    texts: Iterable[str], side: Side, volume: Volume, image: NDArray[np.float32] | None = None, id: int = 1
+) -> list[Click]:
+    """Return clicks from texts, in their order.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        ``point:X,Y,Z``, ``stroke:FILE``, or a start.
+    side : {"inside", "outside"}
+    volume : Volume
+        The image.
+    image : ndarray (nz, ny, nx), optional
+        What seeds and thresholds look at, as for `accelsurf.initialization.starts.build`.
+    id : int, optional
+        Of the object.
+
+    Raises
+    ------
+    UsageError
+        When one is not of a known form.
+    InputError
+        When one lies outside the volume, or a file cannot be read; GeometryError when a label map lies on another grid.
+    """
+    out: list[Click] = []
+    for text in texts:
+        kind, _, rest = text.strip().partition(":")
+        if kind == "point":
+            voxels = point_voxels([_point(text, rest)], text, side, volume.geometry, rest.endswith("vox"))
+            out.append(click_of_voxels(side, voxels, id))
+        elif kind == "stroke":
+            out += _stroke(text, rest, side, volume.geometry, id)
+        else:
+            out.append(_of_start(text, side, volume, image, id))
+    return out
+
+
+def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int] = (0, 0, 0)) -> None:
+    """Refuse voxels that are clicked on both sides of an object, or inside two objects.
+
+    Parameters
+    ----------
+    clicks : Clicks
+    geometry : Geometry
+        The image's grid.
+    first : sequence of int, optional
+        Index (z, y, x) in the image of the first voxel of the clicks' grid.
+
+    Raises
+    ------
+    InputError
+        With the first such voxel, as index and in mm.
+    """
+    for id in sorted({click.id for click in clicks.clicks}):
+        own = clicks.of(id)
+        both = own.mask("inside") & own.mask("outside")
+        if both.any():
+            where = voxel_named(np.argwhere(both)[0], geometry, first)
+            of = "" if {one.id for one in clicks.clicks} == {1} else f" of object {id}"
+            raise InputError(
+                f"clicks: {where} is clicked both inside and outside{of}", "take one away, or make one smaller"
+            )
+
+
+def voxel_named(index: NDArray[np.int64], geometry: Geometry, first: Sequence[int] = (0, 0, 0)) -> str:
+    """What messages call a voxel (z, y, x): its index x,y,z in the image, and its place in mm."""
+    place = np.asarray(index) + np.asarray(first)
+    world = ",".join(f"{value:.4g}" for value in geometry.index_to_world(place.astype(float)))
+    voxel = ",".join(str(int(i)) for i in place[::-1])
+    return f"voxel {voxel} (x,y,z; {world} mm)"
+
+
+def point_voxels(
+    points: Sequence[Sequence[float]], name: str, side: str, geometry: Geometry, vox: bool = False
+) -> NDArray[np.int64]:
+    """Return the voxels (n, 3), z y x, in which points (x, y, z) lie.
+
+    Raises
+    ------
+    InputError
+        When one lies outside the volume.
+    """
+    places = np.array([[float(v) for v in point[:3]] for point in points])
+    index = places[:, ::-1] if vox else np.array([geometry.world_to_index(tuple(place)) for place in places])
+    voxels = np.floor(index + 0.5).astype(np.int64)
+    beyond = ((voxels < 0) | (voxels >= np.array(geometry.shape))).any(axis=1)
+    if beyond.any():
+        given = ",".join(f"{v:g}" for v in places[int(np.flatnonzero(beyond)[0])])
+        raise InputError(f"{side} {shown(name)!r}: {given} lies outside of the volume", starts.extent_hint(geometry))
+    return voxels
+
+
+def click_of_mask(side: Side, mask: NDArray[np.bool_], id: int = 1) -> Click:
+    """Return a click of the voxels of a mask (nz, ny, nx), which has some."""
+    box = bounding_box(mask)
+    assert box is not None
+    return Click(side, box, np.ascontiguousarray(mask[box]), id)
+
+
+def click_of_ball(side: Side, centre: Sequence[float], radius: float, geometry: Geometry, id: int = 1) -> Click:
+    """Return a click of the voxels in a ball: its ``centre`` as index (z, y, x), its ``radius`` in mm."""
+    nearest = np.clip(np.rint(centre), 0, np.array(geometry.shape) - 1).astype(int)
+    a, b, c = (slice(int(i), int(i) + 1) for i in nearest)
+    reach = [math.ceil(radius / h) + 1 for h in geometry.spacing]
+    box = widened((a, b, c), geometry.shape, reach)
+    mask = np.asarray(ball_distance(box, geometry.spacing, centre, radius) < 0)
+    inner = bounding_box(mask)
+    assert inner is not None
+    at: Box = tuple(slice(s.start + i.start, s.start + i.stop) for s, i in zip(box, inner, strict=True))  # type: ignore[assignment]
+    return Click(side, at, np.ascontiguousarray(mask[inner]), id)
+
+
+def click_of_voxels(side: Side, voxels: NDArray[np.int64], id: int = 1) -> Click:
+    """Return a click of some voxels (n, 3), z y x."""
+    low, high = voxels.min(axis=0), voxels.max(axis=0) + 1
+    mask = np.zeros(tuple(high - low), np.bool_)
+    mask[tuple((voxels - low).T)] = True
+    z, y, x = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+    return Click(side, (z, y, x), mask, id)
+
+
+def click_of_numbers(side: Side, ball: Sequence[float], vox: bool, geometry: Geometry, id: int = 1) -> Click:
+    """Return a click of a ball (x, y, z, r) in world mm, or in voxels.
+
+    Raises
+    ------
+    InputError
+        When no voxel centre is inside it.
+    """
+    text = f"ball:{','.join(repr(float(v)) for v in ball)}{'vox' if vox else ''}"
+    try:
+        return click_of_ball(side, *starts.ball_of(text, geometry), geometry, id)
+    except AccelsurfError as error:
+        raise type(error)(error.message.replace("start ", f"{side} ", 1), error.hint) from None
+
+
+def _point(text: str, rest: str) -> tuple[float, ...]:
+    parts = rest.removesuffix("vox").split(",")
+    try:
+        numbers = tuple(float(part) for part in parts)
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 3 or not all(abs(v) <= starts.MAX_LENGTH for v in numbers):
+        raise UsageError(f"click {shown(text)!r}: 3 numbers separated by commas expected", f"as in {KINDS['point']}")
+    return numbers
+
+
+def _of_start(
+    text: str, side: Side, volume: Volume, image: NDArray[np.float32] | None, id: int
+) -> Click:
+    """A click that is written as a start."""
+    try:
+        start = starts.parse(text)
+        if start.kind == "ball":
+            return click_of_ball(side, *starts.ball_of(text, volume.geometry), volume.geometry, id)
+        return click_of_mask(side, starts.build([text], volume, image) < 0, id)
+    except AccelsurfError as error:
+        message = error.message.replace("start ", f"{side} ", 1)
+        hint = error.hint.replace("use one of ", f"use one of {', '.join(KINDS.values())}, ") if error.hint else ""
+        raise type(error)(message, hint) from None
+
+
+def _stroke(text: str, file: str, side: Side, geometry: Geometry, id: int) -> list[Click]:
+    """The clicks of a file: points, or a label map with 1 inside and 2 outside."""
+    if not file:
+        raise UsageError(f"click {shown(text)!r}: no file named", f"write {KINDS['stroke']}")
+    if file.lower().endswith(".csv"):
+        return _stroke_of_points(file, side, geometry, id)
+    labels = io.read_labels(file)
+    if not labels.geometry.matches(geometry):
+        raise GeometryError(
+            f"stroke:{file}: on another grid than the image: {labels.geometry.difference(geometry)}",
+            "resample it to the image's grid first",
+        )
+    found = [int(value) for value in np.unique(labels.array)]
+    unknown = [value for value in found if value not in (0, *_LABELS)]
+    if unknown:
+        raise InputError(f"stroke:{file}: label {unknown[0]} was given, expected 1 (inside), 2 (outside) and 0", "")
+    masks = {way: labels.array == label for label, way in _LABELS.items()}
+    if not masks[side].any():
+        raise InputError(f"{side} stroke:{file}: no voxel has its label", "1 is inside, 2 is outside")
+    return [click_of_mask(way, masks[way], id) for way in SIDES if masks[way].any()]
+
+
+def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> list[Click]:
+    """The clicks of a table: one for the points of each side, and one for each ball."""
+    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
+        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+        try:
+            table = csv.DictReader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
+            columns = [name.strip() for name in table.fieldnames or ()]
+            vox = set(VOXEL_COLUMNS) <= set(columns)
+            if not vox and not set(WORLD_COLUMNS) <= set(columns):
+                raise InputError(f"{','.join(columns) or 'no line'} was given as the first line, expected {_FORM}", "")
+            table.fieldnames = columns
+            rows = [stroke_row(line, table.line_num, vox, side) for line in table]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
+    if not rows:
+        raise InputError(f"{file}: it has no row", f"expected {_FORM}")
+    out: list[Click] = []
+    for way in SIDES:
+        points = [numbers[:3] for one, numbers in rows if one == way and numbers[3] == 0]
+        if points:
+            out.append(click_of_voxels(way, point_voxels(points, file, way, geometry, vox), id))
+    return out + [click_of_numbers(way, numbers, vox, geometry, id) for way, numbers in rows if numbers[3] > 0]
+
+
+def stroke_row(line: dict[str, str], number: int, vox: bool, side: Side) -> tuple[Side, tuple[float, ...]]:
+    """Side and (x, y, z, r) of a row of a stroke; r is 0 for a point.
+
+    Raises
+    ------
+    InputError
+        When it has no three numbers, a radius below 0, or another side.
+    """
+    given = ",".join(str(value) for value in line.values() if isinstance(value, str))
+    names = (*(VOXEL_COLUMNS if vox else WORLD_COLUMNS), "r_vox" if vox else "r")
+    try:
+        numbers = tuple(float(line.get(name) or ("0" if name.startswith("r") else "")) for name in names)
+    except (TypeError, ValueError):
+        numbers = ()
+    if not numbers or not all(abs(v) <= starts.MAX_LENGTH for v in numbers) or numbers[3] < 0:
+        raise InputError(f"line {number}: {given} was given, expected three numbers, and no radius below 0", _FORM)
+    return side_of(line, number, side), numbers
+
+
+def side_of(line: dict[str, str], number: int, otherwise: Side) -> Side:
+    """The side that a row of a table names, ``otherwise`` where it names none.
+
+    Raises
+    ------
+    InputError
+        When it names another one.
+    """
+    word = (line.get("side") or "").strip().lower()
+    for side in SIDES:
+        if word == side:
+            return side
+    if word:
+        raise InputError(f"line {number}: side {shown(word)} was given, expected inside or outside", _FORM)
+    return otherwise

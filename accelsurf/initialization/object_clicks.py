@@ -1,0 +1,100 @@
+"""Clicks on several objects at once: a table of ``--objects`` with a column ``side``."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from accelsurf.errors import InputError
+from accelsurf.grid.boxes import bounding_box, corner_of, widened
+from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.grid.geometry import Geometry
+from accelsurf.initialization import clicks as one_object
+from accelsurf.initialization.object_starts import MAX_ID, ObjectStart
+from accelsurf.io.files import naming
+from accelsurf.settings import budgets
+
+_FORM = "columns id,x,y,z,side in world mm (LPS), or id,x_vox,y_vox,z_vox,side, with r (or r_vox) if wanted"
+
+
+def read(objects: Any, geometry: Geometry) -> Clicks | None:
+    """Return the clicks of a table of objects; None for a label map, or a table without a column ``side``.
+
+    Parameters
+    ----------
+    objects : str, Volume or ndarray
+        As for `accelsurf.initialization.object_starts.read`.
+    geometry : Geometry
+        The image's grid.
+
+    Raises
+    ------
+    InputError
+        When the table cannot be read, a row is not of its form or lies outside the volume, or there is no object.
+    """
+    if not (isinstance(objects, str) and objects.lower().endswith(".csv")):
+        return None
+    with naming(Path(objects)), open(objects, encoding="utf-8-sig", newline="") as stream:
+        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+        try:
+            table = csv.DictReader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
+            columns = [name.strip() for name in table.fieldnames or ()]
+            if "side" not in columns:
+                return None
+            vox = set(one_object.VOXEL_COLUMNS) <= set(columns)
+            if "id" not in columns or not (vox or set(one_object.WORLD_COLUMNS) <= set(columns)):
+                raise InputError(f"{','.join(columns)} was given as the first line, expected {_FORM}", "")
+            table.fieldnames = columns
+            rows = [_row(line, table.line_num, vox, geometry) for line in table]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
+    found = Clicks(tuple(rows), geometry.shape)
+    if not any(found.ids()):
+        raise InputError(f"{objects}: no row is inside an object", "an id from 1 on, and the side inside")
+    lost = {click.id for click in rows} - set(found.ids())
+    if lost:
+        raise InputError(f"{objects}: id {min(lost)} has no row inside", "give it one, or take its other rows away")
+    one_object.check_contradictions(found, geometry)
+    return found
+
+
+def _row(line: dict[str, str], number: int, vox: bool, geometry: Geometry) -> Click:
+    """The click of a row."""
+    try:
+        own = float(line.get("id") or "")
+    except ValueError:
+        own = -1.0
+    if own != int(own) or not 0 <= own <= MAX_ID:
+        raise InputError(f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on", _FORM)
+    side, numbers = one_object.stroke_row(line, number, vox, "inside")
+    name, id = f"line {number}", int(own)
+    if id == NO_OBJECT and side == "outside":
+        raise InputError(f"{name}: id 0 is no object, so nothing is outside of it", "write inside, or an object's id")
+    if numbers[3] == 0:
+        return one_object.click_of_voxels(side, one_object.point_voxels([numbers], name, side, geometry, vox), id)
+    return one_object.click_of_numbers(side, numbers, vox, geometry, id)
+
+
+def starts_of(clicks: Clicks, geometry: Geometry, margin: int) -> list[ObjectStart]:
+    """Return the first surface of each id with clicks inside, 0 among them: these clicks.
+
+    Parameters
+    ----------
+    clicks : Clicks
+    geometry : Geometry
+        The image's grid.
+    margin : int
+        Voxels around each object's clicks, where the grid has them.
+    """
+    half, out = np.float32(0.5 * min(geometry.steps)), []
+    for id in clicks.ids():
+        inside = clicks.mask("inside", id)
+        tight = bounding_box(inside)
+        assert tight is not None
+        box = widened(tight, geometry.shape, (margin, margin, margin))
+        out.append(ObjectStart(id, corner_of(box), np.where(inside[box], -half, half)))
+    return out

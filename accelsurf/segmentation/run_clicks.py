@@ -1,0 +1,198 @@
+"""The clicks of a run after each of its edits, and the contexts that energies see then."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import AccelsurfError, InputError
+from accelsurf.grid.boxes import Box, whole_box
+from accelsurf.grid.click_bounds import ClickBounds, click_bounds
+from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
+from accelsurf.grid.pyramid import Level
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization.clicks import check_contradictions, read_clicks, voxel_named
+from accelsurf.segmentation.image_context import ImageContext
+from accelsurf.segmentation.level_arrays import LevelArrays
+from accelsurf.settings.edits import Edit
+
+
+def placed(
+    clicks: Sequence[Click], volume: Volume, box: Box, mask_distance: NDArray[np.float32] | None, before: Clicks | None
+) -> Clicks:
+    """Return clicks after those of ``before``, on the grid of the region of interest.
+
+    Parameters
+    ----------
+    clicks : sequence of Click
+        On the image's grid.
+    volume : Volume
+        The image.
+    box : tuple of slice
+        Voxels of the region of interest.
+    mask_distance : ndarray or None
+        Signed distance of the mask on it, mm, negative within.
+    before : Clicks or None
+        On the grid of the region of interest.
+
+    Raises
+    ------
+    InputError
+        When a click inside an object lies outside of region or mask, or a voxel is clicked on both sides.
+    """
+    geometry = volume.geometry
+    shape = tuple(s.stop - s.start for s in box)
+    for click in clicks:
+        if click.side == "outside" or click.id == NO_OBJECT:
+            continue  # what lies outside of the mask is outside anyway
+        at = np.argwhere(click.mask) + np.array([s.start for s in click.box])
+        here = at - np.array([s.start for s in box])
+        lost = ((here < 0) | (here >= np.array(shape))).any(axis=1)
+        where = "the region of interest"
+        if mask_distance is not None and not lost.any():
+            lost, where = mask_distance[tuple(here.T)] > 0, "the mask or the box"
+        if lost.any():
+            voxel = voxel_named(at[int(np.flatnonzero(lost)[0])], geometry)
+            raise InputError(f"clicks: {voxel} is clicked inside, and lies outside of {where}", "make one of them fit")
+    own = Clicks(tuple(clicks), geometry.shape).on_box(box)
+    whole = own if before is None else before.with_more(own.clicks)
+    check_contradictions(whole, geometry, (box[0].start, box[1].start, box[2].start))
+    return whole
+
+
+class RunClicks:
+    """Clicks and contexts of a run's objects, in force after some of its edits.
+
+    Parameters
+    ----------
+    volume : Volume
+        The image.
+    image : ndarray or None
+        What seeds and thresholds look at; None for the volume itself.
+    box : tuple of slice
+        Voxels of the region of interest.
+    mask_distance : ndarray or None
+        On that region.
+    first : Clicks or None
+        Before any edit, on that region.
+    contexts : sequence of ImageContext
+        Of the objects, before any edit.
+    ids : sequence of int
+        Of the objects; none for a run of one object without an id.
+    """
+
+    def __init__(
+        self,
+        volume: Volume,
+        box: Box,
+        mask_distance: NDArray[np.float32] | None,
+        first: Clicks | None,
+        contexts: Sequence[ImageContext],
+        ids: Sequence[int],
+    ) -> None:
+        self._volume, self._box, self._mask_distance = volume, box, mask_distance
+        self._ids = tuple(ids)
+        self._after: dict[tuple[str, ...], Clicks | None] = {(): first}
+        self._contexts: dict[tuple[str, ...], tuple[ImageContext, ...]] = {(): tuple(contexts)}
+
+    def after(self, edits: Sequence[Edit]) -> Clicks | None:
+        """Return the clicks in force after some edits; None where there are none.
+
+        Raises
+        ------
+        UsageError, InputError
+            When a click of an edit cannot be used; the message names the step.
+        """
+        key = _key(edits)
+        if key not in self._after:
+            edits = [edit for edit in edits if edit.has_clicks]
+            before = self.after(edits[:-1])
+            try:
+                self._after[key] = placed(
+                    self._read(edits[-1]), self._volume, self._box, self._mask_distance, before
+                )
+            except AccelsurfError as error:
+                raise type(error)(f"edit at step {edits[-1].step}: {error.message}", error.hint) from None
+        return self._after[key]
+
+    def _read(self, edit: Edit) -> list[Click]:
+        """The clicks of an edit, on the image's grid."""
+        out: list[Click] = []
+        for side in SIDES:
+            read = read_clicks(getattr(edit, side), side, self._volume, None, 1)
+            if self._ids:
+                own = NO_OBJECT if edit.object is None else edit.object
+                to = "inside" if own == NO_OBJECT else side
+                read = [click._replace(id=own, side=to) for click in read]
+            out += read
+        return out
+
+    def contexts(self, edits: Sequence[Edit]) -> tuple[ImageContext, ...]:
+        """Return the context of each object after some edits; the same objects as long as no click is added."""
+        key = _key(edits)
+        if key not in self._contexts:
+            edits = [edit for edit in edits if edit.has_clicks]
+            clicks = self.after(edits)
+            assert clicks is not None
+            before = self.contexts(edits[:-1])
+            ids = self._ids or (1,)
+            self._contexts[key] = tuple(
+                one.with_clicks(clicks.of(id), one) for one, id in zip(before, ids, strict=True)
+            )
+        return self._contexts[key]
+
+
+def _key(edits: Sequence[Edit]) -> tuple[str, ...]:
+    return tuple(str(edit) for edit in edits if edit.has_clicks)
+
+
+class LevelClicks:
+    """The clicks on an object on every level: bounds of psi, and the field of its model; made when first needed.
+
+    Parameters
+    ----------
+    context : ImageContext
+        Of the object.
+    grids : sequence of Level
+        Finest first.
+    """
+
+    def __init__(self, context: ImageContext, grids: Sequence[Level]) -> None:
+        self._context, self._grids = context, grids
+        self._bounds: dict[int, ClickBounds] = {}
+        self._field: LevelArrays | None = None
+
+    def bounds(self, level: int, box: Box | None = None) -> ClickBounds | None:
+        """Return the bounds on a box of a level; None without clicks there."""
+        if self._context.clicks is None:
+            return None
+        if level not in self._bounds:
+            self._bounds[level] = click_bounds(self._context.clicks, self._grids[level])
+        whole = self._bounds[level]
+        if box is None:
+            return whole if whole.cells.size else None
+        shape = tuple(s.stop - s.start for s in box)
+        found = whole.on_box((box[0].start, box[1].start, box[2].start), shape)
+        return found if found.cells.size else None
+
+    def apply(self, psi: NDArray[np.float32], level: int, box: Box | None = None) -> None:
+        """Bring psi on a box of a level within the bounds, in place."""
+        bounds = self.bounds(level, box or whole_box(psi.shape))
+        if bounds is not None:
+            bounds.apply(psi)
+
+    def extended(
+        self, low: NDArray[np.int64], high: NDArray[np.int64], level: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return first voxel and the one after the last of an object on a level, with its clicks inside."""
+        bounds = self.bounds(level)
+        extent = None if bounds is None else bounds.extent()
+        return (low, high) if extent is None else (np.minimum(low, extent[0]), np.maximum(high, extent[1]))
+
+    def field(self, level: int, box: Box) -> NDArray[np.float32]:
+        """Return the field of the object's model on a box of a level."""
+        if self._field is None:
+            self._field = LevelArrays(self._context.seeded_model().field, self._grids)
+        return self._field.on(level, box)

@@ -1,0 +1,160 @@
+"""How a run begins: its image, its clicks, and the first surface of each object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import UsageError
+from accelsurf.grid.boxes import bounding_box, corner_of, widened
+from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization import object_clicks, object_starts
+from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.io.channels import read_further
+from accelsurf.segmentation.ensemble import union_of, within
+from accelsurf.segmentation.given import given_arrays
+from accelsurf.segmentation.image_context import ImageContext
+from accelsurf.segmentation.preprocessing import PreprocessedInput, preprocess, uses_model
+from accelsurf.segmentation.run_checkpoint import digest_of
+from accelsurf.settings.run_config import RunConfig
+
+#: Voxels around an object's own grid that belong to its part of a result.
+AROUND = 2
+
+
+@dataclass(frozen=True, eq=False)
+class RunStart:
+    """What a run begins with.
+
+    Attributes
+    ----------
+    config : RunConfig
+        With the energy that clicks on several objects choose where none was given.
+    has_ids : bool
+        Whether objects with ids were given.
+    given : tuple of str
+        Settings given as arrays in place of texts.
+    given_digest : str
+        Their SHA-256.
+    prepared : PreprocessedInput
+    starts : list of ObjectStart
+        On the grid of the region of interest, in order of their ids; 0 first, where something competes that is no
+        object.
+    contexts : list of ImageContext
+        Of the same objects.
+    """
+
+    config: RunConfig
+    has_ids: bool
+    given: tuple[str, ...]
+    given_digest: str
+    prepared: PreprocessedInput
+    starts: list[ObjectStart]
+    contexts: list[ImageContext]
+
+
+def start_of_run(
+    volume: Volume,
+    config: RunConfig,
+    channels: Sequence[Volume],
+    objects: Any,
+    arrays: Mapping[str, NDArray[np.float32]] | None,
+    clicks: Sequence[Click],
+) -> RunStart:
+    """Read and prepare what a run begins with; the parameters are those of `accelsurf.segmentation.run.Run`.
+
+    Raises
+    ------
+    UsageError, InputError
+        As of `accelsurf.segment`.
+    """
+    labels = config.objects if objects is None else objects
+    by_array = given_arrays(labels, arrays) | _masks_of(clicks, volume.geometry)
+    table = None if labels is None else object_clicks.read(labels, volume.geometry)
+    if table is not None:
+        clicks = [*clicks, *table.clicks]
+        if "energy" not in config.model_fields_set:
+            config = config.replace(energy="seeded")
+    if labels is not None and any(click.id == 1 for click in clicks) and table is None:
+        raise UsageError("inside: clicks were given with objects", "give a table of objects with a column side")
+    volumes = [volume, *channels, *read_further(config.channel)]
+    several = _several(labels, table, clicks, config, volume.geometry)
+    union = {"start": union_of(several, volume.geometry)} if several else {}
+    prepared, psi = preprocess(volumes, config, {**(arrays or {}), **union}, clicks, labels is not None)
+    contexts, starts = [prepared.context], [ObjectStart(1, (0, 0, 0), psi)]
+    if labels is None:
+        contexts = [_with_clicks(contexts[0], prepared.clicks, 1)]
+    else:
+        if not several or several[0].id != NO_OBJECT:
+            several = _no_object(prepared, config) + several
+        starts = [within(one, prepared) for one in several]
+        contexts = [
+            _with_clicks(prepared.context.of_object(one.corner, one.psi < 0), prepared.clicks, one.id) for one in starts
+        ]
+        if table is not None and uses_model(config):
+            starts = _of_models(starts, contexts, str(labels), prepared.geometry)
+    return RunStart(config, labels is not None, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
+
+
+def _masks_of(clicks: Sequence[Click], geometry: Geometry) -> dict[str, NDArray[Any]]:
+    """Clicks that were given as arrays, by side."""
+    given = Clicks(tuple(clicks), geometry.shape)
+    sides = {click.side for click in clicks}
+    return {side: given.mask(side).view(np.uint8) for side in sorted(sides)}
+
+
+def _several(
+    labels: Any, table: Clicks | None, clicks: Sequence[Click], config: RunConfig, geometry: Geometry
+) -> list[ObjectStart]:
+    """First surfaces of several objects on the image's grid; none for a single one."""
+    if labels is None:
+        return []
+    if table is None:
+        return object_starts.read(labels, geometry, AROUND)
+    # With a model the competition is in the force: what is no object needs no surface.
+    starts = object_clicks.starts_of(table, geometry, AROUND)
+    return [one for one in starts if one.id != NO_OBJECT or not uses_model(config)]
+
+
+def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectStart]:
+    """The surface that competes for what is no object, where --outside was given with objects."""
+    if prepared.clicks is None or uses_model(config):
+        return []
+    whole = Clicks(
+        tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT), prepared.clicks.shape
+    )
+    found = object_clicks.starts_of(whole, prepared.geometry, AROUND)
+    first = prepared.first
+    return [one._replace(corner=_plus(one.corner, first)) for one in found]
+
+
+def _plus(one: tuple[int, int, int], other: tuple[int, int, int]) -> tuple[int, int, int]:
+    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
+
+
+def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> ImageContext:
+    return context if clicks is None else context.with_clicks(clicks.of(id))
+
+
+def _of_models(
+    starts: list[ObjectStart], contexts: list[ImageContext], name: str, geometry: Geometry
+) -> list[ObjectStart]:
+    """First surfaces of several objects by the model of each; where two overlap, the lower id has the voxels."""
+    half, out = np.float32(0.5 * min(geometry.steps)), []
+    taken = np.zeros(geometry.shape, np.bool_)
+    for one, context in zip(starts, contexts, strict=True):
+        inside = (context.model_start() < 0) & ~taken
+        tight = bounding_box(inside)
+        if tight is None:
+            out.append(one)
+            continue
+        taken |= inside
+        box = widened(tight, geometry.shape, (AROUND, AROUND, AROUND))
+        out.append(ObjectStart(one.id, corner_of(box), np.where(inside[box], -half, half)))
+    return out
