@@ -41,7 +41,8 @@ PAGE, PICTURE = ROOT / "docs" / "explanation" / "quality.md", ROOT / "docs" / "i
 GOOD, FAILED, FINE = 0.8, 0.7, 0.85
 #: Clicks of each object.
 CLICKS = 5
-#: Phantoms: noise in parts of the contrast, and energies.
+#: Phantoms, noise in parts of the contrast, and energies.
+PHANTOMS = ("ball", "ball_anisotropic", "ball_small", "box", "cube", "disc", "torus", "two_balls")
 NOISE = (0.3, 1.0)
 ENERGIES: tuple[dict[str, Any], ...] = (
     {}, {"energy": "threshold:learned,learned", "smoothness": 0.5}, {"energy": "local-region"},
@@ -85,7 +86,7 @@ def main() -> None:
 
 def results(half: str, folder: str | None, only: set[str]) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """The rows of each phantom (for the tuning half) and of each object."""
-    for name in recipes.recipe_names() if half == "tune" else ():
+    for name in PHANTOMS if half == "tune" else ():
         if not only or name in only:
             yield name, list(on_phantom(name))
     if folder is None:
@@ -106,7 +107,7 @@ def on_phantom(name: str) -> Iterator[dict[str, Any]]:
             click = next_click(part, None, made.image.geometry)
             assert click is not None
             for settings in ENERGIES:
-                start = "ball:" + ",".join(map(repr, (*click.centre, max(click.radius, 1.5 * click.radius))))
+                start = "ball:" + ",".join(map(repr, (*click.centre, click.radius)))
                 yield from measured(made.image, part, {"start": start, "max_steps": 200, **settings})
 
 
@@ -184,7 +185,7 @@ def fit(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
     found = trained(rows)
     values, truth, weights = [], [], []
     for name, own in rows.items():
-        values += [cross for cross in crossed(rows, name)]
+        values += list(crossed(rows, name))
         truth += [row["dice"] for row in own]
         weights += [1.0 / len(own) for _ in own]
     found["threshold"] = best_threshold(np.array(values), np.array(truth), np.array(weights))

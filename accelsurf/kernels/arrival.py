@@ -30,7 +30,8 @@ class Medium(NamedTuple):
 
 class Tissue(NamedTuple):
     """What passes easily: per channel (channels,) float64 the median and the spread of the values, and the gradient
-    (per mm) that counts as 1; and the weights of the cost, see `cost_at`."""
+    (per mm) that counts as 1; and the weights of the cost, see `cost_at`.
+    """
 
     median: np.ndarray
     spread: np.ndarray

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from accelsurf import io
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.evolution.rests import MAX_RESTS
 from accelsurf.io.file_set import FileSet, opened
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
@@ -90,6 +91,7 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
         files["sdf"] = f"sdf.{IMAGE_FORMATS[labels].distances or labels}"
     if config.objects is not None:
         files["objects"] = "objects.csv"
+    files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_RESTS + 1)}
     return files | {"trace": "trace.csv", "preview": "preview.png"}
 
 
@@ -243,7 +245,7 @@ def write_result(
     began = time.perf_counter()
     meshes = list(_mesh_writers(result, names))
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
-    writers = [*_label_writer(result, names), *meshes, *_distance_writer(result, names)]
+    writers = [*_label_writer(result, names), *_rest_writers(result, names), *meshes, *_distance_writer(result, names)]
     writers += _table_writers(result, names, content)
     for kind, name, write in writers:
         began = time.perf_counter()
@@ -260,6 +262,18 @@ def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     """The writer of the label map."""
     if "labels" in names and _has_surface(result):
         yield "labels", names["labels"], lambda path: io.write_labels(result.labels_volume(), path)
+
+
+def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """The writers of the label maps of rests: each object at that rest, or without it as it is."""
+    count = max((len(one.rests) for one in result.objects), default=0)
+    for number in range(1, count + 1):
+        if (kind := f"rest{number}") in names:
+            yield kind, names[kind], functools.partial(_write_rest, result, number)
+
+
+def _write_rest(result: Result, number: int, path: Path) -> None:
+    io.write_labels(result.labels_volume().with_array(result.labels_at_rest(number)), path)
 
 
 def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:

@@ -14,6 +14,7 @@ from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
+from accelsurf.segmentation.clicked_voxels import clicked_voxels
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.rest_points import rest_points
@@ -35,6 +36,7 @@ def segment(
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     on_step: Callable[[StepRecord], bool | None] | None = None,
+    on_warning: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Result:
     """Segment one object.
@@ -55,6 +57,8 @@ def segment(
         (hz, hy, hx) in mm. Settings of the named energies, such as ``smoothness``, are then refused.
     on_step : callable, optional
         Called with each `StepRecord`; a true return value ends the run with the reason ``interrupted``.
+    on_warning : callable, optional
+        Called before the first step with each doubt about the start; `Result.warnings` has them too.
     **options
         Settings by name, over those of ``config``: ``start="ball:x,y,z,r"``, ``flow="gradient"``, ... ``start``,
         ``mask``, ``foreground`` and ``background`` may also be a mask (an array on the image's grid, or a Volume), a
@@ -83,7 +87,8 @@ def segment(
     ('converged', 1, True)
     """
     with _run_of(volume, spacing, channels, config, energy, options) as run:
-        return _result_at_end(run, None if on_step is None else lambda record, own: on_step(record))
+        each = None if on_step is None else lambda record, own: on_step(record)
+        return _result_at_end(run, each, on_warning)
 
 
 def evolve(
@@ -134,6 +139,7 @@ def segment_objects(
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     on_step: Callable[[StepRecord, int], bool | None] | None = None,
+    on_warning: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Result:
     """Segment several objects that do not overlap.
@@ -149,6 +155,8 @@ def segment_objects(
         object's part of the image: see `accelsurf.segment`.
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the run.
+    on_warning : callable, optional
+        As for `segment`.
     spacing, channels, config, **options
         As for `segment`; ``max_volume`` counts for each object, ``max_steps`` for the run.
 
@@ -180,11 +188,17 @@ def segment_objects(
     if objects is None and with_options(config, None, options)[0].objects is None:
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     with _run_of(volume, spacing, channels, config, energy, options, objects) as run:
-        return _result_at_end(run, on_step)
+        return _result_at_end(run, on_step, on_warning)
 
 
-def _result_at_end(run: Run, on_step: Callable[[StepRecord, int], bool | None] | None) -> Result:
+def _result_at_end(
+    run: Run,
+    on_step: Callable[[StepRecord, int], bool | None] | None,
+    on_warning: Callable[[str], None] | None,
+) -> Result:
     """Run to the end, or until ``on_step`` returns true."""
+    for warning in run.level_warnings if on_warning is not None else ():
+        on_warning(warning)
     for step in run:
         if on_step is not None and on_step(step.record, step.object_id):
             run.request_stop()
@@ -299,7 +313,10 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     learned = run.prepared.learned_by(one.context)
     whole: Box = (box[0], box[1], box[2])
     rests = rest_points(one.evolution.state.rests.found, run.prepared, whole)
-    return SegmentedObject(1, whole, psi, image, run.volume.geometry, history, stop, one.made.terms, learned, rests)
+    return SegmentedObject(
+        1, whole, psi, image, run.volume.geometry, history, stop, one.made.terms, learned, rests,
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole),
+    )
 
 
 def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
@@ -320,6 +337,7 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
             SegmentedObject(
                 one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned,
                 rest_points(one.evolution.state.rests.found, run.prepared, box),
+                clicked_voxels(run.clicks, one.id, run.prepared.first, box),
             )
         )
     return tuple(objects)
