@@ -26,7 +26,7 @@ from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
 from accelsurf.report.environment import peak_rss_mb, versions
-from accelsurf.segmentation.evolving_object import ROOM
+from accelsurf.segmentation.object_grid import ROOM
 from benchmarks.pages import head_of, put_table, row_of
 from benchmarks.peers.objects import compare_on_objects, mean_dice
 from benchmarks.peers.scans import best_window, compare_peers

@@ -60,7 +60,7 @@ class ClickBounds(NamedTuple):
         flat = psi.reshape(-1)
         flat[self.cells] = np.minimum(np.maximum(flat[self.cells], self.low), self.high)
 
-    def is_kept_by(self, psi: NDArray[np.float32]) -> bool:
+    def is_met_by(self, psi: NDArray[np.float32]) -> bool:
         """Whether every clicked voxel is on its side."""
         values = psi.reshape(-1)[self.cells]
         return bool((values[self.high < 0] < 0).all() and (values[self.low > 0] >= 0).all())
@@ -86,7 +86,7 @@ def click_bounds(clicks: Clicks, grid: Level) -> ClickBounds:
     placed = [_on_level(click, grid) for click in clicks.clicks]
     sides = {side: _cells_of((one for one in placed if one.side == side), grid.shape) for side in ("inside", "outside")}
     free = np.intersect1d(sides["inside"], sides["outside"])
-    parts = [part for one in placed if (part := _part(one, free, grid)) is not None]
+    parts = [part for one in placed if (part := _bounds_of_click(one, free, grid)) is not None]
     if not parts:
         none = np.empty(0, np.float32)
         return ClickBounds(grid.shape, np.empty(0, np.int64), none, none)
@@ -122,7 +122,9 @@ def _raveled(index: NDArray[np.int64], shape: tuple[int, int, int]) -> NDArray[n
     return np.ravel_multi_index(tuple(index.T), shape).astype(np.int64)
 
 
-def _part(click: Click, free: NDArray[np.int64], grid: Level) -> tuple[NDArray[np.int64], NDArray, bool] | None:
+def _bounds_of_click(
+    click: Click, free: NDArray[np.int64], grid: Level
+) -> tuple[NDArray[np.int64], NDArray[np.float32], bool] | None:
     """Cells around a click on a level, the signed distance to it, mm, and whether it is inside."""
     box = widened(click.box, grid.shape, (MARGIN, MARGIN, MARGIN))
     mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)

@@ -94,15 +94,15 @@ class Clicks:
     def on_box(self, box: Box) -> Clicks:
         """Return the clicks on a part of the grid, counted from its first voxel; what lies beyond is left out."""
         corner, shape = corner_of(box), tuple(s.stop - s.start for s in box)
-        kept = (_moved(click, corner, (shape[0], shape[1], shape[2])) for click in self.clicks)
-        return Clicks(tuple(one for one in kept if one is not None), (shape[0], shape[1], shape[2]))
+        clipped = (_click_on_box(click, corner, (shape[0], shape[1], shape[2])) for click in self.clicks)
+        return Clicks(tuple(one for one in clipped if one is not None), (shape[0], shape[1], shape[2]))
 
     def with_more(self, more: Iterable[Click]) -> Clicks:
         """Return these clicks and some after them."""
         return Clicks((*self.clicks, *more), self.shape)
 
 
-def _moved(click: Click, corner: Corner, shape: tuple[int, int, int]) -> Click | None:
+def _click_on_box(click: Click, corner: Corner, shape: tuple[int, int, int]) -> Click | None:
     """A click on a box of the grid; None where it has no voxel there."""
     first = tuple(a - b for a, b in zip(corner_of(click.box), corner, strict=True))
     begin = (first[0], first[1], first[2])

@@ -49,7 +49,7 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
             if "id" not in columns or not (vox or set(one_object.WORLD_COLUMNS) <= set(columns)):
                 raise InputError(f"{','.join(columns)} was given as the first line, expected {_FORM}", "")
             table.fieldnames = columns
-            rows = [_row(line, table.line_num, vox, geometry) for line in table]
+            rows = [_click_of_row(line, table.line_num, vox, geometry) for line in table]
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
     found = Clicks(tuple(rows), geometry.shape)
@@ -62,7 +62,7 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
     return found
 
 
-def _row(line: dict[str, str], number: int, vox: bool, geometry: Geometry) -> Click:
+def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geometry) -> Click:
     """The click of a row."""
     try:
         own = float(line.get("id") or "")

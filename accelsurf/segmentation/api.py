@@ -253,8 +253,8 @@ def with_options(
         # What clicks choose otherwise; the energy of one's own has no model of them.
         options = {"energy": default_of("energy"), **options}
     if clicked:
-        chosen = {"energy": "seeded", "start": ("clicks",)}
-        options = {**{key: value for key, value in chosen.items() if key not in known}, **options}
+        defaults = {"energy": "seeded", "start": ("clicks",)}
+        options = {**{key: value for key, value in defaults.items() if key not in known}, **options}
     return config.replace(**options) if options else config, energy
 
 

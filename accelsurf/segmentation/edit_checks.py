@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
 from accelsurf.segmentation.balls import BallEdit
@@ -60,15 +61,22 @@ def check(edit: Edit, config: RunConfig, prepared: PreprocessedInput, ids: Seque
 
 
 def _check_object(edit: Edit, ids: Sequence[int], where: str) -> None:
-    """Refuse an object that does not exist, and a ball without an object where there are several."""
-    if edit.object is not None and edit.object not in (ids or (1,)):
+    """Refuse an object that does not exist, and balls or clicks without an object where there are several."""
+    allowed = {*ids, NO_OBJECT} if ids and edit.inside and not (edit.balls or edit.outside) else set(ids or (1,))
+    if edit.object is not None and edit.object not in allowed:
         known = ", ".join(str(one) for one in ids[:8]) + (", ..." if len(ids) > 8 else "")
         raise UsageError(f"{where}: object {edit.object} was given, expected one of {known or '1'}", "as in object=3")
-    if edit.object is not None and not edit.balls:
-        raise UsageError(f"{where}: object {edit.object} was given without a ball", "settings change for all objects")
+    if edit.object is not None and not (edit.balls or edit.has_clicks):
+        raise UsageError(
+            f"{where}: object {edit.object} was given without a ball or a click", "settings change for all objects"
+        )
     if edit.object is None and edit.balls and len(ids) > 1:
         raise UsageError(
             f"{where}: a ball was given without its object", "write which one it is added to, as in object=3"
+        )
+    if edit.object is None and edit.inside and ids:
+        raise UsageError(
+            f"{where}: a click inside was given without its object", "write which one it is in, as in object=3"
         )
 
 

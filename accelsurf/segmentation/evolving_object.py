@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import Energy
-from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.contact import Neighbour, NonOverlap
-from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.multilevel import FAILED, prolong_surface, rule_on_level
 from accelsurf.evolution.records import Step, Stop
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import LoopState
 from accelsurf.flows import Flow
-from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared, widened
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet, Workers
@@ -25,13 +21,10 @@ from accelsurf.levelset.transfer import shift_fields
 from accelsurf.segmentation.balls import BallEdit, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
+from accelsurf.segmentation.object_grid import GUARD, constrained, psi_on_box, roomy_box
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
 from accelsurf.segmentation.run_clicks import LevelClicks
 from accelsurf.segmentation.start_pyramid import StartPyramid, finer_box, to_finest
-
-#: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the
-#: box is made larger when the band comes within `GUARD` voxels of its edge.
-ROOM, ROOM_PART, GUARD = 10, 0.5, 3
 
 
 class EvolvingObject:
@@ -161,7 +154,7 @@ class EvolvingObject:
         inside = np.argwhere(psi < 0)
         low, high = inside.min(axis=0) + corner, inside.max(axis=0) + 1 + corner
         low, high = self._clicks.extended(low, high, self.level)
-        self._lay_out(self._boxed(low, high), psi, corner, None, state)
+        self._lay_out(roomy_box(low, high, self._setup.reach, self.grid), psi, corner, None, state)
 
     def next_level(self) -> None:
         """Continue on the next finer level, from the surface here, or from the start if this level failed."""
@@ -192,26 +185,13 @@ class EvolvingObject:
 
     # -- on a grid -----------------------------------------------------------------------------------------
 
-    def _boxed(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> Box:
-        """The box for an object between two voxels: its energy sees there what it sees on the whole grid."""
-        a, b, c = (slice(int(i), int(j)) for i, j in zip(low, high, strict=True))
-        needed = [max(ROOM, math.ceil(self._setup.reach / h) + GUARD) for h in self.grid.spacing]
-        room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
-        return widened((a, b, c), self.grid.shape, (room[0], room[1], room[2]))
-
     def _lay_out(
         self, box: Box, known: NDArray[np.float32], at: Corner, before: Evolution | None, state: LoopState | None
     ) -> None:
         """Transfer the surface, known from voxel ``at`` on, to a box of the grid, and continue ``before`` there."""
         self.corner = corner_of(box)
-        # Beyond the known values everything is outside.
-        psi = np.full(tuple(s.stop - s.start for s in box), np.abs(known[np.isfinite(known)]).max(), np.float32)
-        mine, theirs = shared(self.corner, psi.shape, at, known.shape)
-        psi[mine] = np.minimum(known[theirs], psi[mine])
-        distance = self._inputs.mask_distance(self.level, box)
-        if distance is not None:
-            np.maximum(psi, distance, out=psi)
-        self._clicks.apply(psi, self.level, box)
+        psi = psi_on_box(known, at, box)
+        self._bound(psi)
         surface = LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True)
         fields = None
         if before is not None:
@@ -253,12 +233,16 @@ class EvolvingObject:
         level, clicks = self.level, self._clicks
         context = self.context.with_channels(images[1:], lambda: clicks.field(level, box))
         self.made = self._make_energy(images[0], self.grid.spacing, context)
-        energy, distance, bounds = self.made.energy, inputs.mask_distance(level, box), clicks.bounds(level, box)
-        if distance is not None:
-            energy = MaskConstraint(energy, distance)
-        if bounds is not None:
-            energy = ClickConstraint(energy, bounds)
+        energy = constrained(self.made.energy, inputs.mask_distance(level, box), clicks.bounds(level, box))
         return NonOverlap(energy, self.corner) if self._among_others else energy
+
+    def _bound(self, psi: NDArray[np.float32]) -> None:
+        """Cut psi, on the object's box of the present level, at the mask, and put the clicked voxels on their sides."""
+        box = box_at(self.corner, psi.shape)
+        distance = self._inputs.mask_distance(self.level, box)
+        if distance is not None:
+            np.maximum(psi, distance, out=psi)
+        self._clicks.apply(psi, self.level, box)
 
     # -- to run --------------------------------------------------------------------------------------------
 
@@ -291,7 +275,8 @@ class EvolvingObject:
         ends = np.array(self.grid.shape)
         near = ((low - corner < GUARD) & (corner > 0)) | ((corner + shape - high < GUARD) & (corner + shape < ends))
         if near.any():
-            box = self._boxed(np.minimum(low, corner + GUARD), np.maximum(high, corner + shape - GUARD))
+            low, high = np.minimum(low, corner + GUARD), np.maximum(high, corner + shape - GUARD)
+            box = roomy_box(low, high, self._setup.reach, self.grid)
             before, at = self.evolution, self.corner
             before.measure()
             self._lay_out(box, before.surface.psi, at, before, before.state.on_next_grid(with_fields=True))
@@ -333,19 +318,10 @@ class EvolvingObject:
         balls: tuple[BallEdit, ...],
         context: ImageContext,
     ) -> None:
-        """Continue with other settings, and with balls added to the object or removed from it, or more clicks.
+        """Continue with other settings, and with ``balls`` added to the object or removed from it, or more clicks.
 
-        Parameters
-        ----------
-        setup : SolverSetup
-            Of this level and the following ones.
-        make_energy : callable
-            Of the following levels, and of this one if the energy changes.
-        new_energy : bool
-            Whether the energy changes.
-        balls : tuple of Ball
-        context : ImageContext
-            Another one than before where clicks were added.
+        ``setup`` and ``make_energy`` are of this level and the following ones; ``new_energy``: whether the energy
+        changes; ``context`` is another one than before where clicks were added.
         """
         if self._among_others:
             # On the grid as it is the old energy goes on, until the new one begins.
@@ -377,13 +353,10 @@ class EvolvingObject:
         self.grow_grid(low, high)
 
     def _change_psi(self, surface: LevelSet, balls: tuple[BallEdit, ...]) -> None:
-        """Add balls to the object or remove them from it, within the mask."""
+        """Add balls to the object or remove them from it, within the mask and by the clicks."""
         psi = surface.dense.psi.reshape(surface.shape)
         apply_balls(psi, balls, self.grid, self.corner, float(surface.gamma))
-        distance = self._inputs.mask_distance(self.level, box_at(self.corner, self.surface.shape))
-        if distance is not None:
-            np.maximum(psi, distance, out=psi)
-        self._clicks.apply(psi, self.level, box_at(self.corner, self.surface.shape))
+        self._bound(psi)
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
@@ -424,7 +397,7 @@ class EvolvingObject:
         """First voxel and psi of the surface on the finest level's grid; from a coarse level it is interpolated."""
         corner, psi = to_finest(self.corner, self.surface.psi, self.level, self._inputs.grids)
         bounds = self._clicks.bounds(0, box_at(corner, psi.shape))
-        if bounds is not None and not bounds.is_kept_by(psi):
+        if bounds is not None and not bounds.is_met_by(psi):
             psi = psi.copy()
             bounds.apply(psi)
         return corner, psi

@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf import io
-from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
@@ -21,7 +19,7 @@ from accelsurf.grid.volume import MIN_RANGE, Volume, check_image
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import read_clicks
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
-from accelsurf.segmentation.region_of_interest import cropped, region_of_interest
+from accelsurf.segmentation.region_of_interest import cropped, distance_of_mask, region_of_run
 from accelsurf.segmentation.run_clicks import placed
 from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.settings import budgets, energy_expression
@@ -34,10 +32,6 @@ from accelsurf.settings.wording import shown
 SCALE_PERCENTILES = (0.5, 99.5)
 #: Values farther beyond those percentiles than so many times their range are no measurements; their squares overflow.
 MAX_RANGES = 1e15
-#: Least margin, voxels, of the region of a run around the box of --box: what is learned of the surroundings lies there.
-AROUND_BOX = 10
-#: Settings that name voxels to learn from.
-TRAINING = ("foreground", "background")
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +147,10 @@ def preprocess(
     geometry = cropped(whole, box)
     presmooth = in_mm(config.presmooth, whole)
     smoothed = presmoothed(first, presmooth)
-    distance = _mask_distance(config, given, whole, box)
+    distance = distance_of_mask(config, given, whole, box)
     said = placed([*_clicks_of(config, first, smoothed, has_ids), *clicks], first, box, distance, None)
     start = given["start"] if "start" in given else _first_surface(config, first, smoothed, said, box)
-    foreground, background = (_training_voxels(name, config, given, first, smoothed) for name in TRAINING)
+    training = _training_voxels(config, given, first, smoothed)
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     is_part = geometry.shape != whole.shape
     around = smoothed if is_part else None  # the result shows it
@@ -164,13 +158,10 @@ def preprocess(
     del smoothed, start
     images, scales = _scaled_channels(values, volumes, presmooth, box)
     del values
-    context, learns = _context(config, volumes, (images, scales), box, psi, (foreground, background))
-    if said.clicks:
-        limits = None if distance is None else np.asarray(distance < 0)
-        size = None if config.size is None else volume_mm3(config.size)
-        context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config)))
-        if not has_ids and config.start == (starts.CLICKS,) and "start" not in given and uses_model(config):
-            psi = _start_within(context.with_clicks(said).model_start(), distance, config, "of the clicks' model")
+    context, learns = _context(config, volumes, (images, scales), box, psi, training, distance)
+    if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
+        context = context.with_clicks(said)
+        psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
     shown = psi.copy() if whole.slice_axis is not None else None
     prepared = PreprocessedInput(
         tuple(volumes), box, geometry, tuple(images), context, distance, said if said.clicks else None, presmooth,
@@ -191,6 +182,7 @@ def _context(
     box: Box,
     psi: NDArray[np.float32],
     training: tuple[Mask | None, Mask | None],
+    distance: NDArray[np.float32] | None,
 ) -> tuple[ImageContext, bool]:
     """What energies need of the image, and whether a model of the energy is learned once."""
     (images, scales), (foreground, background) = channels, training
@@ -203,6 +195,9 @@ def _context(
         None if background is None else _crop(background, box),
         is_start=from_start,
     )
+    size = None if config.size is None else volume_mm3(config.size)
+    limits = None if distance is None else np.asarray(distance < 0)
+    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config)))
     # Likelihood learns from --foreground once; with update=yes it refuses it.
     return context, learns or any(term.name == "likelihood" for term in terms)
 
@@ -283,71 +278,26 @@ def _start_within(
 
 
 def _training_voxels(
-    name: str, config: RunConfig, given: Mapping[str, NDArray[np.float32]], volume: Volume, image: NDArray[np.float32]
-) -> Mask | None:
-    """Voxels that are given as an array, or written as a start; an error names the option ``name``."""
-    if name in given:
-        return np.asarray(given[name] < 0)
-    texts = getattr(config, name)
-    if not texts:
-        return None
-    try:
-        return np.asarray(starts.build(texts, volume, image) < 0)
-    except AccelsurfError as error:
-        raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
+    config: RunConfig, given: Mapping[str, NDArray[np.float32]], volume: Volume, image: NDArray[np.float32]
+) -> tuple[Mask | None, Mask | None]:
+    """Foreground and background, given as arrays or written as starts; an error names the option."""
 
+    def read(name: str) -> Mask | None:
+        if name in given:
+            return np.asarray(given[name] < 0)
+        texts = getattr(config, name)
+        if not texts:
+            return None
+        try:
+            return np.asarray(starts.build(texts, volume, image) < 0)
+        except AccelsurfError as error:
+            raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
 
-def region_of_run(config: RunConfig, geometry: Geometry) -> Box:
-    """Voxels that a run is made on: of --roi, or of --box with as much around it as half its extent."""
-    if config.roi is not None or config.box is None:
-        return region_of_interest(config.roi, geometry)
-    box = region_of_interest(config.box, geometry, "box")
-    margin = [max(AROUND_BOX, math.ceil(0.5 * (s.stop - s.start))) for s in box]
-    return widened(box, geometry.shape, margin)
-
-
-def _mask_distance(
-    config: RunConfig, given: Mapping[str, NDArray[np.float32]], whole: Geometry, box: Box
-) -> NDArray[np.float32] | None:
-    """Signed distance of the mask on the region of interest; None without a mask."""
-    if "mask" in given:
-        mask = np.asarray(given["mask"] < 0)
-    elif config.mask is not None:
-        mask = read_mask(config.mask, whole)
-    elif config.box is not None:
-        mask = np.ones(whole.shape, np.bool_)
-    else:
-        return None
-    if config.box is not None:
-        within = np.zeros(whole.shape, np.bool_)
-        part = region_of_interest(config.box, whole, "box")
-        within[part] = mask[part]
-        mask = within
-    return mask_distance(_crop(mask, box), cropped(whole, box).spacing)
+    return read("foreground"), read("background")
 
 
 def _crop(array: NDArray[Any], box: Box) -> NDArray[Any]:
     return np.ascontiguousarray(array[box])
-
-
-def read_mask(file: str, geometry: Geometry) -> NDArray[np.bool_]:
-    """Voxels above 0 of a label map on the image's grid.
-
-    Raises
-    ------
-    InputError
-        When there is none, or the file cannot be read; GeometryError when it lies on another grid.
-    """
-    labels = io.read_labels(file)
-    if not labels.geometry.matches(geometry):
-        raise GeometryError(
-            f"mask {file}: on another grid than the image: {labels.geometry.difference(geometry)}",
-            "resample it to the image's grid first",
-        )
-    mask = np.asarray(labels.array > 0)
-    if not mask.any():
-        raise InputError(f"mask {file}: it is empty", "give one with voxels above 0, where the surface may be")
-    return mask
 
 
 def in_mm(length: float | str, geometry: Geometry) -> float:

@@ -1,14 +1,24 @@
-"""The region of interest: the box of voxels that a run is made on."""
+"""Where a run is made, and where its surface may be: region of interest, box around the object, mask."""
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from collections.abc import Mapping
 
-from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf import io
+from accelsurf.energies.constraints.mask import mask_distance
+from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.grid.boxes import Box, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
+
+#: Least margin, voxels, of the region of a run around the box of --box: what is learned of the surroundings lies there.
+AROUND_BOX = 10
 
 
 def region_of_interest(text: str | None, geometry: Geometry, name: str = "roi") -> Box:
@@ -61,3 +71,52 @@ def cropped(geometry: Geometry, box: Box) -> Geometry:
     origin = geometry.index_to_world(np.array([float(s.start) for s in box]))
     corner = (float(origin[0]), float(origin[1]), float(origin[2]))
     return Geometry((shape[0], shape[1], shape[2]), geometry.spacing, corner, geometry.direction)
+
+
+def region_of_run(config: RunConfig, geometry: Geometry) -> Box:
+    """Voxels that a run is made on: of --roi, or of --box with as much around it as half its extent."""
+    if config.roi is not None or config.box is None:
+        return region_of_interest(config.roi, geometry)
+    box = region_of_interest(config.box, geometry, "box")
+    margin = [max(AROUND_BOX, math.ceil(0.5 * (s.stop - s.start))) for s in box]
+    return widened(box, geometry.shape, margin)
+
+
+def distance_of_mask(
+    config: RunConfig, given: Mapping[str, NDArray[np.float32]], whole: Geometry, box: Box
+) -> NDArray[np.float32] | None:
+    """Signed distance, mm, of mask and box on the region ``box``; None without both."""
+    if "mask" in given:
+        mask = np.asarray(given["mask"] < 0)
+    elif config.mask is not None:
+        mask = read_mask(config.mask, whole)
+    elif config.box is not None:
+        mask = np.ones(whole.shape, np.bool_)
+    else:
+        return None
+    if config.box is not None:
+        within = np.zeros(whole.shape, np.bool_)
+        part = region_of_interest(config.box, whole, "box")
+        within[part] = mask[part]
+        mask = within
+    return mask_distance(np.ascontiguousarray(mask[box]), cropped(whole, box).spacing)
+
+
+def read_mask(file: str, geometry: Geometry) -> NDArray[np.bool_]:
+    """Voxels above 0 of a label map on the image's grid.
+
+    Raises
+    ------
+    InputError
+        When there is none, or the file cannot be read; GeometryError when it lies on another grid.
+    """
+    labels = io.read_labels(file)
+    if not labels.geometry.matches(geometry):
+        raise GeometryError(
+            f"mask {file}: on another grid than the image: {labels.geometry.difference(geometry)}",
+            "resample it to the image's grid first",
+        )
+    mask = np.asarray(labels.array > 0)
+    if not mask.any():
+        raise InputError(f"mask {file}: it is empty", "give one with voxels above 0, where the surface may be")
+    return mask

@@ -89,7 +89,8 @@ def start_of_run(
     prepared, psi = preprocess(volumes, config, {**(arrays or {}), **union}, clicks, labels is not None)
     contexts, starts = [prepared.context], [ObjectStart(1, (0, 0, 0), psi)]
     if labels is None:
-        contexts = [_with_clicks(contexts[0], prepared.clicks, 1)]
+        if contexts[0].clicks is None:
+            contexts = [_with_clicks(contexts[0], prepared.clicks, 1)]
     else:
         if not several or several[0].id != NO_OBJECT:
             several = _no_object(prepared, config) + several

@@ -28,8 +28,8 @@ def _with_clicks(values: dict[str, Any]) -> dict[str, Any]:
     """Settings with the energy and the start that clicks choose where none is given."""
     if not values.get("inside"):
         return values
-    chosen = {"energy": "seeded"} if values.get("objects") is not None else {"energy": "seeded", "start": ("clicks",)}
-    return {**chosen, **values}
+    defaults = {"energy": "seeded"} if values.get("objects") is not None else {"energy": "seeded", "start": ("clicks",)}
+    return {**defaults, **values}
 
 
 class RunConfig(SettingFields):
