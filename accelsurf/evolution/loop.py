@@ -250,7 +250,9 @@ class Evolution:
             potential = state.potential
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
         if reason is None and (rest := self._left_rest(n, columns)) is not None:
-            columns, reason = self._back_at_rest(rest, n, area), ("rested", rests.WHY.format(rest.at.step))
+            fraction, area = rests.go_back(rest, state, area, surface, (self.energy, flow), self.corner)
+            columns = self._columns(n, state.potential, fraction, area) | {"returned": True, "back_to": rest.at.step}
+            reason = ("rested", rests.WHY.format(rest.at.step))
         if reason is not None:
             if columns["returned"] and surface.size:
                 state.fields = StepFields(surface.band.cells, self._force()[1], np.zeros(surface.size, np.float32))
@@ -376,16 +378,6 @@ class Evolution:
         now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)
         state.rests = rests.watched(state.rests, self.history[state.first :], now, self.surface, state.fields)
         return state.rests.found[-1] if self.stop_at_rest and len(state.rests.found) > found else None
-
-    def _back_at_rest(self, rest: rests.Rest, n: int, area: np.ndarray) -> dict[str, Any]:
-        """Go back to a surface that rested, without momentum; the columns of the last record."""
-        state, surface = self.state, self.surface
-        before = state.potential + self.flow.energy(area)
-        rests.restore(rest, surface, self.corner, self.energy, self.flow)
-        fraction, area = surface.fraction_and_area()
-        state.potential = self.energy.value(surface, fraction, area)
-        state.budget.record_loss(before - state.potential - self.flow.energy(area))
-        return self._columns(n, state.potential, fraction, area) | {"returned": True, "back_to": rest.at.step}
 
     def _limits_now(self) -> StepLimits:
         """The limits of a step, shorter the more often the run has gone back."""

@@ -8,7 +8,7 @@ twice the least, once the volume has grown by `GROWTH`. What follows is mostly a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, psi_of
+
+if TYPE_CHECKING:
+    from accelsurf.evolution.state import LoopState
 
 #: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
 #: through; part of the volume that it has grown by then.
@@ -156,11 +159,15 @@ def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
     return 0.0 < speed < watch.slowest.speed or (speed <= 0.0 and now.volume_mm3 < watch.slowest.volume_mm3)
 
 
-def restore(rest: Rest, surface: LevelSet, corner: Corner, energy: Energy, flow: Flow) -> None:
-    """Set a surface back to a rest on its level, in a box from voxel ``corner`` on that has grown since at most.
+def go_back(
+    rest: Rest, state: LoopState, area: np.ndarray, surface: LevelSet, movers: tuple[Energy, Flow], corner: Corner
+) -> tuple[np.ndarray, np.ndarray]:
+    """Go back to a rest on this level, in a box from voxel ``corner`` on that has grown since at most.
 
-    The flow starts anew on it, without momentum.
+    Energy and flow start anew on it, without momentum. Returns the volume fractions and areas there.
     """
+    energy, flow = movers
+    before = state.potential + flow.energy(area)
     psi = surface.dense.psi.reshape(surface.shape)
     psi.fill(surface.gamma)
     z, y, x = (slice(c - k, c - k + n) for c, k, n in zip(rest.at.corner, corner, rest.at.shape, strict=True))
@@ -168,6 +175,10 @@ def restore(rest: Rest, surface: LevelSet, corner: Corner, energy: Energy, flow:
     surface.reinitialize(surface.requested_half_width)
     energy.start(surface)
     flow.start(surface)
+    fraction, area = surface.fraction_and_area()
+    state.potential = energy.value(surface, fraction, area)
+    state.budget.record_loss(before - state.potential - flow.energy(area))
+    return fraction, area
 
 
 def fastest_place(fields: StepFields, shape: tuple[int, int, int], corner: Corner) -> Corner:

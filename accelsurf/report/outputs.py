@@ -13,6 +13,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from accelsurf import io
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.evolution.rests import MAX_RESTS
@@ -273,7 +275,12 @@ def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
 
 
 def _write_rest(result: Result, number: int, path: Path) -> None:
-    io.write_labels(result.labels_volume().with_array(result.labels_at_rest(number)), path)
+    labels = np.zeros_like(result.labels)
+    for one in result.objects:
+        own = one.labels if len(one.rests) < number else one.rests[number - 1].labels
+        part = labels[one.box]
+        part[(own > 0) & (part == 0)] = one.id
+    io.write_labels(result.labels_volume().with_array(labels), path)
 
 
 def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.likelihood import least_variance, robust_gaussian_of
+from accelsurf.energies.likelihood import MIN_DEVIATION, robust_gaussian_of
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at
 from accelsurf.grid.clicks import Clicks
@@ -233,7 +233,8 @@ class ImageContext:
         """
         training = self._trained_on("a learned bound was given nothing to learn from", "give --foreground")
         values = self.images[channel][training.box][training.inside]
-        middle, variance = robust_gaussian_of(values, self.once(least_variance, channel))
+        # A part of the range between percentiles: that between the extremes is of metal or a stone.
+        middle, variance = robust_gaussian_of(values, MIN_DEVIATION**2)
         width = LEARNED_DEVIATIONS * variance**0.5
         return middle - width, middle + width
 

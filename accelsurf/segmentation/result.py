@@ -243,15 +243,6 @@ class Result:
             labels[one.box][one.labels > 0] = one.id
         return labels
 
-    def labels_at_rest(self, number: int) -> NDArray[np.unsignedinteger[Any]]:
-        """The labels with each object where it rested for the ``number``-th time (1 the first), others as they are."""
-        labels = np.zeros_like(self.labels)
-        for one in self.objects:
-            own = one.labels if len(one.rests) < number else one.rests[number - 1].labels
-            part = labels[one.box]
-            part[(own > 0) & (part == 0)] = one.id
-        return labels
-
     @cached_property
     def psi(self) -> NDArray[np.float32]:
         """The smallest psi of all objects, mm, negative inside of any; a constant away from all."""

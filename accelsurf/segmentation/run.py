@@ -126,7 +126,6 @@ class Run:
         self._steps_made = 0
         self._begin_first_level()
         self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
-        del starts
         self.start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
         self.began = time.perf_counter()

@@ -17,7 +17,7 @@ def scan(outlier=False):
     z, y, x = np.indices(SHAPE) - np.array([20, 20, 20])[:, None, None, None]
     image = (z**2 + y**2 + x**2 < 12**2) * 100.0 + np.random.default_rng(1).normal(0, 5, SHAPE)
     if outlier:
-        image[20:22, 20:22, 20:23] = 300.0
+        image[20:22, 20:22, 20:23] = 900.0
     return image.astype(np.float32)
 
 
