@@ -87,7 +87,7 @@ def segment(
     ('converged', 1, True)
     """
     with _run_of(volume, spacing, channels, config, energy, options) as run:
-        each = None if on_step is None else lambda record, own: on_step(record)
+        each = None if on_step is None else _without_id(on_step)
         return _result_at_end(run, each, on_warning)
 
 
@@ -189,6 +189,11 @@ def segment_objects(
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     with _run_of(volume, spacing, channels, config, energy, options, objects) as run:
         return _result_at_end(run, on_step, on_warning)
+
+
+def _without_id(on_step: Callable[[StepRecord], bool | None]) -> Callable[[StepRecord, int], bool | None]:
+    """The same for a run of several objects."""
+    return lambda record, own: on_step(record)
 
 
 def _result_at_end(

@@ -84,8 +84,10 @@ PRESETS: Registry[Preset] = Registry(
     Preset(
         "ct-organ",
         "Uniform organs in CT (liver, spleen): balls of more than 5 mm well inside, in its bright and dim parts.",
-        {"energy": "threshold:learned,learned", "presmooth": 2.0, "smoothness": 2.0},
+        {"energy": "threshold:learned,learned", "presmooth": 2.0, "smoothness": 2.0, "stop_at_rest": True},
         {
+            "stop_at_rest": "organs touch muscle and others of the same brightness: a front that rested and breaks "
+            "through has found a hole in the edge",
             "energy": _LEARNED + ". With presmooth it lies one to two millimetres within the edge to fat and lung: "
             "small organs come out small (Dice 0.75 for a ball of 15 mm radius; with --presmooth 1 it is 0.88)",
             "presmooth": "2 mm: the noise of a CT is 15 to 20 HU for a voxel, and correlated over a millimetre or two; "
