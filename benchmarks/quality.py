@@ -157,23 +157,23 @@ def measured(image: Volume, truth: NDArray[np.bool_], options: Mapping[str, Any]
 def doubtful(
     place: tuple[float, float, float] | None, labels: NDArray[np.bool_], truth: NDArray[np.bool_], image: Volume
 ) -> dict[str, Any]:
-    """How far (mm) the doubtful place lies from the nearest wrong voxel and from the person's next click, and how far
-    a random place on the surface lies from a wrong voxel, in the median.
+    """Whether a wrong voxel lies beside the doubtful place, for what share of the surface one does, and how near the
+    place is to the person's next click.
     """
     wrong = labels != truth
     following = next_click(truth, labels, image.geometry)
     if place is None or following is None or not wrong.any():
-        return {"to_wrong": None, "to_click": None, "by_chance": None, "radius": None}
+        return {"at_wrong": None, "to_click": None, "chance_wrong": None, "closer": None}
     spacing = np.array(image.geometry.spacing)
     away = ndimage.distance_transform_edt(~wrong, sampling=spacing)
     index = np.rint(image.geometry.world_to_index(place)).astype(int)
     rim = labels & ~ndimage.binary_erosion(labels, border_value=1)
     apart = np.linalg.norm(np.array(following.centre) - np.array(place))
     return {
-        "to_wrong": float(away[tuple(index)]), "to_click": float(apart),
-        "by_chance": float(np.median(away[rim])),
-        "radius": float((0.75 * truth.sum() * np.prod(spacing) / np.pi) ** (1 / 3)),
-        "wrong_share": float((away[rim] <= min(spacing)).mean()),
+        "at_wrong": float(away[tuple(index)] <= 1.01 * max(spacing)), "to_click": float(apart),
+        "chance_wrong": float((away[rim] <= 1.01 * max(spacing)).mean()),
+        # Share of the surface that lies farther from the person's next click: 0.5 is chance.
+        "closer": float((np.linalg.norm((np.argwhere(rim) - following.index) * spacing, axis=1) > apart).mean()),
     }
 
 
@@ -260,7 +260,7 @@ def figures(rows: Mapping[str, Sequence[Mapping[str, Any]]], cross: bool) -> dic
         values += crossed(rows, name) if cross else probabilities(model, own)
         truth += [row["dice"] for row in own]
         weights += [1.0 / len(own) for _ in own]
-        place += [row for row in own if row["to_wrong"] is not None and row["dice"] < FINE]
+        place += [row for row in own if row["at_wrong"] is not None and row["dice"] < FINE]
     p, d, w = np.array(values), np.array(truth), np.array(weights)
     silent, false = shares(p >= model["threshold"], d, w)
     failed, fine = float(w[d < FAILED].sum()), float(w[d >= FINE].sum())
@@ -274,9 +274,8 @@ def figures(rows: Mapping[str, Sequence[Mapping[str, Any]]], cross: bool) -> dic
         "results": len(p), "objects": len(rows), "silent": silent, "false": false,
         "silent_of_failures": silent * w.sum() / failed if failed else None,
         "false_of_good": false * w.sum() / fine if fine else None, "curve": curve,
-        "place_wrong": float(np.mean([row["to_wrong"] <= 0.2 * row["radius"] for row in place])) if place else None,
-        "chance_wrong": float(np.mean([row["by_chance"] <= 0.2 * row["radius"] for row in place])) if place else None,
-        "place_click": float(np.mean([row["to_click"] <= row["radius"] for row in place])) if place else None,
+        **{key: float(np.mean([row[key] for row in place])) if place else None
+           for key in ("at_wrong", "chance_wrong", "closer")},
     }
 
 
@@ -286,11 +285,11 @@ def figures(rows: Mapping[str, Sequence[Mapping[str, Any]]], cross: bool) -> dic
 def text_of(found: Mapping[str, Mapping[str, Any]]) -> str:
     """The page's table."""
     columns = ("half", "results", "silent failures", "false alarms", "doubtful place is wrong", "a random one",
-               "within a radius of the next click")
+               "surface farther from the next click")
     lines = head_of(columns)
     for half, own in found.items():
         cells = [half, str(own["results"])]
-        for key in ("silent", "false", "place_wrong", "chance_wrong", "place_click"):
+        for key in ("silent", "false", "at_wrong", "chance_wrong", "closer"):
             cells.append("" if own[key] is None else f"{own[key]:.0%}")
         lines.append(row_of(cells))
     return "\n".join(lines) + "\n"

@@ -18,9 +18,9 @@ from accelsurf.grid.boxes import bounding_box, corner_of
 
 #: Voxels of a step; the surface is sampled at about so many places; sigma, voxels, that normals are smoothed with.
 STEP, SAMPLES, NORMAL_SIGMA = 1.5, 20_000, 1.0
-#: An edge counts as half from this many times the noise on; the outside counts as another thing half from this many
-#: deviations of the object's values on.
-HALF_EDGE, HALF_MODEL = 3.0, 2.5
+#: An edge counts as half from this many times the noise on; the outside counts as another thing half where it is so
+#: many deviations of the object's values farther from their middle than the inside there; below so many it is like it.
+HALF_EDGE, HALF_MODEL, LIKE = 3.0, 1.5, 2.5
 #: A patch of the surface is a Gaussian of this part of the object's radius (that of the ball of its volume).
 PATCH = 0.3
 #: Least noise, as a part of the spread of the object's values and of those beside it.
@@ -38,7 +38,7 @@ class Evidence:
     index : ndarray (n, 3)
         Voxels (z, y, x) next to the surface, on its inside.
     edge, model : ndarray (n,)
-        0 to 1: of an edge; of an outside unlike the object.
+        0 to 1: of an edge; of an outside that is less like the object than the inside there.
     click : ndarray (n,)
         0 to 1: of a click near by.
     contrast : float
@@ -58,9 +58,14 @@ class Evidence:
     drift: float
 
     @property
+    def of_image(self) -> Floats:
+        """Evidence of each place (n,) by the image alone."""
+        return self.edge * self.model
+
+    @property
     def total(self) -> Floats:
         """Evidence of each place (n,), 0 to 1: that at least one of the three holds."""
-        doubt: Floats = (1.0 - self.edge * self.model) * (1.0 - self.click)
+        doubt: Floats = (1.0 - self.of_image) * (1.0 - self.click)
         return 1.0 - doubt
 
 
@@ -98,11 +103,12 @@ def gather(
     noise = max(float(np.median(np.abs(near - deep))), floor)
     across = np.abs(near - out) / noise
     unlike = np.abs(out - middle) / max(spread, floor)
+    gain = np.maximum(unlike - np.abs(near - middle) / max(spread, floor), 0.0)
     corner = np.array(corner_of(box))
     own = index + corner
     return Evidence(
-        own, _rising(across, HALF_EDGE), _rising(unlike, HALF_MODEL), _near_click(own, clicked, inside, spacing),
-        float(np.median(across)), float((unlike < HALF_MODEL).mean()), _drift(part, values, spacing, spread, floor),
+        own, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(own, clicked, inside, spacing),
+        float(np.median(across)), float((unlike < LIKE).mean()), _drift(part, values, spacing, spread, floor),
     )
 
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
 #: has 1.2 % beyond the bounds.
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
+#: What counts for an object without clicks as its volume over theirs.
+USUAL_BEYOND = 20.0
 
 
 class RestNote(NamedTuple):
@@ -58,7 +60,11 @@ class Quality(NamedTuple):
         Share of the surface where the image has no edge: a gradient within the lower three quarters of those inside the
         object.
     evidence : float
-        Mean evidence for the surface, 0 to 1: an edge, and beyond it values unlike the object's, or a click near by.
+        Mean evidence of the image for the surface, 0 to 1: an edge, and beyond it values unlike the object's.
+    clicked : float
+        Mean evidence of clicks: 1 where all of the surface lies beside one.
+    beyond_clicks : float or None
+        Volume of the object over that of the clicked voxels in it; None without clicks.
     inside_like : float
         Share of the surface beyond which the image has values of the object.
     drift : float
@@ -91,6 +97,8 @@ class Quality(NamedTuple):
     contrast: float
     no_edge_fraction: float
     evidence: float
+    clicked: float
+    beyond_clicks: float | None
     inside_like: float
     drift: float
     compactness: float
@@ -146,7 +154,9 @@ def assess(
         border_fraction=_border_fraction(inside, spacing),
         contrast=0.0 if found is None else found.contrast,
         no_edge_fraction=no_edge_fraction(inside, image, spacing),
-        evidence=0.0 if found is None else float(found.total.mean()),
+        evidence=0.0 if found is None else float(found.of_image.mean()),
+        clicked=0.0 if found is None else float(found.click.mean()),
+        beyond_clicks=None if clicked is None else _beyond(inside, clicked),
         inside_like=1.0 if found is None else found.inside_like,
         drift=0.0 if found is None else found.drift,
         compactness=_compactness(history[-1] if history else None, geometry),
@@ -169,6 +179,8 @@ def features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]
     return {
         "contrast": math.log(min(max(found.contrast, 0.1), 100.0)),
         "evidence": found.evidence,
+        "clicked": found.clicked,
+        "beyond_clicks": math.log(min(max(found.beyond_clicks or USUAL_BEYOND, 1.0), 1000.0)),
         "inside_like": found.inside_like,
         "drift": math.log1p(min(found.drift, 20.0)),
         "compactness": math.log(min(max(found.compactness, 1e-3), 1.0)),
@@ -178,6 +190,11 @@ def features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]
         "no_edge": found.no_edge_fraction,
         "unconverged": float(reason not in ("converged", "rested")),
     }
+
+
+def _beyond(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> float:
+    """Voxels of an object over the clicked ones in it."""
+    return float(np.count_nonzero(inside)) / max(float(np.count_nonzero(inside & clicked)), 1.0)
 
 
 def _world(geometry: Geometry, index: Sequence[int]) -> tuple[float, float, float]:
@@ -217,6 +234,8 @@ def _why(found: Quality) -> str:
     words = {
         "contrast": f"the contrast across the surface is {found.contrast:.1f} times the noise",
         "evidence": f"little holds the surface: evidence {found.evidence:.2f}",
+        "clicked": "it is hardly larger than its clicks",
+        "beyond_clicks": f"it is {found.beyond_clicks or USUAL_BEYOND:.3g} times its clicks",
         "inside_like": f"beyond {found.inside_like:.0%} of the surface the image is like the object",
         "drift": f"values drift by {found.drift:.1f} deviations from its middle outwards",
         "compactness": f"the shape is far from compact, {found.compactness:.2f}",

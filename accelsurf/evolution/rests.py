@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 #: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
 #: through; part of the volume that it has grown by then.
 WINDOW, SLOW, BURST, GROWTH = 5, 0.5, 0.04, 0.05
+#: Below this part of the peak it is as good as still.
+STILL = 0.01
 #: A front without momentum is slow for this many steps: no rest.
 AFTER_RESTART = 10
 #: So many rests of a run are kept.
@@ -156,7 +158,9 @@ def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
     """Whether it grows slower than at any time since it fell below `SLOW`; after an overshoot where it is smallest."""
     if watch.slowest is None:
         return speed < SLOW * watch.peak
-    return 0.0 < speed < watch.slowest.speed or (speed <= 0.0 and now.volume_mm3 < watch.slowest.volume_mm3)
+    # What creeps on from a rest is not more at rest later.
+    slower = STILL * watch.peak < watch.slowest.speed and 0.0 < speed < watch.slowest.speed
+    return slower or (speed <= 0.0 and now.volume_mm3 < watch.slowest.volume_mm3)
 
 
 def go_back(

@@ -14,6 +14,7 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.grid.boxes import Box, bounding_box, box_at, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.levelset import checkpoint_surface, restore_surface
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 
@@ -152,18 +153,22 @@ def area_line(evolution: Evolution) -> list[str]:
     if not alpha > 0 or surface.size == 0:
         return []
     evolution.initialize()
+    before = checkpoint_surface(surface)
     fraction, area = surface.fraction_and_area()
     evolution.energy.value(surface, fraction, area)
     front = surface.front(evolution.flow.stencil_width(surface))
     variation = surface.area_variation(front, surface.curvature(front))
     there = (area > 0) & front
     if not there.any():
+        restore_surface(surface, before)
         return []
     weights = area[there]
     image, both = (
         float(np.average(evolution.energy.force(surface, front, part)[there], weights=weights))
         for part in (np.zeros_like(variation), variation)
     )
+    # What the surface has measured of itself is forgotten: the first step counts the cells that it visits.
+    restore_surface(surface, before)
     if not image < 0.0 < both:
         return []
     radius = 2.0 * alpha / (both - image)

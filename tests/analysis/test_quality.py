@@ -178,6 +178,7 @@ def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
 
 
 def test_slabs_make_no_difference(monkeypatch):
+    from accelsurf.analysis import edges
     from accelsurf.grid import slabs
 
     z, y, x = coordinates()
