@@ -202,8 +202,9 @@ def _result_at_end(
     on_warning: Callable[[str], None] | None,
 ) -> Result:
     """Run to the end, or until ``on_step`` returns true."""
-    for warning in run.level_warnings if on_warning is not None else ():
-        on_warning(warning)
+    if on_warning is not None:
+        for warning in run.level_warnings:
+            on_warning(warning)
     for step in run:
         if on_step is not None and on_step(step.record, step.object_id):
             run.request_stop()

@@ -365,11 +365,7 @@ class EvolvingObject:
         return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, self.evolution.checkpoint())
 
     def restore(
-        self,
-        checkpoint: ObjectCheckpoint,
-        setup: SolverSetup,
-        make_energy: EnergyMaker,
-        new_energy: bool,
+        self, checkpoint: ObjectCheckpoint, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool,
         context: ImageContext,
     ) -> None:
         """Go back to a state of this level, with the settings that were in force then."""

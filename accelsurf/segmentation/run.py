@@ -103,8 +103,8 @@ class Run:
         self.volume, self.config, self._energy, config = volume, begin.config, energy, begin.config
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
         self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
-        self.prepared, starts = begin.prepared, begin.starts
-        ids, contexts = [one.id for one in starts] if self.has_ids else [], begin.contexts
+        self.prepared, starts, contexts = begin.prepared, begin.starts, begin.contexts
+        ids = [one.id for one in starts] if self.has_ids else []
         distance, first = self.prepared.mask_distance, self.prepared.clicks
         self._clicks = RunClicks(volume, self.prepared.box, distance, first, contexts, ids)
         for number, edit in enumerate(config.edit, start=1):
@@ -122,8 +122,7 @@ class Run:
         self.level_summaries: list[LevelSummary] = []
         self.level = self._levels - 1
         self._ensemble = Ensemble(self._all, self.workers, self.geometry.steps, self.has_ids)
-        self._stop_requested = False
-        self._steps_made = 0
+        self._stop_requested, self._steps_made = False, 0
         self._begin_first_level()
         self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
         self.start_seconds = time.perf_counter() - began
@@ -223,10 +222,11 @@ class Run:
             In the order in which they were made; empty when the run has ended.
         """
         self.apply_edits()
-        steps = self._ensemble.step(self._max_steps - self._steps_made, not self._stop_requested)
+        left = self._max_steps - self._steps_made
+        steps = self._ensemble.step(left, not self._stop_requested) if self.stop is None else ()
         while not steps and self.level > 0:
             self._next_level()
-            steps = self._ensemble.step(self._max_steps - self._steps_made, not self._stop_requested)
+            steps = self._ensemble.step(left, not self._stop_requested)
         if steps:
             self._steps_made += 1
         return steps

@@ -14,7 +14,7 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.grid.boxes import Box, bounding_box, box_at, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization.object_starts import ObjectStart
-from accelsurf.levelset import checkpoint_surface, restore_surface
+from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 
@@ -44,7 +44,9 @@ def start_checks(
     """
     lines = []
     for one, start in zip(objects, starts, strict=True):
-        found = [*_of_values(one, start, prepared), *area_line(one.evolution)]
+        # The seeded model chooses start and weight to go together.
+        seeded = any(term["term"] == "seeded" for term in one.made.terms)
+        found = [*_of_values(one, start, prepared), *([] if seeded else area_line(one.evolution))]
         lines += [f"object {one.id}: {line}" if has_ids else line for line in found]
     return lines
 
@@ -152,23 +154,25 @@ def area_line(evolution: Evolution) -> list[str]:
     surface = evolution.surface
     if not alpha > 0 or surface.size == 0:
         return []
-    evolution.initialize()
-    before = checkpoint_surface(surface)
+    # On a copy: what a surface has measured of itself is counted with its first step.
+    energy, own = evolution.energy, surface
+    spacing = (own.grid.hz, own.grid.hy, own.grid.hx)
+    surface = LevelSet(np.array(own.psi), spacing, own.requested_half_width, own.workers, overwrite=True)
+    energy.start(surface)
     fraction, area = surface.fraction_and_area()
-    evolution.energy.value(surface, fraction, area)
-    front = surface.front(evolution.flow.stencil_width(surface))
+    energy.value(surface, fraction, area)
+    front = surface.front()
     variation = surface.area_variation(front, surface.curvature(front))
     there = (area > 0) & front
     if not there.any():
-        restore_surface(surface, before)
+        energy.start(own)
         return []
     weights = area[there]
     image, both = (
-        float(np.average(evolution.energy.force(surface, front, part)[there], weights=weights))
+        float(np.average(energy.force(surface, front, part)[there], weights=weights))
         for part in (np.zeros_like(variation), variation)
     )
-    # What the surface has measured of itself is forgotten: the first step counts the cells that it visits.
-    restore_surface(surface, before)
+    energy.start(own)
     if not image < 0.0 < both:
         return []
     radius = 2.0 * alpha / (both - image)

@@ -18,11 +18,18 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS, MESH_FORMATS, label_h
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
-from accelsurf.settings.volumes import VOLUME
+from accelsurf.settings.volumes import VOLUME, VOLUME_FORM, volume_mm3
 
 #: A length in voxels, as it is written.
 VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
 RUN, FILES = SettingGroup.RUN, SettingGroup.FILES
+
+
+def _volume(value: Any) -> Any:
+    """Refuse a volume of 0."""
+    if isinstance(value, str) and VOLUME_FORM.fullmatch(value):
+        volume_mm3(value)
+    return value
 
 
 def _one_or_many(value: Any) -> Any:
@@ -364,7 +371,7 @@ class SettingFields(BaseModel):
         "outside of it is in the object, and energies learn from what lies around it.",
         entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
     )
-    size: Annotated[str, Field(pattern=VOLUME)] | None = setting(
+    size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(_volume)] = setting(
         None,
         "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
         "not bound the result.",

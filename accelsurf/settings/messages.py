@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from accelsurf.errors import UsageError
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.fields import VOXELS, SettingFields
+from accelsurf.settings.volumes import VOLUME
 from accelsurf.settings.wording import did_you_mean, shown
 
 
@@ -92,6 +93,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return []
         case "string" if schema.get("pattern") == VOXELS:
             return ["a number of voxels such as 1.5vox"]
+        case "string" if schema.get("pattern") == VOLUME:
+            return ["a volume such as 250ml"]
         case _:
             return ["a text"]
 

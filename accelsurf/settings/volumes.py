@@ -13,7 +13,7 @@ UNITS = {
 }
 #: A volume as it is written.
 VOLUME = rf"^([0-9]{{1,9}}(\.[0-9]{{0,20}})?|\.[0-9]{{1,20}})({'|'.join(UNITS)})$"
-_VOLUME = re.compile(VOLUME)
+VOLUME_FORM = re.compile(VOLUME)
 
 
 def volume_mm3(text: str) -> float:
@@ -34,7 +34,7 @@ def volume_mm3(text: str) -> float:
     >>> volume_mm3("250ml"), volume_mm3("3cm3"), volume_mm3("0.5mm3")
     (250000.0, 3000.0, 0.5)
     """
-    found = _VOLUME.fullmatch(text)
+    found = VOLUME_FORM.fullmatch(text)
     if found is None or float(found[1]) == 0:
         raise UsageError(
             f"size: {shown(text)} was given, expected a volume above 0 with its unit",

@@ -14,7 +14,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import channels
 from accelsurf.segmentation.api import evolve, segment
-from accelsurf.segmentation.preprocessing import cropped, region_of_interest
+from accelsurf.segmentation.region_of_interest import cropped, region_of_interest
 from accelsurf.settings.run_config import RunConfig
 
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
