@@ -36,7 +36,7 @@ def probability(features: Mapping[str, float]) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(total, 50.0), -50.0)))
 
 
-def strongest_against(features: Mapping[str, float]) -> str:
+def lowest_term(features: Mapping[str, float]) -> str:
     """Return the name of the feature that lowers the probability most."""
     terms = _terms(features)
     return min(terms, key=terms.__getitem__)

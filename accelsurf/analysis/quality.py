@@ -246,7 +246,7 @@ def _why(found: Quality) -> str:
         "unconverged": "it did not converge",
     }
     last = found.rests[0].volume_mm3 if found.rests else 0.0
-    return words[good_result.strongest_against(features(found, "converged", last))]
+    return words[good_result.lowest_term(features(found, "converged", last))]
 
 
 def _notes(found: Quality, last: float) -> list[str]:

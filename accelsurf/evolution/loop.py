@@ -201,8 +201,7 @@ class Evolution:
         state = self.state.on_next_grid(with_fields=True)
         # Potentials of two energies do not compare.
         state.gained_before = 0.0 if energy is not None else self.state.gained
-        state.edits, state.fields = self.state.edits + 1, self.state.fields
-        state.rests = state.rests.anew()
+        state.edits, state.fields, state.rests = self.state.edits + 1, self.state.fields, state.rests.anew()
         following = Evolution(
             surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, state, fields
         )
@@ -372,7 +371,7 @@ class Evolution:
         # On a coarse level the surface has only come near its end.
         return "stay" if decision == "end" and self.level > 0 and reason is not None else decision
 
-    def _left_rest(self, n: int, columns: dict[str, Any]) -> rests.Rest | None:
+    def _left_rest(self, n: int, columns: dict[str, Any]) -> rests.FoundRest | None:
         """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
         state, found = self.state, len(self.state.rests.found)
         now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)

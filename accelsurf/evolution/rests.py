@@ -51,7 +51,7 @@ class Slowest(NamedTuple):
     complete: bool = False
 
 
-class Rest(NamedTuple):
+class FoundRest(NamedTuple):
     """Where the front rested (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
     ``place`` (z, y, x) of that level's grid in which it grew fastest then.
     """
@@ -70,7 +70,7 @@ class RestWatch(NamedTuple):
 
     peak: float = 0.0
     slowest: Slowest | None = None
-    found: tuple[Rest, ...] = ()
+    found: tuple[FoundRest, ...] = ()
 
     def on_next_grid(self) -> RestWatch:
         """The watch on another grid; a state whose sides are not known yet is left behind."""
@@ -138,7 +138,7 @@ def watched(
     if speed is None or surface.size == 0:
         return watch
     if slowest is not None and fields is not None and _breaks_through(slowest, watch.peak, speed, now):
-        rest = Rest(slowest, now.step, fastest_place(fields, surface.shape, now.corner))
+        rest = FoundRest(slowest, now.step, fastest_place(fields, surface.shape, now.corner))
         return RestWatch(speed, None, (*watch.found, rest)[:MAX_RESTS])
     watch = watch._replace(peak=max(watch.peak, speed))
     calm = not any(record.restarted or record.returned or record.edits for record in records[-AFTER_RESTART:])
@@ -164,7 +164,7 @@ def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
 
 
 def go_back(
-    rest: Rest, state: LoopState, area: np.ndarray, surface: LevelSet, movers: tuple[Energy, Flow], corner: Corner
+    rest: FoundRest, state: LoopState, area: np.ndarray, surface: LevelSet, movers: tuple[Energy, Flow], corner: Corner
 ) -> tuple[np.ndarray, np.ndarray]:
     """Go back to a rest on this level, in a box from voxel ``corner`` on that has grown since at most.
 

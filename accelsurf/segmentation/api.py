@@ -87,8 +87,7 @@ def segment(
     ('converged', 1, True)
     """
     with _run_of(volume, spacing, channels, config, energy, options) as run:
-        each = None if on_step is None else _without_id(on_step)
-        return _result_at_end(run, each, on_warning)
+        return _result_at_end(run, None if on_step is None else _without_id(on_step), on_warning)
 
 
 def evolve(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.evolution.rests import Rest
+from accelsurf.evolution.rests import FoundRest
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Box, shared
 from accelsurf.grid.geometry import Geometry
@@ -41,12 +41,12 @@ class RestPoint(NamedTuple):
     labels: NDArray[np.uint8]
 
 
-def rest_points(rests: Sequence[Rest], prepared: PreprocessedInput, box: Box) -> tuple[RestPoint, ...]:
+def rest_points(rests: Sequence[FoundRest], prepared: PreprocessedInput, box: Box) -> tuple[RestPoint, ...]:
     """The rests of an object whose part of the image's grid is ``box``."""
     return tuple(_point(rest, prepared, box) for rest in rests)
 
 
-def _point(rest: Rest, prepared: PreprocessedInput, box: Box) -> RestPoint:
+def _point(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> RestPoint:
     geometry, at = prepared.geometry, rest.at
     grids = pyramid.levels(geometry.shape, geometry.spacing, at.level + 1)
     far = float(np.abs(at.surface.psi).max(initial=0.0)) or 1.0
@@ -59,7 +59,7 @@ def _point(rest: Rest, prepared: PreprocessedInput, box: Box) -> RestPoint:
     return RestPoint(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
 
 
-def _place(rest: Rest, grid: pyramid.Level, geometry: Geometry) -> tuple[float, float, float]:
+def _place(rest: FoundRest, grid: pyramid.Level, geometry: Geometry) -> tuple[float, float, float]:
     middle = [f + i * width for f, i, width in zip(grid.first, rest.place, grid.factors, strict=True)]
     x, y, z = (float(v) for v in geometry.index_to_world(middle))
     return x, y, z
