@@ -191,7 +191,7 @@ def run_case(
                 log.outputs.clear()
                 _write_failure(place, config, failure, log, files)
             raise
-    _warn(log, finished.error)
+    _warn(log, finished.error, watcher)
     return finished
 
 
@@ -238,8 +238,10 @@ def _commit(target: Place, files: FileSet, failed: bool) -> None:
     files.commit(last=target.report_path.name, remove=gone)
 
 
-def _warn(log: Log, error: AccelsurfError | None) -> None:
+def _warn(log: Log, error: AccelsurfError | None, watcher: Watcher) -> None:
     for warning in log.warnings:
+        if warning in watcher.said:
+            continue
         say(f"warning: {warning}")
     if error is not None:
         say(f"error: {error.message}\nhint: {error.hint}")
@@ -282,8 +284,12 @@ def evolve(name: str, volume: Volume, channels: list[Volume], config: RunConfig,
 
     with watcher.watch(name, config.max_steps):
         if config.objects is not None:
-            return segment_objects(volume, channels=channels, config=config, on_step=watcher.on_step)
-        return segment(volume, channels=channels, config=config, on_step=watcher.on_step)
+            return segment_objects(
+                volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning
+            )
+        return segment(
+            volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning
+        )
 
 
 def report_failure(place: Place, error: BaseException) -> None:

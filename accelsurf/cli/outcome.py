@@ -90,6 +90,7 @@ def summary_lines(
         by_kind.setdefault(output["kind"], []).append(output["path"])
     if result.has_ids or {"surface", "contour"} & set(by_kind):
         lines.append(_measures(result))
+    lines += [f"  {line}" for line in _judgement(result)]
     for kind, paths in by_kind.items():
         if result.has_ids:
             more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
@@ -105,6 +106,20 @@ def _ending(name: str, result: Result, seconds: float) -> list[str]:
         return [f"{name}: {stop.message}; up to {stop.steps} steps, {seconds:.1f} s"]
     levels = f" on {len(result.levels)} levels" if len(result.levels) > 1 else ""
     return [f"{name}: {stop.reason} after {stop.steps} steps{levels}, {seconds:.1f} s ({stop.message})"]
+
+
+def _judgement(result: Result) -> list[str]:
+    """Lines about quality: how likely the result is good, where to click next, and notes."""
+    lines = []
+    for one in result.objects:
+        if not one.has_surface:
+            continue
+        quality, whose = one.quality, f"object {one.id}: " if result.has_ids else ""
+        if quality.next_click is not None:
+            place = ",".join(f"{value:.1f}" for value in quality.next_click)
+            lines.append(f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}")
+        lines += [f"{whose}note: {note}" for note in quality.notes]
+    return lines
 
 
 def _measures(result: Result) -> str:

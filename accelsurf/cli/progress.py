@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from accelsurf.cli.interrupts import Interrupts
+from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.options import Display
 from accelsurf.report.document import to_json
 from accelsurf.settings.trace_columns import row_values
@@ -35,6 +35,8 @@ class Watcher:
         self._show_json = kind == "json"
         self._bar = _Bar() if kind == "bar" else None
         self._interrupts = Interrupts.current()
+        #: Warnings that have been printed before the first step.
+        self.said: set[str] = set()
 
     @contextmanager
     def watch(self, label: str, max_steps: int) -> Iterator[Watcher]:
@@ -80,6 +82,11 @@ class Watcher:
     def exit_code(self, code: int) -> int:
         """The exit code of the command, as far as it is known: that of Ctrl-C after it was pressed."""
         return self._interrupts.exit_code(code)
+
+    def on_warning(self, text: str) -> None:
+        """Print a doubt about the start, before the first step."""
+        self.said.add(text)
+        say(f"warning: {text}")
 
     def on_step(self, record: StepRecord, object_id: int | None = None) -> bool:
         """Show one step, of the object ``object_id`` if there are several.

@@ -19,6 +19,8 @@ from accelsurf.levelset import BandChange, LevelSet, dot
 
 #: Smallest standard deviation of a Gaussian, as fraction of the image's range: for regions of a single value.
 MIN_DEVIATION = 0.01
+#: Standard deviation of a normal distribution whose median absolute deviation is 1.
+NORMAL_MAD = 1.4826
 #: Bins of a histogram between these percentiles of the image, and a margin of this part of them to either side.
 BINS, END_PERCENTILES, MARGIN = 64, (0.5, 99.5), 0.05
 #: Width (sigma) of Parzen's window, bins; and the probability that every value has at least in each region, so that no
@@ -115,6 +117,26 @@ def gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
         raise InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
     sample = np.asarray(values, np.float64)
     return Gaussian(float(sample.mean()), max(float(sample.var()), min_variance))
+
+
+def robust_gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
+    """Gaussian of sample values by their median and median absolute deviation: a few outliers do not change it.
+
+    Raises
+    ------
+    InputError
+        When there are no values.
+
+    Examples
+    --------
+    >>> robust_gaussian_of(np.array([1.0, 2.0, 3.0, 4.0, 500.0]), 0.01)
+    Gaussian(mean=3.0, variance=2.19810276)
+    """
+    if values.size == 0:
+        raise InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
+    sample = np.asarray(values, np.float64)
+    middle = float(np.median(sample))
+    return Gaussian(middle, max((NORMAL_MAD * float(np.median(np.abs(sample - middle)))) ** 2, min_variance))
 
 
 def _gaussian(sums: RegionMoments, min_variance: float) -> Gaussian:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies import Energy
-from accelsurf.evolution import energy_budget, lowest
+from accelsurf.evolution import energy_budget, lowest, rests
 from accelsurf.evolution.convergence import Reason, Restart, StopRule, stalled, surface_is_gone
 from accelsurf.evolution.records import Step, StepFields, StepRecord, Stop
 from accelsurf.evolution.state import Checkpoint, LoopState
@@ -51,6 +51,10 @@ class Evolution:
     state : LoopState
     stop : Stop or None
         Set when the iteration has ended.
+    corner : (z, y, x)
+        First voxel of the surface's box on the level's grid.
+    stop_at_rest : bool
+        Whether to go back to where the front rested when it breaks through from there, and end.
 
     Notes
     -----
@@ -78,6 +82,7 @@ class Evolution:
         self.level = level
         self.state = state or LoopState()
         self.stop: Stop | None = None
+        self.corner, self.stop_at_rest = (0, 0, 0), False
         self._stop_requested = False
         self._fields = fields
         self._initialized = False
@@ -196,10 +201,11 @@ class Evolution:
         state = self.state.on_next_grid(with_fields=True)
         # Potentials of two energies do not compare.
         state.gained_before = 0.0 if energy is not None else self.state.gained
-        state.edits, state.fields = self.state.edits + 1, self.state.fields
+        state.edits, state.fields, state.rests = self.state.edits + 1, self.state.fields, state.rests.anew()
         following = Evolution(
             surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, state, fields
         )
+        following.corner, following.stop_at_rest = self.corner, self.stop_at_rest
         following.initialize()
         state.potential_before = potential - flow.energy(surface.fraction_and_area()[1])
         if self._stop_requested:
@@ -237,13 +243,17 @@ class Evolution:
         reason = self._reason_to_stop(n, potential)
         decision = self._decide(n, reason)
         if decision != "stay":
-            self._go_back(n, area)
+            lowest.go_back(state, n, area, surface, flow, self.energy)
             reason = None if decision == "continue" else reason or ("stalled", lowest.NO_LOWER.format(lowest.PATIENCE))
             fraction, area = surface.fraction_and_area()
             potential = state.potential
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
+        if reason is None and (rest := self._left_rest(n, columns)) is not None:
+            fraction, area = rests.go_back(rest, state, area, surface, (self.energy, flow), self.corner)
+            columns = self._columns(n, state.potential, fraction, area) | {"returned": True, "back_to": rest.at.step}
+            reason = ("rested", rests.WHY.format(rest.at.step))
         if reason is not None:
-            if decision != "stay" and surface.size:
+            if columns["returned"] and surface.size:
                 state.fields = StepFields(surface.band.cells, self._force()[1], np.zeros(surface.size, np.float32))
             return self._end(reason, columns, began)
         restarted = self.restart is not None and self.restart.is_due(potential, self.history[state.first :])
@@ -325,10 +335,10 @@ class Evolution:
         last = self.history[-1] if self.history else None
         entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in energy_budget.COLUMNS}
         entries["weight"] = self.flow.weight
+        back_to = columns.pop("back_to", self.state.lowest.step if self.state.lowest is not None else 0)
         if columns.get("returned"):
             entries["kinetic"], entries["smoothing_work"] = 0.0, self.state.budget.smoothing
-            assert self.state.lowest is not None
-            then = self.history[self.state.lowest.step]
+            then = self.history[back_to]
             entries.update({key: getattr(then, key) for key in energy_budget.MASS_COLUMNS})
         return StepRecord(
             **columns, **entries, dt=0.0, cfl_dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0,
@@ -361,19 +371,12 @@ class Evolution:
         # On a coarse level the surface has only come near its end.
         return "stay" if decision == "end" and self.level > 0 and reason is not None else decision
 
-    def _go_back(self, n: int, area: np.ndarray) -> None:
-        """Go back to the state of the lowest potential, at rest; the steps from there are shorter."""
-        state, surface, flow = self.state, self.surface, self.flow
-        assert state.lowest is not None
-        before = state.potential + flow.energy(area)
-        state.lowest.restore(surface, flow, self.energy)
-        fraction, area = surface.fraction_and_area()
-        flow.zero_momentum(area)
-        state.potential = self.energy.value(surface, fraction, area)
-        if math.isfinite(before):
-            state.budget.record_loss(before - state.potential - flow.energy(area))
-        state.returns, state.returned_at = state.returns + 1, n
-        state.judged_at, state.snapshot, state.earlier, state.moved, state.fields = n, None, None, math.nan, None
+    def _left_rest(self, n: int, columns: dict[str, Any]) -> rests.FoundRest | None:
+        """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
+        state, found = self.state, len(self.state.rests.found)
+        now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)
+        state.rests = rests.watched(state.rests, self.history[state.first :], now, self.surface, state.fields)
+        return state.rests.found[-1] if self.stop_at_rest and len(state.rests.found) > found else None
 
     def _limits_now(self) -> StepLimits:
         """The limits of a step, shorter the more often the run has gone back."""

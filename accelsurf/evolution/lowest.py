@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -81,6 +82,20 @@ def completed(lowest: LowestState, surface: LevelSet) -> LowestState:
     if lowest.complete:
         return lowest
     return lowest._replace(surface=complete_state(lowest.surface, surface), complete=True)
+
+
+def go_back(state: LoopState, n: int, area: np.ndarray, surface: LevelSet, flow: Flow, energy: Energy) -> None:
+    """Go back to the state of the lowest potential, at rest, before step ``n``; the steps from there are shorter."""
+    assert state.lowest is not None
+    before = state.potential + flow.energy(area)
+    state.lowest.restore(surface, flow, energy)
+    fraction, area = surface.fraction_and_area()
+    flow.zero_momentum(area)
+    state.potential = energy.value(surface, fraction, area)
+    if math.isfinite(before):
+        state.budget.record_loss(before - state.potential - flow.energy(area))
+    state.returns, state.returned_at = state.returns + 1, n
+    state.judged_at, state.snapshot, state.earlier, state.moved, state.fields = n, None, None, math.nan, None
 
 
 def decide(

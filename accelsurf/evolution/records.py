@@ -8,7 +8,9 @@ import numpy as np
 
 from accelsurf.levelset import LevelSet
 
-StopReason = Literal["converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked"]
+StopReason = Literal[
+    "converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked", "rested"
+]
 
 
 class StepRecord(NamedTuple):

@@ -13,7 +13,8 @@ class SolverSetup(NamedTuple):
 
     ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
     each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard
-    or None; ``reach``, how far beyond the surface its energy sees the image, mm.
+    or None; ``reach``, how far beyond the surface its energy sees the image, mm; ``stop_at_rest``, whether it ends
+    where the front rested.
     """
 
     flow: Flow
@@ -23,3 +24,4 @@ class SolverSetup(NamedTuple):
     rule: StopRule | None
     max_volume: float | None = None
     reach: float = 0.0
+    stop_at_rest: bool = False

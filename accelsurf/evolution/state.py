@@ -12,6 +12,7 @@ import numpy as np
 from accelsurf.evolution.energy_budget import EnergyBudget
 from accelsurf.evolution.lowest import LowestState
 from accelsurf.evolution.records import StepFields, StepRecord, Stop
+from accelsurf.evolution.rests import RestWatch
 from accelsurf.levelset import Snapshot, SurfaceState
 
 
@@ -48,6 +49,8 @@ class LoopState:
         The surface at the check of convergence before ``snapshot``.
     moved : float
         Its mean distance from there to ``snapshot``, voxels; NaN if there was none.
+    rests : RestWatch
+        Where the front rested, and what is needed to find the next place.
     """
 
     history: list[StepRecord] = field(default_factory=list)
@@ -66,6 +69,7 @@ class LoopState:
     returned_at: int = 0
     earlier: Snapshot | None = None
     moved: float = math.nan
+    rests: RestWatch = RestWatch()
 
     def copy(self) -> LoopState:
         """An independent copy; arrays and records are shared, as nothing writes to them."""
@@ -90,6 +94,7 @@ class LoopState:
         count = len(self.history)
         following = LoopState(self.history, self.time, gained_before=self.gained, edits=self.edits)
         following.first = following.judged_at = following.returned_at = count
+        following.rests = self.rests.on_next_grid()
         if with_fields:
             following.budget, following.potential_before = self.budget, self.potential
         return following
@@ -116,4 +121,5 @@ class Checkpoint(NamedTuple):
         shared = sum(12 * one.psi.size for one in (self.loop.snapshot, self.loop.earlier) if one)
         shared += 16 * acting.speed.size if acting else 0
         shared += self.loop.lowest.nbytes if self.loop.lowest is not None else 0
+        shared += self.loop.rests.nbytes
         return self.surface.nbytes + fields + 8 * len(self.loop.history) + shared

@@ -37,7 +37,7 @@ def checkpoint_surface(surface: LevelSet) -> SurfaceState:
     The arrays of the band are shared: a step makes new ones and leaves the old as they are.
     """
     band = surface.band
-    inside = np.packbits(surface.dense.psi[_stretches(band.cells, surface)] < 0)
+    inside = np.packbits(surface.dense.psi[_stretches(band.cells, surface.shape)] < 0)
     small = surface.dense.psi.size < 2**32
     cells = band.cells.astype(np.uint32) if small else band.cells
     beyond, width = surface.inside_beyond_band, surface.requested_half_width
@@ -57,7 +57,7 @@ def complete_state(state: SurfaceState, surface: LevelSet) -> SurfaceState:
 
     In a step only psi of band cells changes its sign: beyond the band of the state the sides are still the same.
     """
-    inside = np.packbits(surface.dense.psi[_stretches(state.cells, surface)] < 0)
+    inside = np.packbits(surface.dense.psi[_stretches(state.cells, surface.shape)] < 0)
     small = surface.dense.psi.size < 2**32
     return state._replace(cells=state.cells.astype(np.uint32) if small else state.cells, inside=inside)
 
@@ -65,22 +65,36 @@ def complete_state(state: SurfaceState, surface: LevelSet) -> SurfaceState:
 def restore_surface(surface: LevelSet, state: SurfaceState) -> None:
     """Restore ``surface``, on the same grid, to the state from `checkpoint_surface`."""
     cells = state.cells.astype(np.int64)
-    first = _stretches(cells, surface)
-    signs = np.unpackbits(state.inside, count=first.size).astype(np.bool_)
-    # Band cells are overwritten later, so a stretch may continue over them.
-    leading = int(first[0]) if first.size else surface.dense.psi.size
-    lengths = np.concatenate([[leading], np.diff(first, append=surface.dense.psi.size)])
-    inside = np.repeat(np.concatenate([[False], signs]), lengths)
+    inside = _sides(state, cells, surface.shape)
     band = Band(cells, state.psi, state.closest_points)
     surface.restore(band, inside, state.inside_beyond, state.requested_half_width)
 
 
-def _stretches(cells: np.ndarray, surface: LevelSet) -> np.ndarray:
+def psi_of(state: SurfaceState, shape: tuple[int, int, int], far: float) -> np.ndarray:
+    """Return psi (nz, ny, nx) of a complete state of a surface on a grid: ``far`` mm away outside the band."""
+    cells = state.cells.astype(np.int64)
+    psi = np.where(_sides(state, cells, shape), np.float32(-far), np.float32(far))
+    psi[cells] = state.psi
+    return psi.reshape(shape)
+
+
+def _sides(state: SurfaceState, cells: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
+    """Whether each voxel of the raveled grid lies inside; of no meaning in the band."""
+    total = shape[0] * shape[1] * shape[2]
+    first = _stretches(cells, shape)
+    signs = np.unpackbits(state.inside, count=first.size).astype(np.bool_)
+    # Band cells are overwritten later, so a stretch may continue over them.
+    leading = int(first[0]) if first.size else total
+    lengths = np.concatenate([[leading], np.diff(first, append=total)])
+    return np.repeat(np.concatenate([[False], signs]), lengths)
+
+
+def _stretches(cells: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
     """First voxel of each stretch beyond the band: after a band cell, or at the beginning of a row; in raster order.
 
     The surface crosses no pair of neighbours outside the band, so a stretch within a row is on one side.
     """
-    nx, total = surface.grid.nx, surface.dense.psi.size
+    nx, total = shape[2], shape[0] * shape[1] * shape[2]
     # Few cells of the band are the last ones of a run of neighbours.
     after = cells[np.diff(cells, append=total + 1) != 1] + 1 if cells.size else cells
     after = after[(after < total) & (after % nx != 0)]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from accelsurf.settings.run_config import RunConfig
 
 #: Raised when a key of the report or a column of the trace changes its name or its meaning.
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 Status = Literal["ok", "failed", "interrupted"]
 
 #: Parts of a run that are timed, in the order they happen.
@@ -170,7 +170,10 @@ def describe_result(result: Result | None) -> dict[str, Any]:
 
 def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     """Return the part of the report about the quality of an object; None for several, which have their own."""
-    return None if quality is None else {**quality._asdict(), "warnings": list(quality.warnings)}
+    if quality is None:
+        return None
+    rests = [rest._asdict() for rest in quality.rests]
+    return {**quality._asdict(), "rests": rests, "warnings": list(quality.warnings), "notes": list(quality.notes)}
 
 
 def describe_objects(result: Result) -> list[dict[str, Any]]:

@@ -13,8 +13,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from accelsurf import io
 from accelsurf.errors import OutputError, UsageError
+from accelsurf.evolution.rests import MAX_RESTS
 from accelsurf.io.file_set import FileSet, opened
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
@@ -93,6 +96,7 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
         files["objects"] = "objects.csv"
     if keeps_state(config):
         files |= {"state": "state.npz", "config": "run.toml"}
+    files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_RESTS + 1)}
     return files | {"trace": "trace.csv", "preview": "preview.png"}
 
 
@@ -261,7 +265,7 @@ def write_result(
     began = time.perf_counter()
     meshes = list(_mesh_writers(result, names))
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
-    writers = [*_label_writer(result, names), *meshes, *_distance_writer(result, names)]
+    writers = [*_label_writer(result, names), *_rest_writers(result, names), *meshes, *_distance_writer(result, names)]
     writers += [*_table_writers(result, names, content), *_state_writers(result, names, image)]
     for kind, name, write in writers:
         began = time.perf_counter()
@@ -278,6 +282,23 @@ def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     """The writer of the label map."""
     if "labels" in names and _has_surface(result):
         yield "labels", names["labels"], lambda path: io.write_labels(result.labels_volume(), path)
+
+
+def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """The writers of the label maps of rests: each object at that rest, or without it as it is."""
+    count = max((len(one.rests) for one in result.objects), default=0)
+    for number in range(1, count + 1):
+        if (kind := f"rest{number}") in names:
+            yield kind, names[kind], functools.partial(_write_rest, result, number)
+
+
+def _write_rest(result: Result, number: int, path: Path) -> None:
+    labels = np.zeros_like(result.labels)
+    for one in result.objects:
+        own = one.labels if len(one.rests) < number else one.rests[number - 1].labels
+        part = labels[one.box]
+        part[(own > 0) & (part == 0)] = one.id
+    io.write_labels(result.labels_volume().with_array(labels), path)
 
 
 def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:

@@ -15,10 +15,12 @@ from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of
 from accelsurf.grid.clicks import SIDES, Clicks
 from accelsurf.grid.volume import Volume, plain_array
+from accelsurf.segmentation.clicked_voxels import clicked_voxels
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
 from accelsurf.segmentation.late_growth import LateGrowth
 from accelsurf.segmentation.refine import state_of, with_refinements
 from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.segmentation.rest_points import rest_points
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
@@ -37,6 +39,7 @@ def segment(
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     on_step: Callable[[StepRecord], bool | None] | None = None,
+    on_warning: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Result:
     """Segment one object.
@@ -57,6 +60,8 @@ def segment(
         (hz, hy, hx) in mm. Settings of the named energies, such as ``smoothness``, are then refused.
     on_step : callable, optional
         Called with each `StepRecord`; a true return value ends the run with the reason ``interrupted``.
+    on_warning : callable, optional
+        Called before the first step with each doubt about the start; `Result.warnings` has them too.
     **options
         Settings by name, over those of ``config``: ``start="ball:x,y,z,r"``, ``flow="gradient"``, ... ``start``,
         ``mask``, ``foreground`` and ``background`` may also be a mask (an array on the image's grid, or a Volume), a
@@ -85,8 +90,8 @@ def segment(
     ('converged', 1, True)
     """
     with _run_of(volume, spacing, channels, config, energy, options) as run:
-        result = _result_at_end(run, None if on_step is None else lambda record, own: on_step(record))
-    return with_refinements(result, None if on_step is None else lambda record, own: on_step(record))
+        result = _result_at_end(run, None if on_step is None else _without_id(on_step), on_warning)
+    return with_refinements(result, None if on_step is None else _without_id(on_step))
 
 
 def evolve(
@@ -137,6 +142,7 @@ def segment_objects(
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     on_step: Callable[[StepRecord, int], bool | None] | None = None,
+    on_warning: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Result:
     """Segment several objects that do not overlap.
@@ -152,6 +158,8 @@ def segment_objects(
         object's part of the image: see `accelsurf.segment`.
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the run.
+    on_warning : callable, optional
+        As for `segment`.
     spacing, channels, config, **options
         As for `segment`; ``max_volume`` counts for each object, ``max_steps`` for the run.
 
@@ -183,13 +191,26 @@ def segment_objects(
     if objects is None and with_options(config, None, options)[0].objects is None:
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     with _run_of(volume, spacing, channels, config, energy, options, objects) as run:
-        result = _result_at_end(run, on_step)
+        result = _result_at_end(run, on_step, on_warning)
     return with_refinements(result, on_step)
 
 
-def _result_at_end(run: Run, on_step: Callable[[StepRecord, int], bool | None] | None) -> Result:
+
+def _without_id(on_step: Callable[[StepRecord], bool | None]) -> Callable[[StepRecord, int], bool | None]:
+    """The same for a run of several objects."""
+    return lambda record, own: on_step(record)
+
+
+def _result_at_end(
+    run: Run,
+    on_step: Callable[[StepRecord, int], bool | None] | None,
+    on_warning: Callable[[str], None] | None,
+) -> Result:
     """Run to the end, or until ``on_step`` returns true."""
     growth = LateGrowth(run.volume.geometry.shape)
+    if on_warning is not None:
+        for warning in run.level_warnings:
+            on_warning(warning)
     for step in run:
         own = next(one for one in run.objects if one.id == step.object_id)
         growth.watch(step, run.grid, own.corner, run.prepared.first)
@@ -318,8 +339,11 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     psi = run.prepared.on_whole_grid(one.psi_on_finest()[1])
     box = tuple(slice(0, n) for n in psi.shape)
     learned = run.prepared.learned_by(one.context)
+    whole: Box = (box[0], box[1], box[2])
+    rests = rest_points(one.evolution.state.rests.found, run.prepared, whole)
     return SegmentedObject(
-        1, (box[0], box[1], box[2]), psi, image, run.volume.geometry, history, stop, one.made.terms, learned
+        1, whole, psi, image, run.volume.geometry, history, stop, one.made.terms, learned, rests,
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole),
     )
 
 
@@ -339,7 +363,9 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
         learned = run.prepared.learned_by(one.context)
         objects.append(
             SegmentedObject(
-                one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned
+                one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned,
+                rest_points(one.evolution.state.rests.found, run.prepared, box),
+                clicked_voxels(run.clicks, one.id, run.prepared.first, box),
             )
         )
     return tuple(objects)

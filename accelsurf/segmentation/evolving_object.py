@@ -219,6 +219,7 @@ class EvolvingObject:
             state,
             fields,
         )
+        self.evolution.corner, self.evolution.stop_at_rest = self.corner, setup.stop_at_rest
         if self._among_others:
             # Neighbours need its speed and band before its first step.
             self.evolution.initialize()

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies import Parzen, gaussian_of
-from accelsurf.energies.likelihood import least_variance
+from accelsurf.energies import Parzen
+from accelsurf.energies.likelihood import MIN_DEVIATION, robust_gaussian_of
 from accelsurf.energies.region_sums import Elsewhere, RegionMoments
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at
@@ -104,8 +104,6 @@ class ImageContext:
         Where likelihood learns; without ``background`` all that is not foreground.
     others : sequence of ndarray, optional
         The other channels, after the first, on the grid at hand; by default that of ``images``.
-    raw : callable, optional
-        Values of a channel before any presmoothing, on the scale of ``images``, where a mask of a box is set.
     is_start : bool, optional
         Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
 
@@ -122,7 +120,6 @@ class ImageContext:
         foreground: Mask | None = None,
         background: Mask | None = None,
         others: Sequence[Image] | None = None,
-        raw: Callable[[int, Box, Mask], NDArray[Any]] | None = None,
         is_start: bool = False,
     ) -> None:
         self.images, self.scales, self.spacing = list(images), list(scales), spacing
@@ -131,7 +128,6 @@ class ImageContext:
         self._training = (
             None if foreground is None else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
         )
-        self._raw = raw or (lambda channel, box, mask: self.images[channel][box][mask])
         self.others = tuple(self.images[1:] if others is None else others)
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
         self._outside: dict[int, NDArray[Any]] = {}
@@ -261,13 +257,17 @@ class ImageContext:
         return self._training
 
     def learned(self, channel: int) -> tuple[float, float]:
-        """Values of a channel between which the foreground's lie: its mean and `LEARNED_DEVIATIONS` to either side."""
+        """Values of a channel between which the foreground's lie: its median and `LEARNED_DEVIATIONS` to either side.
+
+        Of the image as it is evolved, with the deviation by the median absolute deviation: a stone or an organelle in
+        the start changes neither.
+        """
         training = self._trained_on("a learned bound was given nothing to learn from", "give --foreground")
-        # Before presmoothing: after it the range of values would be narrower than the object's edges.
-        values = self._raw(channel, training.box, training.inside)
-        mean, variance = gaussian_of(values, self.once(least_variance, channel))
+        values = self.images[channel][training.box][training.inside]
+        # A part of the range between percentiles: that between the extremes is of metal or a stone.
+        middle, variance = robust_gaussian_of(values, MIN_DEVIATION**2)
         width = LEARNED_DEVIATIONS * variance**0.5
-        return mean - width, mean + width
+        return middle - width, middle + width
 
     def bound(self, channel: int, value: float | str, upper: bool) -> float | None:
         """A bound of threshold on the scale of the image as energies see it; None for an open side."""

@@ -192,7 +192,7 @@ def _context(
     learned_from = psi < 0 if from_start else None if foreground is None else _crop(foreground, box)
     context = ImageContext(
         images, scales, volumes[0].geometry.spacing, learned_from,
-        None if background is None else _crop(background, box), None, _raw_values(volumes, box, scales),
+        None if background is None else _crop(background, box),
         is_start=from_start,
     )
     size = None if config.size is None else volume_mm3(config.size)
@@ -253,18 +253,6 @@ def check_channels(volumes: Sequence[Volume]) -> None:
                 f"{one.geometry.difference(volumes[0].geometry)}",
                 "resample it to the image's grid first",
             )
-
-
-def _raw_values(volumes: Sequence[Volume], box: Box, scales: Sequence[Scale]) -> Any:
-    """A function for the values of a channel before smoothing, on the energies' scale, in the voxels of a mask."""
-    files = list(volumes)
-
-    def raw(channel: int, part: Box, mask: Mask) -> NDArray[Any]:
-        low, width = scales[channel]
-        values = files[channel].array[box][part][mask].astype(np.float32)
-        return np.asarray((values - np.float32(low)) / np.float32(width))
-
-    return raw
 
 
 def _name_of_start(config: RunConfig, given: Mapping[str, NDArray[np.float32]]) -> str:

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from accelsurf.analysis import contours
 from accelsurf.analysis.contours import Contours
-from accelsurf.analysis.quality import Quality, assess
+from accelsurf.analysis.quality import Quality, RestNote, assess
 from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
@@ -24,6 +24,7 @@ from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.ensemble import overall_stop
+from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig
 
@@ -58,6 +59,10 @@ class SegmentedObject:
         The terms of the energy with every setting as it was in the run; empty for an energy of the user's own.
     learned : (float, float) or None
         Lowest and highest value, on the scale of ``image``, that the learned model expects in the object.
+    rests : tuple of RestPoint
+        Where its front rested before it broke through to something else.
+    clicked : ndarray (nz, ny, nx) of bool, or None
+        Voxels of its part that a person clicked, on either side.
     """
 
     id: int
@@ -69,6 +74,8 @@ class SegmentedObject:
     stop: Stop
     terms: list[dict[str, Any]] = field(default_factory=list)
     learned: tuple[float, float] | None = None
+    rests: tuple[RestPoint, ...] = ()
+    clicked: NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
@@ -151,7 +158,10 @@ class SegmentedObject:
     @cached_property
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
-        return assess(self.labels, self.image, self.geometry.spacing, self.history, self.stop, self.learned)
+        rests = [RestNote(one.step, one.volume_mm3, one.left_at, one.place) for one in self.rests]
+        return assess(
+            self.labels, self.image, self.geometry, self.history, self.stop, self.learned, rests, self.clicked
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -37,6 +37,7 @@ from accelsurf.segmentation.run_setup import (
     thread_count,
 )
 from accelsurf.segmentation.run_start import AROUND, start_of_run
+from accelsurf.segmentation.start_checks import start_checks
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
@@ -118,13 +119,12 @@ class Run:
         self._max_steps = config.max_steps
         self._all = tuple(self._object(place, *one) for place, one in enumerate(zip(starts, contexts, strict=True)))
         self.objects = tuple(one for one in self._all if one.id != NO_OBJECT)
-        del starts
         self.level_summaries: list[LevelSummary] = []
         self.level = self._levels - 1
         self._ensemble = Ensemble(self._all, self.workers, self.geometry.steps, self.has_ids)
-        self._stop_requested = False
-        self._steps_made = 0
+        self._stop_requested, self._steps_made = False, 0
         self._begin_first_level()
+        self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
         self.start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
         self.began = time.perf_counter()

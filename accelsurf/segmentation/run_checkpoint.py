@@ -16,6 +16,7 @@ from accelsurf.evolution.energy_budget import EnergyBudget
 from accelsurf.evolution.lowest import LowestState
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepFields, StepRecord, Stop
+from accelsurf.evolution.rests import FoundRest, RestWatch, Slowest
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import EnergyRates
@@ -64,7 +65,7 @@ TYPES: dict[str, type] = {
     kind.__name__: kind
     for kind in (
         Checkpoint, EnergyBudget, EnergyRates, Level, LevelSummary, LoopState, LowestState, ObjectCheckpoint,
-        RunCheckpoint, Snapshot, StepFields, StepRecord, Stop, SurfaceState,
+        FoundRest, RestWatch, RunCheckpoint, Slowest, Snapshot, StepFields, StepRecord, Stop, SurfaceState,
     )
 }
 

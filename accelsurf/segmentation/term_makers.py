@@ -27,7 +27,7 @@ from accelsurf.energies import (
 )
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
 from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
-from accelsurf.energies.likelihood import least_variance
+from accelsurf.energies.likelihood import least_variance, robust_gaussian_of
 from accelsurf.energies.local_region import TENT
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
@@ -96,7 +96,10 @@ def likelihood(inputs: TermInputs) -> Made:
     if update == "yes":
         moments = context.moments_elsewhere(channel)
         return GaussianLikelihood(image, inputs.alpha, epsilon=epsilon, elsewhere=moments), used
-    one, other = (gaussian_of(values, context.once(least_variance, channel)) for values in context.samples(channel))
+    inside, outside = context.samples(channel)
+    least = context.once(least_variance, channel)
+    # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
+    one, other = robust_gaussian_of(inside, least), gaussian_of(outside, least)
     low, width = context.scales[channel]
     for name, (mean, variance) in (("inside", one), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}

@@ -1,0 +1,209 @@
+"""Evidence for a surface, place by place: is there an edge, does what is outside differ, and is a click near?
+
+At places on the surface the image is sampled along the normal: one step outside (I_o), one inside (I_i) and three
+inside (I_d). A step is `STEP` voxels. The noise is the median of |I_i - I_d|: what the image differs by within the
+object over the same distance as across its surface. So contrasts have no unit and need no range of the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.grid.boxes import bounding_box, corner_of
+
+#: Voxels of a step; the surface is sampled at about so many places; sigma, voxels, that normals are smoothed with.
+STEP, SAMPLES, NORMAL_SIGMA = 1.5, 20_000, 1.0
+#: An edge counts as half from this many times the noise on; the outside counts as another thing half where it is so
+#: many deviations of the object's values farther from their middle than the inside there; below so many it is like it.
+HALF_EDGE, HALF_MODEL, LIKE = 3.0, 1.5, 2.5
+#: A patch of the surface is a Gaussian of this part of the object's radius (that of the ball of its volume).
+PATCH = 0.3
+#: Least noise, as a part of the spread of the object's values and of those beside it.
+MIN_NOISE = 0.05
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Evidence at places on a surface.
+
+    Attributes
+    ----------
+    index : ndarray (n, 3)
+        Voxels (z, y, x) next to the surface, on its inside.
+    edge, model : ndarray (n,)
+        0 to 1: of an edge; of an outside that is less like the object than the inside there.
+    click : ndarray (n,)
+        0 to 1: of a click near by.
+    contrast : float
+        Median difference across the surface in units of the noise.
+    inside_like : float
+        Share of the surface where the outside has values of the object.
+    drift : float
+        Difference of the object's values far from its middle and near it, in units of their spread.
+    """
+
+    index: NDArray[np.int64]
+    edge: Floats
+    model: Floats
+    click: Floats
+    contrast: float
+    inside_like: float
+    drift: float
+
+    @property
+    def of_image(self) -> Floats:
+        """Evidence of each place (n,) by the image alone."""
+        return self.edge * self.model
+
+    @property
+    def total(self) -> Floats:
+        """Evidence of each place (n,), 0 to 1: that at least one of the three holds."""
+        doubt: Floats = (1.0 - self.of_image) * (1.0 - self.click)
+        return 1.0 - doubt
+
+
+def gather(
+    inside: NDArray[np.bool_],
+    image: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    clicked: NDArray[np.bool_] | None = None,
+) -> Evidence | None:
+    """The evidence for the surface of a mask; None where nothing of it lies within the image.
+
+    Parameters
+    ----------
+    inside : ndarray (nz, ny, nx) of bool
+    image : ndarray (nz, ny, nx), float32
+        As it was evolved, in any unit.
+    spacing : (hz, hy, hx)
+        mm.
+    clicked : ndarray (nz, ny, nx) of bool, optional
+        Voxels that a person clicked, on either side.
+    """
+    box = bounding_box(inside, 6)
+    if box is None:
+        return None
+    part, values = inside[box], image[box]
+    index, normal = _places(part, spacing)
+    if not len(index):
+        return None
+    near, deep, out = (_sampled(values, index, normal, k * STEP) for k in (-1.0, -3.0, 1.0))
+    core = values[ndimage.binary_erosion(part, border_value=1)]
+    core = core if core.size > 20 else values[part]
+    middle, spread = _middle_and_spread(core)
+    beside = _middle_and_spread(out)[1]
+    floor = MIN_NOISE * max(spread, beside, 1e-12)
+    noise = max(float(np.median(np.abs(near - deep))), floor)
+    across = np.abs(near - out) / noise
+    unlike = np.abs(out - middle) / max(spread, floor)
+    gain = np.maximum(unlike - np.abs(near - middle) / max(spread, floor), 0.0)
+    corner = np.array(corner_of(box))
+    own = index + corner
+    return Evidence(
+        own, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(own, clicked, inside, spacing),
+        float(np.median(across)), float((unlike < LIKE).mean()), _drift(part, values, spacing, spread, floor),
+    )
+
+
+def doubtful_place(
+    evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float
+) -> tuple[tuple[int, int, int], float]:
+    """Voxel (z, y, x) next to the surface around which a patch has the least evidence, and its share of doubt, 0 to 1.
+
+    Doubt is summed over the patch: a large doubtful piece counts for more than a small one. Ties go to the first.
+    """
+    doubt = 1.0 - evidence.total
+    places = evidence.index * np.asarray(spacing)
+    radius = max(PATCH * (0.75 * max(volume_mm3, 1e-30) / np.pi) ** (1.0 / 3.0), 2.0 * max(spacing))
+    # Blocks of half a patch stand for the places in them.
+    blocks, member = np.unique((places / (0.5 * radius)).astype(np.int64), axis=0, return_inverse=True)
+    member = member.reshape(-1)
+    count = np.bincount(member, minlength=len(blocks)).astype(np.float64)
+    sums = np.bincount(member, doubt, len(blocks))
+    middles = np.stack([np.bincount(member, places[:, a], len(blocks)) for a in range(3)], axis=1) / count[:, None]
+    best, most, share = 0, -1.0, 0.0
+    for i, middle in enumerate(middles):
+        weight = np.exp(-0.5 * ((middles - middle) ** 2).sum(axis=1) / radius**2)
+        total = float((weight * sums).sum())
+        if total > most * (1.0 + 1e-9):
+            best, most, share = i, total, total / float((weight * count).sum())
+    own = np.flatnonzero(member == best)
+    z, y, x = evidence.index[own[int(np.argmax(doubt[own]))]]
+    return (int(z), int(y), int(x)), share
+
+
+def _places(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[NDArray[np.int64], Floats]:
+    """Voxels next to the surface on its inside, (n, 3), and the outward normal there: 1 voxel long along its axis."""
+    rim = inside & ~ndimage.binary_erosion(inside, border_value=1)
+    cells = np.flatnonzero(rim)
+    cells = cells[:: max(1, cells.size // SAMPLES)]
+    index = np.stack(np.unravel_index(cells, inside.shape), axis=1)
+    widths = [NORMAL_SIGMA if n > 1 else 0.0 for n in inside.shape]
+    smooth = ndimage.gaussian_filter(inside.astype(np.float32), widths, mode="nearest")
+    normal = np.zeros(index.shape)
+    for axis, (n, h) in enumerate(zip(inside.shape, spacing, strict=True)):
+        if n > 1:
+            low, high = index.copy(), index.copy()
+            low[:, axis], high[:, axis] = np.maximum(index[:, axis] - 1, 0), np.minimum(index[:, axis] + 1, n - 1)
+            # In voxels: a gradient per mm, over the spacing once more.
+            normal[:, axis] = (smooth[tuple(low.T)].astype(np.float64) - smooth[tuple(high.T)]) / h**2
+    longest = np.abs(normal).max(axis=1)
+    known = longest > 0
+    return index[known].astype(np.int64), normal[known] / longest[known, None]
+
+
+def _sampled(values: NDArray[np.float32], index: NDArray[np.int64], normal: Floats, voxels: float) -> Floats:
+    """The image at places (n,) so many voxels outward; linear, the border's values beyond the border."""
+    at = (index + voxels * normal).T
+    return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"), np.float64)
+
+
+def _middle_and_spread(values: NDArray[np.floating]) -> tuple[float, float]:
+    """Median, and the standard deviation by the median absolute deviation."""
+    flat = np.asarray(values, np.float64).ravel()
+    flat = flat[:: max(1, flat.size // (1 << 18))]
+    middle = float(np.median(flat))
+    return middle, 1.4826 * float(np.median(np.abs(flat - middle)))
+
+
+def _rising(value: Floats, half: float) -> Floats:
+    """0 at 0, a half at ``half``, towards 1 beyond."""
+    square = (value / half) ** 2
+    return square / (1.0 + square)
+
+
+def _near_click(
+    index: NDArray[np.int64], clicked: NDArray[np.bool_] | None, inside: NDArray[np.bool_], spacing: Sequence[float]
+) -> Floats:
+    """1 beside a click, falling over a part of the object's radius."""
+    if clicked is None or not clicked.any():
+        return np.zeros(len(index))
+    volume = float(inside.sum()) * float(np.prod(spacing))
+    radius = PATCH * (0.75 * volume / np.pi) ** (1.0 / 3.0) + max(spacing)
+    from scipy.spatial import cKDTree
+
+    away, _ = cKDTree(np.argwhere(clicked) * np.asarray(spacing)).query(index * np.asarray(spacing))
+    return np.asarray(np.exp(-0.5 * (away / radius) ** 2))
+
+
+def _drift(
+    inside: NDArray[np.bool_], values: NDArray[np.float32], spacing: Sequence[float], spread: float, floor: float
+) -> float:
+    """Largest difference of the medians of shells around the deepest point, in units of the object's spread."""
+    depth = ndimage.distance_transform_edt(np.pad(inside, 1, mode="edge"), sampling=spacing)[1:-1, 1:-1, 1:-1]
+    core = ndimage.binary_erosion(inside, border_value=1)
+    core = core if core.sum() > 20 else inside
+    middle = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    cells = np.argwhere(core)
+    away = ((cells - np.array(middle)) * np.asarray(spacing)) ** 2
+    order = np.argsort(away.sum(axis=1), kind="stable")
+    own = values[core][order]
+    shells = [float(np.median(shell)) for shell in np.array_split(own, 4) if shell.size]
+    return float(np.ptp(shells)) / max(spread, floor)

@@ -1,0 +1,204 @@
+"""Rests: where a growing front nearly stops, before it breaks through to something else.
+
+The speed of the front is its rate of volume per area, dV/dt / A, over the last `WINDOW` steps. It rests where that
+falls below `SLOW` of its peak, at its least, and breaks through where it rises again: above `BURST` of the peak and
+twice the least, once the volume has grown by `GROWTH`. What follows is mostly a leak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from accelsurf.energies import Energy
+from accelsurf.evolution.records import StepFields, StepRecord
+from accelsurf.flows import Flow
+from accelsurf.grid.boxes import Corner
+from accelsurf.levelset import LevelSet
+from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, psi_of
+
+if TYPE_CHECKING:
+    from accelsurf.evolution.state import LoopState
+
+#: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
+#: through; part of the volume that it has grown by then.
+WINDOW, SLOW, BURST, GROWTH = 5, 0.5, 0.04, 0.05
+#: Below this part of the peak it is as good as still.
+STILL = 0.01
+#: A front without momentum is slow for this many steps: no rest.
+AFTER_RESTART = 10
+#: So many rests of a run are kept.
+MAX_RESTS = 3
+#: Why a run ends at one.
+WHY = "it rested at step {}, before it broke through to something else"
+
+
+class Slowest(NamedTuple):
+    """A surface that hardly moves: the ``step``, the ``level``, its mean ``speed`` (at least 0) and ``volume_mm3``, the
+    first voxel (z, y, x) of its box on the level's grid, the ``shape`` of that box, and the ``surface``; the sides of
+    the voxels beyond its band are added one step later (``complete``).
+    """
+
+    step: int
+    level: int
+    speed: float
+    volume_mm3: float
+    corner: Corner
+    shape: tuple[int, int, int]
+    surface: SurfaceState
+    complete: bool = False
+
+
+class FoundRest(NamedTuple):
+    """Where the front rested (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
+    ``place`` (z, y, x) of that level's grid in which it grew fastest then.
+    """
+
+    at: Slowest
+    left_at: int
+    place: Corner
+
+
+class RestWatch(NamedTuple):
+    """What is known of rests so far; a value, replaced at each step.
+
+    ``peak`` speed of the front, mm per unit of flow time; ``slowest`` state since it fell below `SLOW` of that; the
+    rests ``found``, on all grids.
+    """
+
+    peak: float = 0.0
+    slowest: Slowest | None = None
+    found: tuple[FoundRest, ...] = ()
+
+    def on_next_grid(self) -> RestWatch:
+        """The watch on another grid; a state whose sides are not known yet is left behind."""
+        return self if self.slowest is None or self.slowest.complete else self._replace(slowest=None)
+
+    def anew(self) -> RestWatch:
+        """The watch under other settings: it begins anew, and keeps what was found."""
+        return RestWatch(found=self.found)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the surfaces, bytes."""
+        states = [rest.at for rest in self.found] + ([self.slowest] if self.slowest is not None else [])
+        return sum(state.surface.nbytes for state in states)
+
+
+class Moment(NamedTuple):
+    """A surface at the beginning of a step: its number, the level, volume, area, and the box that it lies in."""
+
+    step: int
+    level: int
+    volume_mm3: float
+    area_mm2: float
+    corner: Corner
+
+
+def front_speed(records: Sequence[StepRecord], now: Moment) -> float | None:
+    """Mean speed of the front over the last `WINDOW` steps, mm per unit of flow time; None before there are so many.
+
+    Growing is above 0.
+    """
+    last = records[-WINDOW:]
+    if len(last) < WINDOW or not now.volume_mm3 > 0:
+        return None
+    swept = sum(record.dt * record.area_mm2 for record in last)
+    return (now.volume_mm3 - last[0].volume_mm3) / swept if swept > 0 else None
+
+
+def watched(
+    watch: RestWatch,
+    records: Sequence[StepRecord],
+    now: Moment,
+    surface: LevelSet,
+    fields: StepFields | None,
+) -> RestWatch:
+    """The watch after one more step; to be called at every step, as bands are kept by reference.
+
+    Parameters
+    ----------
+    watch : RestWatch
+    records : sequence of StepRecord
+        The steps before on this grid.
+    now : Moment
+    surface : LevelSet
+        Now.
+    fields : StepFields or None
+        What moved the surface last.
+    """
+    slowest = watch.slowest
+    if slowest is not None and slowest.level != now.level:
+        slowest = None
+    if slowest is not None and not slowest.complete:
+        slowest = slowest._replace(surface=complete_state(slowest.surface, surface), complete=True)
+    watch, speed = watch._replace(slowest=slowest), front_speed(records, now)
+    if speed is None or surface.size == 0:
+        return watch
+    if slowest is not None and fields is not None and _breaks_through(slowest, watch.peak, speed, now):
+        rest = FoundRest(slowest, now.step, fastest_place(fields, surface.shape, now.corner))
+        return RestWatch(speed, None, (*watch.found, rest)[:MAX_RESTS])
+    watch = watch._replace(peak=max(watch.peak, speed))
+    calm = not any(record.restarted or record.returned or record.edits for record in records[-AFTER_RESTART:])
+    if calm and _is_slowest(watch, speed, now):
+        own = band_state(surface)
+        slowest = Slowest(now.step, now.level, max(speed, 0.0), now.volume_mm3, now.corner, surface.shape, own)
+        return watch._replace(slowest=slowest)
+    return watch
+
+
+def _breaks_through(slowest: Slowest, peak: float, speed: float, now: Moment) -> bool:
+    grown = now.volume_mm3 > (1.0 + GROWTH) * slowest.volume_mm3
+    return grown and speed > max(BURST * peak, 2.0 * slowest.speed)
+
+
+def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
+    """Whether it grows slower than at any time since it fell below `SLOW`; after an overshoot where it is smallest."""
+    if watch.slowest is None:
+        return speed < SLOW * watch.peak
+    # What creeps on from a rest is not more at rest later.
+    slower = STILL * watch.peak < watch.slowest.speed and 0.0 < speed < watch.slowest.speed
+    return slower or (speed <= 0.0 and now.volume_mm3 < watch.slowest.volume_mm3)
+
+
+def go_back(
+    rest: FoundRest, state: LoopState, area: np.ndarray, surface: LevelSet, movers: tuple[Energy, Flow], corner: Corner
+) -> tuple[np.ndarray, np.ndarray]:
+    """Go back to a rest on this level, in a box from voxel ``corner`` on that has grown since at most.
+
+    Energy and flow start anew on it, without momentum. Returns the volume fractions and areas there.
+    """
+    energy, flow = movers
+    before = state.potential + flow.energy(area)
+    psi = surface.dense.psi.reshape(surface.shape)
+    psi.fill(surface.gamma)
+    z, y, x = (slice(c - k, c - k + n) for c, k, n in zip(rest.at.corner, corner, rest.at.shape, strict=True))
+    psi[z, y, x] = psi_of(rest.at.surface, rest.at.shape, float(surface.gamma))
+    surface.reinitialize(surface.requested_half_width)
+    energy.start(surface)
+    flow.start(surface)
+    fraction, area = surface.fraction_and_area()
+    state.potential = energy.value(surface, fraction, area)
+    state.budget.record_loss(before - state.potential - flow.energy(area))
+    return fraction, area
+
+
+def fastest_place(fields: StepFields, shape: tuple[int, int, int], corner: Corner) -> Corner:
+    """Voxel of the level's grid in the middle of the part of a front that grows fastest: half as fast or faster.
+
+    Of the cells of that part it is the one nearest to the middle of the largest cluster's mean; ties go to the first.
+    """
+    growing = np.maximum(-fields.speed, 0.0)
+    fast = growing >= 0.5 * growing.max() if growing.size else growing > 0
+    cells = np.stack(np.unravel_index(fields.cells[fast], shape), axis=1).astype(np.float64)
+    weight = growing[fast].astype(np.float64)
+    # Blocks of 8 voxels stand for clusters.
+    blocks, member = np.unique(cells // 8, axis=0, return_inverse=True)
+    member = member.reshape(-1)
+    largest = int(np.argmax(np.bincount(member, weight, len(blocks))))
+    own = cells[member == largest]
+    middle = np.average(own, axis=0, weights=np.maximum(weight[member == largest], 1e-30))
+    z, y, x = own[int(np.argmin(((own - middle) ** 2).sum(axis=1)))]
+    return int(z) + corner[0], int(y) + corner[1], int(x) + corner[2]

@@ -1,0 +1,183 @@
+"""Checks before step 1: what a start, the energy's bounds and the area weight will do to each other; one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.likelihood import NORMAL_MAD
+from accelsurf.evolution.loop import Evolution
+from accelsurf.grid.boxes import Box, bounding_box, box_at, widened
+from accelsurf.grid.geometry import Geometry
+from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.levelset import LevelSet
+from accelsurf.segmentation.evolving_object import EvolvingObject
+from accelsurf.segmentation.preprocessing import PreprocessedInput
+
+#: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
+#: if it has more than this part of the voxels from so many to so many radii of the start around it.
+MIN_WITHIN, MAX_AROUND, SHELL = 0.2, 0.5, (3.0, 8.0)
+#: A start has outliers if its standard deviation is so many times the median-based one; they lie beyond so many of it.
+OUTLYING, FAR = 2.0, 4.0
+#: Fewest voxels of a start that outliers are looked for in; the surroundings are sampled at about so many voxels.
+MIN_VOXELS, SAMPLES = 20, 1 << 18
+
+
+def start_checks(
+    objects: Sequence[EvolvingObject], starts: Sequence[ObjectStart], prepared: PreprocessedInput, has_ids: bool
+) -> list[str]:
+    """A line for each doubt about a start, with what to try; to be called before the first step.
+
+    Parameters
+    ----------
+    objects : sequence of EvolvingObject
+        On the level that they begin on.
+    starts : sequence of ObjectStart
+        Of each, on the grid of the region of interest.
+    prepared : PreprocessedInput
+    has_ids : bool
+        Whether lines name the object.
+    """
+    lines = []
+    for one, start in zip(objects, starts, strict=True):
+        # The seeded model chooses start and weight to go together.
+        seeded = any(term["term"] == "seeded" for term in one.made.terms)
+        found = [*_of_values(one, start, prepared), *([] if seeded else area_line(one.evolution))]
+        lines += [f"object {one.id}: {line}" if has_ids else line for line in found]
+    return lines
+
+
+def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
+    """The checks of the start's values, in the file's unit."""
+    inside = start.psi < 0
+    own = bounding_box(inside)
+    if own is None:
+        return []
+    low, width = prepared.context.scales[0]
+    image = prepared.images[0][box_at(start.corner, start.psi.shape)]
+    values = low + width * image[own][inside[own]].astype(np.float64)
+    lines = outlier_line(values, image[own], inside[own], start, own, prepared.geometry) if prepared.learns else []
+    for term in one.made.terms:
+        if term["term"] != "threshold" or "LO" not in term:
+            continue
+        window = (term["LO"], term["HI"])
+        if line := bounds_line(values, window):
+            lines.append(line)
+        elif line := surroundings_line(low + width * image, inside, prepared.geometry.spacing, window):
+            lines.append(line)
+    return lines
+
+
+def bounds_line(values: NDArray[np.float64], window: tuple[float | None, float | None]) -> str:
+    """Whether nearly all of the start lies beyond the energy's bounds.
+
+    Examples
+    --------
+    >>> bounds_line(np.array([110.0, 112.0]), (226.0, None))
+    'start: its median is 111, the bound 226: everything will shrink; try --energy threshold:learned,learned'
+    """
+    low, high = window
+    within = _within(values, window)
+    if within.mean() >= MIN_WITHIN:
+        return ""
+    middle = float(np.median(values))
+    bound = low if low is not None and middle < low else high
+    return (
+        f"start: its median is {middle:.4g}, the bound {bound:.4g}: everything will shrink; try --energy "
+        "threshold:learned,learned"
+    )
+
+
+def _within(values: NDArray[Any], window: tuple[float | None, float | None]) -> NDArray[np.bool_]:
+    low, high = window
+    return np.asarray((values >= (-np.inf if low is None else low)) & (values <= (np.inf if high is None else high)))
+
+
+def surroundings_line(
+    image: NDArray[Any], inside: NDArray[np.bool_], spacing: Sequence[float], window: tuple[float | None, float | None]
+) -> str:
+    """Whether the energy's window takes in most of the surroundings of a start."""
+    own = bounding_box(inside)
+    assert own is not None
+    radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(own, spacing, inside.shape, strict=True) if n > 1)
+    margins = [int(np.ceil(SHELL[1] * radius / h)) for h in spacing]
+    box = widened(own, inside.shape, (margins[0], margins[1], margins[2]))
+    part = inside[box]
+    every = max(1, int(np.ceil((part.size / SAMPLES) ** (1.0 / max(sum(n > 1 for n in part.shape), 1)))))
+    thin = tuple(slice(None, None, every if n > 1 else 1) for n in part.shape)
+    part, values = part[thin], image[box][thin]
+    if not part.any():
+        return ""
+    away = ndimage.distance_transform_edt(~part, sampling=[h * every for h in spacing])
+    shell = (away > (SHELL[0] - 1.0) * radius) & (away < SHELL[1] * radius)
+    if not shell.any():
+        return ""
+    share = float(_within(values[shell], window).mean())
+    if share <= MAX_AROUND:
+        return ""
+    return (
+        f"window: it takes in {share:.0%} of the surroundings of the start: it will leak; try --outside in what is not "
+        "the object, in place of --energy"
+    )
+
+
+def outlier_line(
+    values: NDArray[np.float64],
+    image: NDArray[np.float32],
+    inside: NDArray[np.bool_],
+    start: ObjectStart,
+    own: Box,
+    geometry: Geometry,
+) -> list[str]:
+    """Whether a few values in the start are far from the others, and where the farthest is."""
+    middle = float(np.median(values))
+    spread, robust = float(values.std()), NORMAL_MAD * float(np.median(np.abs(values - middle)))
+    if values.size < MIN_VOXELS or not spread > OUTLYING * robust > 0:
+        return []
+    share = float((np.abs(values - middle) > FAR * robust).mean())
+    farthest = np.argwhere(inside)[int(np.argmax(np.abs(values - middle)))]
+    index = [int(i) + s.start + c for i, s, c in zip(farthest, own, start.corner, strict=True)]
+    place = ",".join(f"{v:.1f}" for v in geometry.index_to_world(index))
+    return [
+        f"start: {share:.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based {robust:.3g}), "
+        f"the farthest near {place}; what is learned leaves it out; try a --start without it"
+    ]
+
+
+def area_line(evolution: Evolution) -> list[str]:
+    """Whether the area weight pulls a start in that the image would let grow."""
+    alpha = evolution.energy.alpha
+    surface = evolution.surface
+    if not alpha > 0 or surface.size == 0:
+        return []
+    # On a copy: what a surface has measured of itself is counted with its first step.
+    energy, own = evolution.energy, surface
+    spacing = (own.grid.hz, own.grid.hy, own.grid.hx)
+    surface = LevelSet(np.array(own.psi), spacing, own.requested_half_width, own.workers, overwrite=True)
+    energy.start(surface)
+    fraction, area = surface.fraction_and_area()
+    energy.value(surface, fraction, area)
+    front = surface.front()
+    variation = surface.area_variation(front, surface.curvature(front))
+    there = (area > 0) & front
+    if not there.any():
+        energy.start(own)
+        return []
+    weights = area[there]
+    image, both = (
+        float(np.average(energy.force(surface, front, part)[there], weights=weights))
+        for part in (np.zeros_like(variation), variation)
+    )
+    energy.start(own)
+    if not image < 0.0 < both:
+        return []
+    radius = 2.0 * alpha / (both - image)
+    less = 0.5 * alpha * -image / (both - image)
+    return [
+        f"area: the start's radius is about {radius:.3g} mm; under the area weight {alpha:.3g} mm it shrinks below "
+        f"{2.0 * alpha / -image:.3g} mm; try --smoothness {less:.2g}, or a larger start"
+    ]

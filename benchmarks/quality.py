@@ -1,0 +1,334 @@
+"""Whether results know how good they are: calibrates the probability of a good result, and shows how reliable it is.
+
+Results are made on phantoms (several energies, noises and starts) and on the objects of the clicks benchmark, by the
+simulated person's first clicks. By default only its tuning half; ``--half report`` measures the other half with the
+model as it is, and calibrates nothing. One call writes the features of each result and its Dice into
+benchmarks/results/quality.json, the model into accelsurf/analysis/good_result.json, and the page's figure and table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+import accelsurf
+from accelsurf.analysis import good_result
+from accelsurf.analysis.metrics import dice
+from accelsurf.analysis.quality import features
+from accelsurf.errors import AccelsurfError
+from accelsurf.grid.volume import Volume
+from accelsurf.phantoms import recipes
+from benchmarks.clicks.objects import HALVES, chosen, load
+from benchmarks.clicks.own import text_of as click_text
+from benchmarks.clicks.person import next_click
+from benchmarks.pages import head_of, put_table, row_of
+
+ROOT = Path(__file__).resolve().parent.parent
+FACTS, MODEL = ROOT / "benchmarks" / "results" / "quality.json", ROOT / "accelsurf" / "analysis" / good_result.FILE
+PAGE, PICTURE = ROOT / "docs" / "explanation" / "quality.md", ROOT / "docs" / "images" / "quality-reliability.png"
+#: A result is good from this Dice on. Silent failures are below the second without a warning, false alarms are above
+#: the third with one.
+GOOD, FAILED, FINE = 0.8, 0.7, 0.85
+#: Clicks of each object.
+CLICKS = 5
+#: Phantoms, noise in parts of the contrast, and energies.
+PHANTOMS = ("ball", "ball_anisotropic", "ball_small", "box", "cube", "disc", "torus", "two_balls")
+NOISE = (0.3, 1.0)
+ENERGIES: tuple[dict[str, Any], ...] = (
+    {}, {"energy": "threshold:learned,learned", "smoothness": 0.5}, {"energy": "local-region"},
+    {"presmooth": "1vox", "smoothness": 0.3}, {"energy": "threshold:learned,learned", "presmooth": "1vox"},
+)
+#: Which way each feature may count.
+SIGNS = {
+    "contrast": 1.0, "evidence": 1.0, "beyond_clicks": 1.0, "compactness": 1.0, "clicked": -1.0, "inside_like": -1.0,
+    "drift": -1.0, "border": -1.0, "burst": -1.0, "growth": -1.0, "no_edge": -1.0, "unconverged": -1.0,
+}
+#: Weight of the squares of the weights, and folds of the cross-validation: whole objects are left out.
+RIDGE, FOLDS = 0.5, 17
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--half", choices=HALVES, default="tune")
+    parser.add_argument("--only", default="", help="objects and phantoms, separated by commas; the others are kept")
+    parser.add_argument("--fit", action="store_true", help="no runs: calibrate on the rows of the JSON")
+    parser.add_argument("--minutes", type=float, default=1e9, help="begin no object after so many")
+    options = parser.parse_args()
+    folder = os.environ.get("ACCELSURF_VOLUMES")
+    facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"rows": {half: {} for half in HALVES}}
+    rows: dict[str, dict[str, list[dict[str, Any]]]] = facts["rows"]
+    began, only = time.monotonic(), {name for name in options.only.split(",") if name}
+    for name, found in () if options.fit else results(options.half, folder, only):
+        rows[options.half][name] = found
+        FACTS.write_text(json.dumps(facts, indent=0) + "\n")
+        print(name, [round(row["dice"], 2) for row in found], flush=True)
+        if time.monotonic() - began > 60.0 * options.minutes:
+            print("the time is over", file=sys.stderr)
+            break
+    if options.half == "tune":
+        facts["model"] = fit(rows["tune"])
+        MODEL.write_text(json.dumps(facts["model"], indent=1) + "\n")
+        good_result.model.cache_clear()
+    facts["figures"] = {half: figures(own, cross=half == "tune") for half, own in rows.items() if own}
+    FACTS.write_text(json.dumps(facts, indent=0) + "\n")
+    put_table(PAGE, "quality", text_of(facts["figures"]))
+    picture(facts["figures"])
+    print(json.dumps(facts["figures"], indent=1))
+
+
+# -- results ------------------------------------------------------------------------------------------------
+
+
+def results(half: str, folder: str | None, only: set[str]) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """The rows of each phantom (for the tuning half) and of each object."""
+    for name in PHANTOMS if half == "tune" else ():
+        if not only or name in only:
+            yield name, list(on_phantom(name))
+    if folder is None:
+        print("ACCELSURF_VOLUMES is not set: phantoms only", file=sys.stderr)
+        return
+    for one in chosen(half):
+        if not only or one.name in only:
+            yield one.name, list(by_clicks(*load(one, Path(folder))))
+
+
+def on_phantom(name: str) -> Iterator[dict[str, Any]]:
+    """Runs on a phantom from the person's first click; a second object of the same brightness beside it makes leaks."""
+    recipe = recipes.load_recipe(name)
+    for noise in NOISE:
+        made = recipes.make(recipe.changed(noise=noise * abs(recipe.contrast)))
+        truth = np.asarray(made.truth.array > 0)
+        for part in (truth, *halves(truth)):
+            click = next_click(part, None, made.image.geometry)
+            assert click is not None
+            for settings in ENERGIES:
+                start = "ball:" + ",".join(map(repr, (*click.centre, click.radius)))
+                yield from measured(made.image, part, {"start": start, "max_steps": 200, **settings})
+
+
+def halves(truth: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+    """One side of an object as if it were the object: what is found beyond is a leak into the same brightness."""
+    half = truth.copy()
+    half[:, :, truth.shape[2] // 2 :] = False
+    return [half] if half.any() else []
+
+
+def by_clicks(image: Volume, truth: NDArray[np.bool_]) -> Iterator[dict[str, Any]]:
+    """Results after each of the person's first clicks."""
+    texts: dict[str, list[str]] = {"inside": [], "outside": []}
+    labels = None
+    for _ in range(CLICKS):
+        click = next_click(truth, labels, image.geometry)
+        if click is None:
+            return
+        texts[click.side].append(click_text(click, image))
+        found = list(measured(image, truth, {side: tuple(own) for side, own in texts.items()}))
+        if not found:
+            return
+        labels = found[0].pop("labels")
+        yield found[0]
+
+
+def measured(image: Volume, truth: NDArray[np.bool_], options: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The features of a run's result, its Dice, and how far the doubtful place lies from what is wrong."""
+    try:
+        result = accelsurf.segment(image, threads=1, **options)
+    except AccelsurfError:
+        return
+    labels = np.asarray(result.labels > 0)
+    if not result.objects[0].has_surface or result.quality is None:
+        return
+    quality = result.quality
+    row: dict[str, Any] = {
+        "dice": dice(labels, truth), "features": features(quality, result.stop.reason, result.volume_mm3),
+        "other_warnings": [text.split(":")[0] for text in quality.warnings if not text.startswith("doubt")],
+        **doubtful(quality.next_click, labels, truth, image),
+    }
+    if "inside" in options:
+        row["labels"] = labels
+    yield row
+
+
+def doubtful(
+    place: tuple[float, float, float] | None, labels: NDArray[np.bool_], truth: NDArray[np.bool_], image: Volume
+) -> dict[str, Any]:
+    """Whether a wrong voxel lies beside the doubtful place, for what share of the surface one does, and how near the
+    place is to the person's next click.
+    """
+    wrong = labels != truth
+    following = next_click(truth, labels, image.geometry)
+    if place is None or following is None or not wrong.any():
+        return {"at_wrong": None, "to_click": None, "chance_wrong": None, "closer": None}
+    spacing = np.array(image.geometry.spacing)
+    away = ndimage.distance_transform_edt(~wrong, sampling=spacing)
+    index = np.rint(image.geometry.world_to_index(place)).astype(int)
+    rim = labels & ~ndimage.binary_erosion(labels, border_value=1)
+    apart = np.linalg.norm(np.array(following.centre) - np.array(place))
+    return {
+        "at_wrong": float(away[tuple(index)] <= 1.01 * max(spacing)), "to_click": float(apart),
+        "chance_wrong": float((away[rim] <= 1.01 * max(spacing)).mean()),
+        # Share of the surface that lies farther from the person's next click: 0.5 is chance.
+        "closer": float((np.linalg.norm((np.argwhere(rim) - following.index) * spacing, axis=1) > apart).mean()),
+    }
+
+
+# -- the model ----------------------------------------------------------------------------------------------
+
+
+def fit(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    """The logistic model of all rows; each object or phantom counts the same. Its threshold by cross-validation."""
+    found = trained(rows)
+    values, truth, weights = [], [], []
+    for name, own in rows.items():
+        values += list(crossed(rows, name))
+        truth += [row["dice"] for row in own]
+        weights += [1.0 / len(own) for _ in own]
+    found["threshold"] = best_threshold(np.array(values), np.array(truth), np.array(weights))
+    return found
+
+
+def trained(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    """Means, deviations and weights of the features by Newton's method with a ridge."""
+    every = [(row, 1.0 / len(own)) for own in rows.values() for row in own]
+    names = sorted(every[0][0]["features"])
+    table = np.array([[row["features"][name] for name in names] for row, _ in every])
+    weight = np.array([w for _, w in every])
+    weight *= len(every) / weight.sum()
+    target = np.array([float(row["dice"] >= GOOD) for row, _ in every])
+    mean = np.average(table, axis=0, weights=weight)
+    deviation = np.maximum(np.sqrt(np.average((table - mean) ** 2, axis=0, weights=weight)), 1e-6)
+    x = np.column_stack([np.ones(len(every)), (table - mean) / deviation])
+    ridge = np.diag([0.0] + [RIDGE] * len(names))
+    beta = _solved(x, weight, target, ridge)
+    signs = np.array([0.0] + [SIGNS[name] for name in names])
+    # A measure that would count the wrong way tells of these objects, not of objects.
+    while (wrong := (beta * signs < 0)).any():
+        x[:, wrong] = 0.0
+        beta = _solved(x, weight, target, ridge)
+    listed = {
+        name: [round(float(v), 6) for v in (mean[i], deviation[i], beta[i + 1])] for i, name in enumerate(names)
+    }
+    return {"features": listed, "constant": round(float(beta[0]), 6), "threshold": 0.5}
+
+
+def _solved(x: NDArray[Any], weight: NDArray[Any], target: NDArray[Any], ridge: NDArray[Any]) -> NDArray[Any]:
+    """The weights of a logistic model with a ridge, by Newton's method."""
+    beta = np.zeros(x.shape[1])
+    for _ in range(50):
+        p = 1.0 / (1.0 + np.exp(-np.clip(x @ beta, -50, 50)))
+        hessian = x.T @ (x * (weight * p * (1.0 - p))[:, None]) + ridge + 1e-9 * np.eye(len(beta))
+        beta = beta + np.linalg.solve(hessian, x.T @ (weight * (target - p)) - ridge @ beta)
+    return np.asarray(beta)
+
+
+def probabilities(model: Mapping[str, Any], own: Sequence[Mapping[str, Any]]) -> list[float]:
+    """The probability of a good result of each row."""
+    out = []
+    for row in own:
+        total = model["constant"] + sum(
+            weight * (row["features"][name] - mean) / deviation
+            for name, (mean, deviation, weight) in model["features"].items()
+        )
+        out.append(float(1.0 / (1.0 + np.exp(-np.clip(total, -50, 50)))))
+    return out
+
+
+def crossed(rows: Mapping[str, Sequence[Mapping[str, Any]]], name: str) -> list[float]:
+    """The probabilities of an object's rows by a model that was made without the objects of its fold."""
+    order = sorted(rows)
+    fold = order.index(name) % FOLDS
+    others = {key: own for i, key in enumerate(order) if i % FOLDS != fold for own in [rows[key]]}
+    return probabilities(trained(others or rows), rows[name])
+
+
+def best_threshold(values: NDArray[Any], truth: NDArray[Any], weights: NDArray[Any]) -> float:
+    """The probability with the least larger one of the shares of silent failures and of false alarms."""
+    def cost(limit: float) -> tuple[float, float]:
+        silent, false = shares(values >= limit, truth, weights)
+        return max(silent, false), silent + false
+
+    return float(min(np.round(np.arange(0.05, 0.96, 0.01), 2), key=lambda limit: (*cost(limit), limit)))
+
+
+def shares(quiet: NDArray[Any], truth: NDArray[Any], weights: NDArray[Any]) -> tuple[float, float]:
+    """Of all results: the share of failures without a warning, and of good ones with one."""
+    total = weights.sum()
+    return (
+        float(weights[quiet & (truth < FAILED)].sum() / total), float(weights[~quiet & (truth >= FINE)].sum() / total)
+    )
+
+
+def figures(rows: Mapping[str, Sequence[Mapping[str, Any]]], cross: bool) -> dict[str, Any]:
+    """Silent failures, false alarms, the reliability curve, and how well the doubtful place finds what is wrong."""
+    model = json.loads(MODEL.read_text())
+    values, truth, weights, place = [], [], [], []
+    for name, own in rows.items():
+        values += crossed(rows, name) if cross else probabilities(model, own)
+        truth += [row["dice"] for row in own]
+        weights += [1.0 / len(own) for _ in own]
+        place += [row for row in own if row["at_wrong"] is not None and row["dice"] < FINE]
+    p, d, w = np.array(values), np.array(truth), np.array(weights)
+    silent, false = shares(p >= model["threshold"], d, w)
+    failed, fine = float(w[d < FAILED].sum()), float(w[d >= FINE].sum())
+    curve = []
+    for low in np.arange(0.0, 1.0, 0.2):
+        own = (p >= low) & ((p < low + 0.2) | (low > 0.75))
+        if own.any():
+            good = float(np.average(d[own] >= GOOD, weights=w[own]))
+            curve.append({"stated": float(np.average(p[own], weights=w[own])), "good": good, "results": int(own.sum())})
+    return {
+        "results": len(p), "objects": len(rows), "silent": silent, "false": false,
+        "silent_of_failures": silent * w.sum() / failed if failed else None,
+        "false_of_good": false * w.sum() / fine if fine else None, "curve": curve,
+        **{key: float(np.mean([row[key] for row in place])) if place else None
+           for key in ("at_wrong", "chance_wrong", "closer")},
+    }
+
+
+# -- the page -----------------------------------------------------------------------------------------------
+
+
+def text_of(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """The page's table."""
+    columns = ("half", "results", "silent failures", "false alarms", "doubtful place is wrong", "a random one",
+               "surface farther from the next click")
+    lines = head_of(columns)
+    for half, own in found.items():
+        cells = [half, str(own["results"])]
+        for key in ("silent", "false", "at_wrong", "chance_wrong", "closer"):
+            cells.append("" if own[key] is None else f"{own[key]:.0%}")
+        lines.append(row_of(cells))
+    return "\n".join(lines) + "\n"
+
+
+def picture(found: Mapping[str, Mapping[str, Any]]) -> None:
+    """The reliability curve."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(4.2, 4.0), dpi=120)
+    axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
+    for half, own in found.items():
+        stated, good = ([point[key] for point in own["curve"]] for key in ("stated", "good"))
+        axes.plot(stated, good, marker="o", label=f"{half} ({own['results']} results)")
+    axes.set(xlabel="stated probability", ylabel="share with a Dice of 0.8 or more", xlim=(0, 1), ylim=(0, 1))
+    axes.legend(frameon=False)
+    figure.tight_layout()
+    figure.savefig(PICTURE, metadata={"Software": None})
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()

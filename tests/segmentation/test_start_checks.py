@@ -1,0 +1,84 @@
+"""What is said about a start before step 1, and when nothing is."""
+
+import numpy as np
+import pytest
+
+from accelsurf import cli, io
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.api import segment
+
+SHAPE = (40, 40, 48)
+START = "ball:20,20,20,5vox"
+
+
+def scan(outlier=False):
+    """A ball of radius 12 and value 100 on 0, with noise; perhaps with a stone in it."""
+    z, y, x = np.indices(SHAPE) - np.array([20, 20, 20])[:, None, None, None]
+    image = (z**2 + y**2 + x**2 < 12**2) * 100.0 + np.random.default_rng(1).normal(0, 5, SHAPE)
+    if outlier:
+        image[20:22, 20:22, 20:23] = 900.0
+    return image.astype(np.float32)
+
+
+def lines(image=None, start=START, **options):
+    found = segment(scan() if image is None else image, start=start, max_steps=1, levels=1, threads=1, **options)
+    return found.warnings
+
+
+@pytest.mark.parametrize("options", [{}, {"energy": "threshold:50,"}, {"energy": "threshold:learned,learned"}])
+def test_a_good_start_is_passed_in_silence(options):
+    assert lines(**options, smoothness=0.5) == []
+
+
+def test_a_start_beyond_the_bounds_is_told_to_shrink():
+    (line,) = lines(energy="threshold:226,")
+    assert line.startswith("start: its median is 1") and "the bound 226: everything will shrink; try --energy" in line
+
+
+def test_a_window_that_takes_in_the_surroundings_is_told():
+    (line,) = lines(energy="threshold:-50,150")
+    assert line.startswith("window: it takes in ") and "it will leak; try --outside" in line
+
+
+def test_an_area_weight_that_is_too_large_for_the_start_is_told():
+    (line,) = lines(energy="threshold:50,", smoothness=8.0)
+    assert line.startswith("area: the start's radius is about ") and "try --smoothness" in line
+    less = float(line.split("--smoothness ")[1].split(",")[0])
+    assert lines(energy="threshold:50,", smoothness=less) == []
+
+
+def test_outliers_in_the_start_are_told_and_learned_around():
+    (line,) = lines(scan(outlier=True), energy="threshold:learned,learned")
+    assert line.startswith("start: ") and "unlike the rest" in line and "median-based" in line
+    x, y, z = (float(v) for v in line.split("near ")[1].split(";")[0].split(","))
+    assert all(abs(v - 20.5) < 3 for v in (x, y, z))
+    assert lines(scan(outlier=True), energy="threshold:50,") == []  # nothing is learned
+
+
+def test_a_few_outliers_do_not_change_what_is_learned():
+    plain, stone = (
+        segment(image, start=START, energy="threshold:learned,learned", max_steps=1, levels=1)
+        for image in (scan(), scan(outlier=True))
+    )
+    for key in ("LO", "HI"):
+        assert stone.terms[0][key] == pytest.approx(plain.terms[0][key], abs=4)
+
+
+def test_several_objects_are_named(tmp_path):
+    labels = np.zeros(SHAPE, int)
+    labels[18:22, 18:22, 18:22], labels[2:5, 2:5, 40:44] = 3, 9
+    from accelsurf.segmentation.api import segment_objects
+
+    found = segment_objects(scan(), labels, energy="threshold:60,", max_steps=1)
+    assert [line.split(":")[0] for line in found.warnings] == ["object 9"]
+
+
+def test_the_command_says_it_before_the_run_and_once(tmp_path, capsys):
+    io.write(Volume(scan(), Geometry(SHAPE, (1.0, 1.0, 1.0))), tmp_path / "scan.nii.gz")
+    words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", START, "--energy", "threshold:226,", "--quiet"]
+    cli.execute([*words, "-o", str(tmp_path / "out"), "--progress", "json"])
+    message = capsys.readouterr().err
+    assert message.count("everything will shrink") == 1
+    assert message.index("everything will shrink") < message.index('"event": "step"')
+    assert "everything will shrink" in (tmp_path / "out" / "scan_report.json").read_text()
