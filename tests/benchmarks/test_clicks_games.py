@@ -292,3 +292,19 @@ def test_tables_and_picture_are_made_of_the_games(tmp_path: Path, monkeypatch: p
     assert facts["figures"]["report"]["plain"]["watershed"]["noc"]["0.85"] == 4
     assert [path.name for path in written] == ["clicks.json", "page.md", "clicks.png"]
     assert written[-1].stat().st_size > 5000
+
+
+def test_an_album_has_the_slice_through_each_click(tmp_path: Path) -> None:
+    from benchmarks.clicks.pictures import Album
+
+    image, truth = ball_scan()
+    album = Album("any", "ball", "plain")
+    game = play(lambda i, s: Painter(i, s), image, truth, 3, watch=album.watcher(image, truth))
+    assert len(album.frames) == 3
+    for frame, one in zip(album.frames, game["clicks"], strict=True):
+        # Slices are 2 mm thick: they are across z, and the click is where its value says.
+        column, row = (int(value) for value in frame.at)
+        assert frame.values[row, column] == image.array[tuple(one["index"])]
+        assert frame.found[row, column] and frame.truth[row, column]
+        assert f"{one['dice']:.3f}" in frame.text
+    assert album.aspect == 1.0 and album.write(tmp_path).stat().st_size > 5000
