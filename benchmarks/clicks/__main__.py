@@ -60,7 +60,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of JSON and picture (benchmarks/results)")
     parser.add_argument("--tune", action="store_true", help=f"all settings of the grids, {TUNED_CLICKS} clicks")
     parser.add_argument("--again", action="store_true", help="play games again that are kept")
-    parser.add_argument("--pictures", action="store_true", help="of the result after each click, of games that are played")
+    parser.add_argument("--pictures", action="store_true", help="of the result after each click that is played")
     parser.add_argument("--render", action="store_true", help="play nothing")
     options = parser.parse_args(arguments)
     if options.clicks < 1 or options.threads < 1:

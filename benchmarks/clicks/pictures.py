@@ -1,4 +1,4 @@
-"""What a person would have seen: after each click the slice through it, with the result, the reference and the click."""
+"""What a person would have seen: after each click the slice through it, with result, reference and click."""
 
 from __future__ import annotations
 
