@@ -49,6 +49,7 @@ app = App(
 )
 app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in noise with and without momentum.")
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
+app.command("accelsurf.cli.refine:refine", name="refine", help="Correct a result by clicks; the rest stays as it is.")
 app.command("accelsurf.cli.synth:synth", name="synth", help="Make a synthetic volume and its truth from a recipe.")
 app.command("accelsurf.cli.compare:compare", name="compare", help="Run several flows on one volume side by side.")
 app.command("accelsurf.cli.movie:movie", name="movie", help="Make a movie of a run, without a screen.")

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.result import Result
 
 T = TypeVar("T")
+#: Computes the result of a case.
+Compute = Callable[["Place", RunConfig, "Watcher", "Log"], "Result"]
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,9 @@ class Finished:
     error: AccelsurfError | None = None
 
 
-def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = False) -> Finished:
+def run_case(
+    place: Place, config: RunConfig, watcher: Watcher, strict: bool = False, compute: Compute | None = None
+) -> Finished:
     """Run a case and write its outputs, all at once; what is wrong with its result is printed.
 
     Parameters
@@ -164,6 +168,9 @@ def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = F
         Shows progress, and ends the run at Ctrl-C.
     strict : bool
         Whether a run that did not converge, or whose result is doubtful, counts as failed.
+    compute : callable, optional
+        Computes the result, of another image than that of ``place`` or from more than it; by default a run from the
+        start.
 
     Raises
     ------
@@ -174,7 +181,8 @@ def run_case(place: Place, config: RunConfig, watcher: Watcher, strict: bool = F
     with outputs.opened_set(place.folder, place.name) as files:
         outputs.refuse_existing(place.paths(config), place.overwrite)
         try:
-            result = _compute(place, config, watcher, log)
+            result = (compute or _compute)(place, config, watcher, log)
+            config = result.config
             with watcher.writing():
                 finished = _write(place, config, result, log, files, strict, watcher)
         except BaseException as failure:
@@ -199,7 +207,7 @@ def _write(
     target = place if error is None else _failed_place(place, config, error)
     names = target.names(config, result.geometry.slice_axis is not None)
     with outputs.naming_final(files):
-        written = outputs.write_result(result, files.drafts, names, content, log.seconds)
+        written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum)
         log.outputs += describe_drafts(files, {path.name: kind for kind, path in written})
         interrupted = result.stop.reason == "interrupted"
         code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
@@ -238,12 +246,27 @@ def _warn(log: Log, error: AccelsurfError | None) -> None:
 
 
 def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+    volume, *more = read_image(place, config, log)
+    result = evolve(place.name, volume, more, config, watcher)
+    log.warnings.extend(result.warnings)
+    return result
+
+
+def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
+    """Read the channels of a case's image, and check that the formats of the outputs can hold a result on its grid.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read; UsageError when a format cannot hold the result.
+    """
     from accelsurf import io
     from accelsurf.io import channels, images
 
     volume, *more = log.timed("load", lambda: channels.read(place.source))
     log.geometry = volume.geometry
-    log.checksum = log.timed("load", lambda: io.sha256(place.source))
+    if log.checksum is None:
+        log.checksum = log.timed("load", lambda: io.sha256(place.source))
     if note := volume.metadata.get(io.WARNING_KEY):
         log.warnings.append(note)
     labels = place.label_format(config)
@@ -251,9 +274,7 @@ def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Res
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     canvas.preload_library()
-    result = evolve(place.name, volume, more, config, watcher)
-    log.warnings.extend(result.warnings)
-    return result
+    return [volume, *more]
 
 
 def evolve(name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher) -> Result:

@@ -7,7 +7,7 @@ import numpy as np
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.energies.interface import Interface
-from accelsurf.energies.region_sums import RegionMoments
+from accelsurf.energies.region_sums import Elsewhere, RegionMoments
 from accelsurf.levelset import LevelSet
 
 
@@ -29,6 +29,8 @@ class ChanVese(ImageEnergy):
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
     balance : float
         l1/l2, with l1 + l2 = 2: above 1 the inside must fit its mean more closely than the outside its own.
+    elsewhere : Elsewhere, optional
+        `RegionMoments` of the part of the object and of the image that are not on this grid; they count in the means.
     """
 
     def __init__(
@@ -38,18 +40,24 @@ class ChanVese(ImageEnergy):
         means: tuple[float, float] | None = None,
         epsilon: float = 0.0,
         balance: float = 1.0,
+        elsewhere: Elsewhere | None = None,
     ) -> None:
         super().__init__(image, alpha)
         self._interface = Interface(float(epsilon))
         self._weights = (2.0 * balance / (1.0 + balance), 2.0 / (1.0 + balance))
         self._area = AreaTerm(alpha)
         self._fixed = means
+        self._elsewhere = elsewhere
         self._all = self.sums.whole_image()
+        if elsewhere is not None:
+            self._all = self._all.plus(elsewhere.all)
         self.means = means or (0.0, 0.0)
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also sets `means` for the next `force`."""
         inside = self.sums.inside(surface, self._interface.fraction(surface, fraction))
+        if self._elsewhere is not None:
+            inside = inside.plus(self._elsewhere.inside)
         energy = 0.0
         means = []
         for i, sums in enumerate((inside, self._outside(inside))):

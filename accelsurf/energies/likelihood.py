@@ -12,7 +12,7 @@ from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.energies.interface import Interface
-from accelsurf.energies.region_sums import MomentTracker, RegionMoments
+from accelsurf.energies.region_sums import Elsewhere, MomentTracker, RegionMoments
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
 from accelsurf.levelset import BandChange, LevelSet, dot
@@ -49,6 +49,8 @@ class GaussianLikelihood(ImageEnergy):
         Fixed models of inside and outside; `gaussian_of` learns one.
     epsilon : float
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
+    elsewhere : Elsewhere, optional
+        `RegionMoments` of the part of the object and of the image that are not on this grid; they count in the models.
     """
 
     def __init__(
@@ -57,11 +59,15 @@ class GaussianLikelihood(ImageEnergy):
         alpha: float = 0.0,
         models: tuple[Gaussian, Gaussian] | None = None,
         epsilon: float = 0.0,
+        elsewhere: Elsewhere | None = None,
     ) -> None:
         super().__init__(image, alpha)
         self._interface = Interface(float(epsilon))
         self._area = AreaTerm(alpha)
+        self._elsewhere = elsewhere
         self._all = self.sums.whole_image()
+        if elsewhere is not None:
+            self._all = self._all.plus(elsewhere.all)
         self._min_variance = least_variance(image)
         self._fixed = models
         self.models = models or (Gaussian(0.0, 1.0), Gaussian(0.0, 1.0))
@@ -69,6 +75,8 @@ class GaussianLikelihood(ImageEnergy):
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also sets `models` for the next `force`."""
         inside = self.sums.inside(surface, self._interface.fraction(surface, fraction))
+        if self._elsewhere is not None:
+            inside = inside.plus(self._elsewhere.inside)
         outside = RegionMoments(*(a - b for a, b in zip(self._all, inside, strict=True)))
         models, energy = [], 0.0
         for i, sums in enumerate((inside, outside)):
@@ -181,6 +189,8 @@ class HistogramLikelihood(Energy):
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
     parzen : Parzen, optional
         The bins; by default from the image.
+    elsewhere : Elsewhere, optional
+        Histograms (BINS,) of the part of the object and of the image that are not on this grid.
 
     Raises
     ------
@@ -195,6 +205,7 @@ class HistogramLikelihood(Energy):
         samples: tuple[np.ndarray, np.ndarray] | None = None,
         epsilon: float = 0.0,
         parzen: Parzen | None = None,
+        elsewhere: Elsewhere | None = None,
     ) -> None:
         self.sums = MomentTracker(image)
         self.alpha = float(alpha)
@@ -205,6 +216,9 @@ class HistogramLikelihood(Energy):
         self._all = np.zeros(BINS)
         for begin in range(0, self.sums.image.size, 1 << 20):
             self._all += self._parzen.histogram(self.sums.image[begin : begin + (1 << 20)])
+        self._elsewhere = elsewhere
+        if elsewhere is not None:
+            self._all = self._all + elsewhere.all
         self._fixed: np.ndarray | None = None
         if samples is not None:
             if not all(values.size for values in samples):
@@ -251,8 +265,9 @@ class HistogramLikelihood(Energy):
             self.sums.image,
             self._parzen.scale,
         )
+        there = 0.0 if self._elsewhere is None else self._elsewhere.inside
         # A bin without voxels has a rounding error instead of 0.
-        inside = np.clip(self._beyond_band + band, 0.0, self._all)
+        inside = np.clip(self._beyond_band + band + there, 0.0, self._all)
         outside = self._all - inside
         if self._fixed is not None:
             energy = dot(self._fixed[0], inside) + dot(self._fixed[1], outside)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,21 @@ class RegionMoments(NamedTuple):
     voxels: float
     total: float
     squares: float
+
+    def plus(self, other: RegionMoments) -> RegionMoments:
+        """The sums over both of two regions that do not overlap."""
+        return RegionMoments(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+class Elsewhere(NamedTuple):
+    """Sums over the part of the image that is not on the grid at hand: ``inside`` the object, and over ``all`` of it.
+
+    `RegionMoments` for means and variances, histograms (BINS,) for densities. An energy of a box that gets them sees
+    the whole object: its box is where the surface moves, and the rest stays as it is.
+    """
+
+    inside: Any
+    all: Any
 
 
 class MomentTracker:

@@ -27,7 +27,7 @@ SCHEMA_VERSION = 2
 Status = Literal["ok", "failed", "interrupted"]
 
 #: Parts of a run that are timed, in the order they happen.
-TIMED = ("load", "start", "evolve", "mesh", "write", "total")
+TIMED = ("load", "start", "evolve", "refine", "mesh", "write", "total")
 
 
 def build(

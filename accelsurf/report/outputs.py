@@ -22,6 +22,7 @@ from accelsurf.report import object_files, preview, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.preview_content import PreviewContent
 from accelsurf.report.result_sets import is_failure_report
+from accelsurf.segmentation.state_file import state_bytes
 from accelsurf.settings.file_formats import (
     DEFAULT_IMAGE_FORMAT,
     IMAGE_FORMATS,
@@ -90,7 +91,21 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
         files["sdf"] = f"sdf.{IMAGE_FORMATS[labels].distances or labels}"
     if config.objects is not None:
         files["objects"] = "objects.csv"
+    if keeps_state(config):
+        files |= {"state": "state.npz", "config": "run.toml"}
     return files | {"trace": "trace.csv", "preview": "preview.png"}
+
+
+def keeps_state(config: RunConfig) -> bool:
+    """Whether the state of a run is written, from which it can be refined, and the settings that repeat it.
+
+    Examples
+    --------
+    >>> keeps_state(RunConfig()), keeps_state(RunConfig(inside="point:1,2,3")), keeps_state(RunConfig(keep_state="yes"))
+    (False, True, True)
+    """
+    clicked = bool(config.inside or config.outside or config.refine)
+    return config.keep_state == "yes" or (config.keep_state == "auto" and clicked)
 
 
 def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
@@ -216,6 +231,7 @@ def write_result(
     names: Mapping[str, str],
     content: PreviewContent,
     seconds: dict[str, float] | None = None,
+    image: str | None = None,
 ) -> Iterator[tuple[str, Path]]:
     """Write the files of a result, yielding kind and path of each when it is complete.
 
@@ -233,6 +249,8 @@ def write_result(
         For ``preview``.
     seconds : dict, optional
         The durations of ``mesh`` and ``write`` are added.
+    image : str, optional
+        SHA-256 of the image's file; without it there is no state.
 
     Raises
     ------
@@ -244,7 +262,7 @@ def write_result(
     meshes = list(_mesh_writers(result, names))
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
     writers = [*_label_writer(result, names), *meshes, *_distance_writer(result, names)]
-    writers += _table_writers(result, names, content)
+    writers += [*_table_writers(result, names, content), *_state_writers(result, names, image)]
     for kind, name, write in writers:
         began = time.perf_counter()
         write(folder / name)
@@ -266,6 +284,16 @@ def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Write
     """The writer of the signed distance."""
     if "sdf" in names and _has_surface(result):
         yield "sdf", names["sdf"], lambda path: io.write(result.labels_volume().with_array(result.psi), path)
+
+
+def _state_writers(result: Result, names: Mapping[str, str], image: str | None) -> Iterator[Writer]:
+    """The writers of the state, and of the settings that repeat the run."""
+    if result.state is None or image is None or not _has_surface(result):
+        return
+    if "state" in names:
+        yield "state", names["state"], lambda path: write_bytes(path, state_bytes(result, image))
+    if "config" in names:
+        yield "config", names["config"], lambda path: write_bytes(path, result.config.to_toml().encode())
 
 
 def _mesh_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:

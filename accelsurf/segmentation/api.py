@@ -15,6 +15,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
+from accelsurf.segmentation.refine import refined, state_of
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
@@ -82,7 +83,8 @@ def segment(
     ('converged', 1, True)
     """
     with _run_of(volume, spacing, channels, config, energy, options) as run:
-        return _result_at_end(run, None if on_step is None else lambda record, own: on_step(record))
+        result = _result_at_end(run, None if on_step is None else lambda record, own: on_step(record))
+    return refined(result, None if on_step is None else lambda record, own: on_step(record))
 
 
 def evolve(
@@ -179,7 +181,8 @@ def segment_objects(
     if objects is None and with_options(config, None, options)[0].objects is None:
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     with _run_of(volume, spacing, channels, config, energy, options, objects) as run:
-        return _result_at_end(run, on_step)
+        result = _result_at_end(run, on_step)
+    return refined(result, on_step)
 
 
 def _result_at_end(run: Run, on_step: Callable[[StepRecord, int], bool | None] | None) -> Result:
@@ -268,6 +271,7 @@ def result_of(run: Run) -> Result:
         kernels=run.seconds_by_kernel(),
         edits_done=run.edits_done,
         given=run.given,
+        state=state_of(run),
         warnings=run.level_warnings
         + [
             f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies import gaussian_of
+from accelsurf.energies import Parzen, gaussian_of
 from accelsurf.energies.likelihood import least_variance
+from accelsurf.energies.region_sums import Elsewhere, RegionMoments
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.initialization.region_growing import otsu_level
+from accelsurf.segmentation.region_totals import RegionTotals, moments_of
 from accelsurf.settings.energy_terms import HALF, Values
 from accelsurf.settings.run_config import RunConfig
 
@@ -131,6 +133,8 @@ class ImageContext:
         self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
         self._outside: dict[int, NDArray[Any]] = {}
         self._found: dict[tuple[Any, ...], Any] = {}
+        self._totals: RegionTotals | None = None
+        self._box = _EVERYWHERE
         self.clicks: Clicks | None = None
         self._model_inputs = ModelInputs()
         self._model: list[SeededModel] = []
@@ -156,6 +160,24 @@ class ImageContext:
         part.others, part._field = tuple(images), field
         return part
 
+    def seeing_elsewhere(self, totals: RegionTotals, box: Box) -> ImageContext:
+        """The same context for energies on a box of the image's grid that count the object beyond it too."""
+        part = copy.copy(self)
+        part._totals, part._box = totals, box
+        return part
+
+    def moments_elsewhere(self, channel: int) -> Elsewhere | None:
+        """Sums of a channel over what is not on the grid at hand; None where that is the whole image's."""
+        if self._totals is None:
+            return None
+        inside, whole = self._totals.beyond(self._box, channel, "moments", moments_of)
+        return Elsewhere(RegionMoments(*inside), RegionMoments(*whole))
+
+    def histograms_elsewhere(self, channel: int, parzen: Parzen) -> Elsewhere | None:
+        """The same as histograms."""
+        if self._totals is None:
+            return None
+        return Elsewhere(*self._totals.beyond(self._box, channel, "histogram", parzen.histogram))
     # -- clicks --------------------------------------------------------------------------------------------
 
     def with_model_inputs(self, inputs: ModelInputs) -> ImageContext:

@@ -23,6 +23,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.ensemble import overall_stop
+from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig
 
 #: Columns of the history that are summed over objects, and those of which the largest counts.
@@ -185,6 +186,8 @@ class Result:
         Number of edits of ``config`` that were applied.
     resolved_settings : dict
         Values used for settings that depend on image and grid: see `accelsurf.report.document`.
+    state : RunState or None
+        What `accelsurf.refine` goes on from; None where it is not to be kept.
     """
 
     objects: tuple[SegmentedObject, ...]
@@ -202,6 +205,7 @@ class Result:
     edits_done: int = 0
     given: tuple[str, ...] = ()
     resolved_settings: dict[str, Any] = field(default_factory=dict)
+    state: RunState | None = None
 
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)

@@ -71,6 +71,8 @@ class Run:
         As given, with the current edits, and with the seed that was drawn if none was given.
     settings : RunConfig
         The settings in force.
+    energy_given : Energy or callable or None
+        As given.
     has_ids : bool
         Whether objects with ids were given: labels are then ids, and none overlap.
     given : tuple of str
@@ -99,7 +101,7 @@ class Run:
     ) -> None:
         began = time.perf_counter()
         begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks)
-        self.volume, self.config, self._energy, config = volume, begin.config, energy, begin.config
+        self.volume, self.config, self.energy_given, config = volume, begin.config, energy, begin.config
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
         self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
         self.prepared, starts = begin.prepared, begin.starts
@@ -142,7 +144,7 @@ class Run:
         )
 
     def _energy_maker(self, settings: RunConfig) -> EnergyMaker:
-        return energy_maker(self._energy, settings, self._levels, self.has_ids)
+        return energy_maker(self.energy_given, settings, self._levels, self.has_ids)
 
     @property
     def geometry(self) -> Geometry:
@@ -344,7 +346,7 @@ class Run:
         ``edits`` are all up to this one; those that are in force and this one unless given.
         """
         ids = ids or [one.id for one in self._all]
-        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self._energy)
+        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self.energy_given)
         self._clicks.after((*self.config.edit[: self._edits_done], edit) if edits is None else edits)
 
     @property

@@ -46,7 +46,8 @@ def chan_vese(inputs: TermInputs) -> Made:
     """Two regions, each with its own mean."""
     balance = inputs.number("balance", inputs.config.balance)
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
-    energy = ChanVese(inputs.image, inputs.alpha, epsilon=epsilon, balance=balance)
+    elsewhere = inputs.context.moments_elsewhere(inputs.channel)
+    energy = ChanVese(inputs.image, inputs.alpha, epsilon=epsilon, balance=balance, elsewhere=elsewhere)
     return energy, {"balance": balance, "epsilon": epsilon}
 
 
@@ -89,9 +90,12 @@ def likelihood(inputs: TermInputs) -> Made:
     used: dict[str, Any] = {"model": model, "update": update, "epsilon": epsilon}
     if model == "histogram":
         learned = context.samples(channel) if update == "no" else None
-        return HistogramLikelihood(image, inputs.alpha, learned, epsilon, context.once(Parzen, channel)), used
+        parzen = context.once(Parzen, channel)
+        elsewhere = context.histograms_elsewhere(channel, parzen)
+        return HistogramLikelihood(image, inputs.alpha, learned, epsilon, parzen, elsewhere), used
     if update == "yes":
-        return GaussianLikelihood(image, inputs.alpha, epsilon=epsilon), used
+        moments = context.moments_elsewhere(channel)
+        return GaussianLikelihood(image, inputs.alpha, epsilon=epsilon, elsewhere=moments), used
     one, other = (gaussian_of(values, context.once(least_variance, channel)) for values in context.samples(channel))
     low, width = context.scales[channel]
     for name, (mean, variance) in (("inside", one), ("outside", other)):

@@ -108,9 +108,14 @@ OBJECT_VOXELS = Budget(
 SMOOTHING = Budget(
     "the sigma of a smoothing", 256, "voxels", "give a smaller length, in mm or with the suffix vox"
 )
+STATE_FILE = Budget("the state of a run", 1 << 34, "bytes", "is it the right file?")
+STATE_UNPACKED = Budget(
+    "a packed array of the state of a run", 1032, "bytes", "the file is damaged: run again", "packed byte (and 1024)"
+)
 
 #: All of them, in the order of the reference page.
 BUDGETS = (
     CONFIG, EXPRESSION, EDITS, TABLE, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS,
     MESH_FILE, MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING,
+    STATE_FILE, STATE_UNPACKED,
 )

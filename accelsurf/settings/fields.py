@@ -18,6 +18,7 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS, MESH_FORMATS, label_h
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.refinements import Refinement, refinements_of
 from accelsurf.settings.volumes import VOLUME
 
 #: A length in voxels, as it is written.
@@ -379,4 +380,10 @@ class SettingFields(BaseModel):
         False,
         "End the run where the surface first comes to rest, before it breaks through to something else.",
         entry=SettingEntry(RUN, fixed=True),
+    )
+    refine: Annotated[tuple[Refinement, ...], BeforeValidator(refinements_of)] = setting(
+        (),
+        "Corrections of the finished run, one after another: 'inside=point:X,Y,Z outside=WHERE near=MM' (with object=ID "
+        "among several objects); in TOML tables [[refine]]. accelsurf refine adds them.",
+        entry=SettingEntry(RUN, metavar="CLICKS", repeated=True, fixed=True),
     )

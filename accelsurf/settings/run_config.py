@@ -226,7 +226,7 @@ class RunConfig(SettingFields):
         Returns
         -------
         str
-            One line per field, a table per edit; fields that are ``None`` are left out.
+            One line per field, a table per edit and refinement; fields that are ``None`` are left out.
 
         Examples
         --------
@@ -236,7 +236,7 @@ class RunConfig(SettingFields):
         mesh = ["ply", "stl"]
         ...
         """
-        return toml.written(self.model_dump(), tables="edit")
+        return toml.written(self.model_dump(), tables=("edit", "refine"))
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,27 +49,28 @@ def read(path: str | Path) -> dict[str, Any]:
         ) from None
 
 
-def written(values: Mapping[str, Any], tables: str) -> str:
-    """Return values as TOML: a line for each but those that are None, and a table for each item of one of them.
+def written(values: Mapping[str, Any], tables: Sequence[str]) -> str:
+    """Return values as TOML: a line for each but those that are None, and a table for each item of some of them.
 
     Parameters
     ----------
     values : mapping
         Of str, bool, int, finite float, None, or tuples of them.
-    tables : str
-        Key of the value that is a sequence of mappings.
+    tables : sequence of str
+        Keys of the values that are sequences of mappings.
 
     Examples
     --------
-    >>> print(written({"cfl": 0.5, "mask": None, "edit": [{"step": 3}]}, tables="edit"), end="")
+    >>> print(written({"cfl": 0.5, "mask": None, "edit": [{"step": 3}]}, tables=["edit"]), end="")
     cfl = 0.5
     <BLANKLINE>
     [[edit]]
     step = 3
     """
-    lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None and key != tables]
-    for table in values[tables]:
-        lines += ["", f"[[{tables}]]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+    lines = [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None and key not in tables]
+    for name in tables:
+        for table in values[name]:
+            lines += ["", f"[[{name}]]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
 
 

@@ -41,7 +41,7 @@ REPORT_KEYS = {
     "touches_border": "whether the object lies on the volume's border",
     "quality": "how far to trust the result, without a reference; and warnings",
     "objects": "of several objects each: id, reason, measures, centroid (x, y, z) mm LPS, terms, quality",
-    "seconds": "wall time of load, start, evolve, mesh, write, total",
+    "seconds": "wall time of load, start, evolve, refine, mesh, write, total",
     "peak_rss_mb": "largest memory of the process, MB (10^6 bytes)",
     "warnings": "of the run and of the files",
     "outputs": "files that were written: path, kind, SHA-256; kind `data` is the data file of an .mhd header",

@@ -93,7 +93,8 @@ def _write(
         write_bytes(files.drafts / RUN_FILE, _toml(result.config, result, source).encode())
         kinds[RUN_FILE] = "run"
     content = outputs.preview_content(result, outputs.outcome_title(name, result))
-    kinds |= {path.name: kind for kind, path in outputs.write_result(result, files.drafts, names, content)}
+    image = io.sha256(source) if source is not None and "state" in names else None
+    kinds |= {path.name: kind for kind, path in outputs.write_result(result, files.drafts, names, content, image=image)}
     last = None
     if "report" in paths:
         last = paths["report"].name
@@ -138,7 +139,7 @@ def _write_report(
 def _kind(output: str) -> str:
     """The one of `KINDS` that an output belongs to."""
     kinds = {"labels": "labels", "data": "labels", "sdf": "labels", "objects": "report", "trace": "trace"}
-    kinds |= {"preview": "picture", "run": "run"}
+    kinds |= {"preview": "picture", "run": "run", "state": "report", "config": ""}
     return kinds.get(output, "mesh")
 
 

@@ -1,0 +1,190 @@
+"""``accelsurf refine``: a finished run goes on, corrected by clicks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from accelsurf.cli.options import FILES, RUN, SHOW, Display, Overwrite, required
+from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.settings.refinements import Refinement, refinements_of
+
+if TYPE_CHECKING:
+    from accelsurf.cli.case import Log, Place
+    from accelsurf.cli.progress import Watcher
+    from accelsurf.segmentation.result import Result
+    from accelsurf.segmentation.state_file import StateFile
+    from accelsurf.settings.run_config import RunConfig
+
+_STATE = "the state of a run is written with clicks, or with --keep-state yes"
+Where = Annotated[tuple[str, ...], Parameter(group=RUN, negative_iterable=(), show_default=False)]
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A finished run in a folder: its ``report``, the first part of its files' ``name``, and its ``image``."""
+
+    report: Path
+    name: str
+    image: Path
+    state: StateFile
+
+
+def refine(
+    result: Annotated[Path | None, Parameter(group=FILES)] = None,
+    *,
+    inside: Where = (),
+    outside: Where = (),
+    near: Annotated[str, Parameter(group=RUN)] = "auto",
+    object: Annotated[str | None, Parameter(group=RUN)] = None,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
+    image: Annotated[Path | None, Parameter(group=FILES)] = None,
+    overwrite: Overwrite = False,
+    strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    display: Display | None = None,
+) -> int:
+    """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays.
+
+    The run's files are replaced, all at once, unless another folder is given. A correction that fails leaves them as
+    they are. What accelsurf segment or refine wrote with its state (NAME_state.npz) can be refined; NAME_run.toml has
+    all settings and corrections, and accelsurf segment --config repeats them.
+
+    Parameters
+    ----------
+    result
+        Folder with the outputs of a run, or its report where several runs are in the folder.
+    inside
+        Voxels that are in the object, and stay in it: point:X,Y,Z, stroke:FILE, or as --start; may be repeated. All
+        clicks of one command are one correction.
+    outside
+        Voxels that are not in the object, and stay out of it.
+    near
+        How far from the clicks the surface may move, mm; auto is what the clicks are about.
+    object
+        Id of the object that is corrected, where there are several.
+    output
+        Folder for the outputs, in place of the run's own; made when missing.
+    image
+        The image, where it is not any more where the run found it.
+    overwrite
+        Replace outputs that exist, also those that somebody has changed since.
+    strict
+        Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
+    """
+    given = {"inside": inside, "outside": outside, "near": near, "object": object}
+    (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
+    from accelsurf.cli.case import Place, run_case
+    from accelsurf.cli.outcome import summary_lines
+    from accelsurf.cli.progress import Watcher
+
+    display = display or Display()
+    source = _source_of(required(result, "OUT, the folder of a result,"), image)
+    in_place = output is None or output.resolve() == source.report.parent.resolve()
+    folder = source.report.parent if output is None else output
+    place = Place(source.image, folder, source.name, overwrite or in_place)
+    if in_place and not overwrite:
+        _refuse_changed(place, source)
+    compute = _Refinement(source, refinement, in_place)
+    done = run_case(place, source.state.config, Watcher(display), strict, compute)
+    if not display.quiet:
+        lines = summary_lines(place.name, done.result, done.log.outputs, done.place.report_path, done.log.seconds["total"])
+        print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
+    return done.code
+
+
+class _Refinement:
+    """Computes a corrected result, in place of a run from the start."""
+
+    def __init__(self, source: _Source, refinement: Refinement, in_place: bool) -> None:
+        self._source, self._refinement, self._in_place = source, refinement, in_place
+        self._changes: tuple[Any, ...] = ()
+
+    def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+        from accelsurf.cli.case import read_image
+        from accelsurf.segmentation.refiner import Refiner
+        from accelsurf.segmentation.restored_result import restored
+
+        volume, *more = read_image(place, config, log)
+        _check_image(self._source, log.checksum)
+        with watcher.watch(place.name, config.max_steps):
+            refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
+            self._changes = refiner.apply(self._refinement, on_step=watcher.on_step)
+        result = refiner.result()
+        if result.stop.reason == "interrupted" and self._in_place:
+            raise KeyboardInterrupt  # the result that stands is a finished one
+        log.warnings.extend(result.warnings)
+        return result
+
+    def lines(self) -> list[str]:
+        """What the correction did, for the summary."""
+        return [
+            f"  {'moved' if one.voxels else 'nothing changed'}"
+            + (f" {one.voxels} voxels in {one.seconds:.2f} s" if one.voxels else "")
+            + (f" (object {one.object_id})" if len(self._changes) > 1 else "")
+            for one in self._changes
+        ]
+
+
+def _source_of(path: Path, image: Path | None) -> _Source:
+    """The finished run that a path names.
+
+    Raises
+    ------
+    InputError
+        When there is none, or more than one, or its state is missing or damaged.
+    """
+    from accelsurf.io import sha256
+    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.report import result_sets
+    from accelsurf.segmentation.state_file import read_state
+
+    folder = path if path.is_dir() else path.parent
+    if not path.exists():
+        raise InputError(f"{path}: there is no such folder or report", "give the folder that -o named")
+    finish_killed_runs(folder)
+    report = path
+    if path.is_dir():
+        known = {one: result_sets.state_of(one) for one in sorted(folder.glob("*_report.json"))}
+        found = [one for one, state in known.items() if state is not None]
+        if not found:
+            raise InputError(f"{path}: there is no result with a state to go on from", _STATE)
+        if len(found) > 1:
+            names = ", ".join(one.name for one in found[:5])
+            raise InputError(f"{path}: there are several results: {names}", "give the report of one")
+        report = found[0]
+    entry = result_sets.state_of(report)
+    if entry is None:
+        raise InputError(f"{report}: names no state to go on from", _STATE)
+    name, checksum, source = entry
+    state_path = report.parent / name
+    if not state_path.is_file() or sha256(state_path) != checksum:
+        raise InputError(f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE)
+    state = read_state(state_path)
+    where = image if image is not None else Path(source)
+    if not where.is_file():
+        raise InputError(f"{where}: the image of the run is not there", "give where it is now with --image FILE")
+    return _Source(report, report.name.removesuffix("_report.json"), where, state)
+
+
+def _check_image(source: _Source, checksum: str | None) -> None:
+    if checksum != source.state.image:
+        raise InputError(
+            f"{source.image}: is another image than that of the run, or was changed since",
+            "give that of the run with --image FILE, or run accelsurf segment again",
+        )
+
+
+def _refuse_changed(place: Place, source: _Source) -> None:
+    """Refuse to replace files that are not the run's any more."""
+    from accelsurf.report import result_sets
+
+    own = {*result_sets.unchanged_outputs(source.report, ()), source.report.name}
+    others = [path for path in place.paths(source.state.config).values() if path.exists() and path.name not in own]
+    if others:
+        raise OutputError(
+            f"{others[0]}: was changed since the run wrote it, or is not of this run",
+            "choose another folder with -o, or add --overwrite",
+        )

@@ -1,0 +1,135 @@
+"""The evolution of a part of a surface on a box of the grid, while the rest is held."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies import Energy
+from accelsurf.energies.constraints.clicks import ClickConstraint
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution.setup import SolverSetup
+from accelsurf.evolution.state import LoopState
+from accelsurf.grid.click_bounds import ClickBounds
+from accelsurf.grid.clicks import Side
+from accelsurf.grid.geometry import axis_steps
+from accelsurf.levelset import LevelSet, Workers
+from accelsurf.segmentation.near_region import NearRegion, near_bounds, signed_distance, united
+
+Spacing = tuple[float, float, float]
+#: What is called with each record; a true value ends the evolution.
+OnStep = Callable[[StepRecord], bool | None]
+
+
+class LocalProblem(NamedTuple):
+    """What moves, and what holds it; arrays on the box of the region.
+
+    ``psi`` (nz, ny, nx) of the surface before, mm; ``spacing``; ``region`` in which it may move; ``clicks``, the bounds
+    of all clicks there; ``won``, voxels (nz, ny, nx) that new clicks win, each with its side; ``energy`` of the box;
+    ``setup`` of the solver; ``max_steps`` of this evolution; the ``history`` so far.
+    """
+
+    psi: NDArray[np.float32]
+    spacing: Spacing
+    region: NearRegion
+    clicks: ClickBounds
+    won: list[tuple[Side, NDArray[np.bool_]]]
+    energy: Energy
+    setup: SolverSetup
+    max_steps: int
+    history: list[StepRecord]
+
+
+class LocalOutcome(NamedTuple):
+    """``psi`` on the box, the same bytes beyond the region; the whole ``history``; why it ended."""
+
+    psi: NDArray[np.float32]
+    history: list[StepRecord]
+    stop: Stop
+
+
+def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None = None) -> LocalOutcome:
+    """Evolve the surface in the region to rest, from its old place with the new clicks on their sides.
+
+    Parameters
+    ----------
+    problem : LocalProblem
+    workers : Workers
+    on_step : callable, optional
+
+    Returns
+    -------
+    LocalOutcome
+        Its history has the volume and area of the whole object; the potential is that of the box.
+    """
+    psi, spacing, setup = problem.psi, problem.spacing, problem.setup
+    surface = LevelSet(psi, spacing, setup.half_width, workers)
+    volume, area = _measures(surface)
+    before = signed_distance(psi, float(surface.gamma), spacing)
+    bounds = united(near_bounds(before, problem.region, spacing), problem.clicks)
+    dense = surface.dense.psi.reshape(surface.shape)
+    dense[...] = before
+    for side, basin in problem.won:
+        distance = _distance_to(basin & problem.region.mask, spacing)
+        np.copyto(dense, np.minimum(dense, distance) if side == "inside" else np.maximum(dense, -distance))
+    bounds.apply(dense)
+    surface.reinitialize(setup.half_width)
+    past = problem.history
+    offsets = (past[-1].volume_mm3 - volume, past[-1].area_mm2 - area)
+    # The last record of the run before has the final state, which is not final any more.
+    state = LoopState(past[:-1], past[-1].t, edits=1)
+    state.first = state.judged_at = state.returned_at = len(past) - 1
+    evolution = Evolution(
+        surface, ClickConstraint(problem.energy, bounds), setup.flow, setup.limits,
+        len(past) - 1 + problem.max_steps, setup.restart, setup.rule, 0, state,
+    )
+    for step in evolution:
+        record = _of_whole(step.record, offsets)
+        evolution.history[-1] = record
+        leaked = setup.max_volume is not None and record.volume_mm3 > setup.max_volume
+        if leaked or (on_step is not None and on_step(record)):
+            evolution.request_stop()
+    assert evolution.stop is not None
+    stop = evolution.stop
+    if setup.max_volume is not None and evolution.history[-1].volume_mm3 > setup.max_volume:
+        message = f"the object grew beyond {setup.max_volume:g} mm3, its largest allowed volume"
+        stop = stop._replace(reason="leaked", message=message)
+    psi_after = np.where(problem.region.mask, surface.psi, psi)
+    return LocalOutcome(psi_after, list(evolution.history), stop)
+
+
+def _distance_to(mask: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:
+    """Signed distance, mm, to some voxels, negative in them."""
+    if not mask.any():
+        return np.full(mask.shape, 1e6, np.float32)
+    half = 0.5 * min(axis_steps(mask.shape, spacing))
+    outside = ndimage.distance_transform_edt(~mask, spacing) - half
+    if mask.all():
+        return np.full(mask.shape, -1e6, np.float32)
+    inside = half - ndimage.distance_transform_edt(mask, spacing)
+    return np.where(mask, inside, outside).astype(np.float32)
+
+
+def _measures(surface: LevelSet) -> tuple[float, float]:
+    """Volume and area of a surface on its box, mm3 and mm2."""
+    fraction, area = surface.fraction_and_area()
+    return surface.volume(fraction), math.fsum(area)
+
+
+def measures_of(
+    psi: NDArray[np.float32], spacing: Spacing, half_width: float, workers: Workers
+) -> tuple[float, float]:
+    """Volume and area of a surface on a box, mm3 and mm2."""
+    return _measures(LevelSet(psi, spacing, half_width, workers))
+
+
+def _of_whole(record: StepRecord, offsets: tuple[float, float]) -> StepRecord:
+    """The record with the volume and area of the whole object."""
+    volume, area = offsets
+    return record._replace(volume_mm3=record.volume_mm3 + volume, area_mm2=record.area_mm2 + area)

@@ -1,0 +1,213 @@
+"""Where a correction may move the surface: near the new clicks, and less and less towards the rim.
+
+Beyond the region nothing changes. Within the rim, of width L, the surface may leave its old place by
+b(d) = L/4 u^2/(1 - u^2), u = d/L, at the depth d in the region: it leaves it at a tangent, so that there is no crease,
+and its curvature along the seam differs by at most b''(0) = 1/(2 L).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, widened
+from accelsurf.grid.click_bounds import ClickBounds
+from accelsurf.grid.clicks import Click
+from accelsurf.grid.geometry import axis_steps
+
+#: Width of the rim: at least so many voxels of the smallest spacing, and of the largest.
+RIM_SMALLEST, RIM_LARGEST = 6.0, 2.0
+#: How far a correction goes unless it is known: times the distance from the click to the surface, and its own radius.
+AUTO_TIMES = 2.0
+#: The smallest automatic region, voxels of the largest spacing.
+MIN_NEAR = 4.0
+#: First half width, voxels, of the box in which the surface is searched around a click.
+FIRST_SEARCH = 8
+
+Spacing = tuple[float, float, float]
+
+
+class NearRegion(NamedTuple):
+    """Where the surface may move: ``mask`` on a ``box`` of the grid, with more voxels around it; ``rim`` in mm."""
+
+    box: Box
+    mask: NDArray[np.bool_]
+    rim: float
+
+
+def rim_width(shape: Sequence[int], spacing: Spacing) -> float:
+    """Width of the rim, mm."""
+    steps = axis_steps(shape, spacing)
+    return max(RIM_SMALLEST * min(steps), RIM_LARGEST * max(steps))
+
+
+def around_clicks(
+    clicks: Sequence[Click], near: float, rim: float, shape: Sequence[int], spacing: Spacing, margin: float
+) -> NearRegion:
+    """The region within a distance of the clicks.
+
+    Parameters
+    ----------
+    clicks : sequence of Click
+    near : float
+        How far the surface may move, mm.
+    rim : float
+        Width of the rim, mm; at most half of ``near`` is used.
+    shape : (nz, ny, nx)
+        Of the grid.
+    spacing : (hz, hy, hx)
+        mm.
+    margin : float
+        How much of the grid beyond the region the energy and the surface see, mm.
+    """
+    low = np.min([corner_of(click.box) for click in clicks], axis=0)
+    high = np.max([[s.stop for s in click.box] for click in clicks], axis=0)
+    first = (int(low[0]), int(low[1]), int(low[2]))
+    room = [math.ceil((near + margin) / h) + 1 for h in spacing]
+    box = widened(box_at(first, tuple(high - low)), shape, room)
+    distance = ndimage.distance_transform_edt(~_voxels(clicks, box), spacing)
+    return NearRegion(box, np.asarray(distance <= near), min(rim, 0.5 * near))
+
+
+def around_changes(
+    changes: Sequence[tuple[Box, NDArray[np.bool_]]],
+    clicks: Sequence[Click],
+    rim: float,
+    shape: Sequence[int],
+    spacing: Spacing,
+    margin: float,
+) -> NearRegion | None:
+    """The region where clicks have changed the force, with the clicks and the rim around; None where that is nothing.
+
+    Parameters
+    ----------
+    changes : sequence of (Box, ndarray of bool)
+        Where the force changed, each on a box of the grid.
+    clicks : sequence of Click
+    rim, shape, spacing, margin
+        As of `around_clicks`.
+    """
+    parts = [(box, mask) for box, mask in changes if mask.any()]
+    if not parts:
+        return None
+    parts += [(click.box, click.mask) for click in clicks]
+    tight = [_tight(box, mask) for box, mask in parts]
+    low = np.min([corner_of(box) for box, _ in tight], axis=0)
+    high = np.max([[s.stop for s in box] for box, _ in tight], axis=0)
+    first = (int(low[0]), int(low[1]), int(low[2]))
+    room = [math.ceil((rim + margin) / h) + 1 for h in spacing]
+    box = widened(box_at(first, tuple(high - low)), shape, room)
+    whole = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
+    for at, mask in tight:
+        whole[tuple(slice(s.start - b.start, s.stop - b.start) for s, b in zip(at, box, strict=True))] |= mask
+    return NearRegion(box, np.asarray(ndimage.distance_transform_edt(~whole, spacing) <= rim), rim)
+
+
+def _tight(box: Box, mask: NDArray[np.bool_]) -> tuple[Box, NDArray[np.bool_]]:
+    """The smallest part of a box with all voxels of its mask."""
+    inner = bounding_box(mask)
+    assert inner is not None
+    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(inner, box, strict=True))
+    return (z, y, x), mask[inner]
+
+
+def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
+    """The voxels of clicks that lie in a box."""
+    mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
+    for click in clicks:
+        mask[tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True))] |= click.mask
+    return mask
+
+
+def automatic_near(psi: NDArray[np.float32], clicks: Sequence[Click], spacing: Spacing) -> float:
+    """How far a correction goes, mm, by its distance from the surface: a click lies in the middle of what is wrong.
+
+    Parameters
+    ----------
+    psi : ndarray (nz, ny, nx)
+        The surface, on the clicks' grid. Read around the clicks only.
+    clicks : sequence of Click
+    spacing : (hz, hy, hx)
+        mm.
+    """
+    least = MIN_NEAR * max(axis_steps(psi.shape, spacing))
+    for click in clicks:
+        radius = 0.5 * max(n * h for n, h in zip(click.mask.shape, spacing, strict=True))
+        least = max(least, AUTO_TIMES * (distance_to_surface(psi, click, spacing) + radius))
+    return least
+
+
+def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing) -> float:
+    """Distance, mm, from the voxels of a click that are on the wrong side to the nearest that are not; 0 for none.
+
+    Where a whole search finds nothing of the other side, it is the extent of the grid.
+    """
+    inside = click.side == "inside"
+    wrong = click.mask & ((psi[click.box] < 0) != inside)
+    if not wrong.any():
+        return 0.0
+    search = FIRST_SEARCH
+    while True:
+        box = widened(click.box, psi.shape, (search, search, search))
+        side = (psi[box] < 0) == inside
+        at = tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True))
+        covers_all = all(s.stop - s.start == n for s, n in zip(box, psi.shape, strict=True))
+        if side.any():
+            farthest = float(ndimage.distance_transform_edt(~side, spacing)[at][wrong].max())
+            # Beyond the box another voxel may be nearer than those found in its corners.
+            if covers_all or farthest <= search * min(axis_steps(psi.shape, spacing)):
+                return farthest
+        elif covers_all:
+            return float(max(n * h for n, h in zip(psi.shape, spacing, strict=True)))
+        search *= 2
+
+
+def signed_distance(psi: NDArray[np.float32], gamma: float, spacing: Spacing) -> NDArray[np.float32]:
+    """Psi with the distances beyond the band, where it is +-``gamma``, continued; mm."""
+    far = np.abs(psi) >= np.float32(gamma * (1.0 - 1e-6))
+    if far.all():
+        return np.where(psi < 0, np.float32(-1e6), np.float32(1e6))
+    beyond = gamma + ndimage.distance_transform_edt(far, spacing)
+    return np.where(far, np.copysign(beyond, psi), psi).astype(np.float32)
+
+
+def near_bounds(before: NDArray[np.float32], region: NearRegion, spacing: Spacing) -> ClickBounds:
+    """Bounds of psi that hold the surface beyond the region and let it go within it.
+
+    Parameters
+    ----------
+    before : ndarray, shape of the region's box, float32
+        The surface before, a signed distance, mm.
+    region : NearRegion
+    spacing : (hz, hy, hx)
+        mm.
+    """
+    depth = np.full(before.shape, np.inf)
+    if not region.mask.all():
+        depth = ndimage.distance_transform_edt(region.mask, spacing)
+    bounded = depth < region.rim
+    u2 = (depth[bounded] / region.rim) ** 2
+    room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
+    cells = np.flatnonzero(bounded)
+    shape = before.shape
+    values = before[bounded]
+    return ClickBounds((shape[0], shape[1], shape[2]), cells, values - room, values + room)
+
+
+def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
+    """Both bounds; where they contradict each other, the clicks' hold."""
+    cells = np.union1d(near.cells, clicks.cells)
+    low, high = np.full(cells.size, -np.inf, np.float32), np.full(cells.size, np.inf, np.float32)
+    at = np.searchsorted(cells, near.cells)
+    low[at], high[at] = near.low, near.high
+    at = np.searchsorted(cells, clicks.cells)
+    before_low, before_high = low[at], high[at]
+    # A click in what is held moves its bounds along.
+    low[at] = np.minimum(np.maximum(before_low, clicks.low), np.maximum(clicks.high, clicks.low))
+    high[at] = np.maximum(np.minimum(before_high, clicks.high), np.minimum(clicks.low, clicks.high))
+    return ClickBounds(near.shape, cells, low, high)

@@ -1,0 +1,93 @@
+"""refine(): a finished run goes on from its result, corrected by clicks."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+from accelsurf.segmentation.refiner import OnObjectStep, Refiner
+from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.run_state import RunState
+from accelsurf.settings.refinements import refinements_of
+
+if TYPE_CHECKING:
+    from accelsurf.segmentation.run import Run
+
+
+def refine(
+    result: Result,
+    *,
+    inside: str | Sequence[str] = (),
+    outside: str | Sequence[str] = (),
+    near: float | Literal["auto"] = "auto",
+    object: int | None = None,
+    on_step: OnObjectStep | None = None,
+) -> Result:
+    """Correct a result by clicks: the surface moves near them, and beyond it every byte stays.
+
+    Parameters
+    ----------
+    result : Result
+        Of `accelsurf.segment`, `accelsurf.segment_objects` or `accelsurf.refine`; it is not changed.
+    inside, outside : str or sequence of str
+        Voxels that are in the object, and that are not: ``point:X,Y,Z``, ``stroke:FILE``, or written as a start.
+        All together are one correction.
+    near : float or "auto"
+        How far from the clicks the surface may move, mm.
+    object : int, optional
+        Id of the object, where there are several.
+    on_step : callable, optional
+        Called with each `StepRecord` and the id of its object; a true return value ends the correction.
+
+    Returns
+    -------
+    Result
+        Its ``config`` has the correction, and repeats the run and it.
+
+    Raises
+    ------
+    UsageError
+        When nothing was clicked, an object does not exist, or the result was made with ``keep_state="no"``.
+    InputError
+        When a click lies outside of the image, or a voxel was clicked on both sides.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import accelsurf
+    >>> z, y, x = np.indices((24, 24, 48)) - 11.5
+    >>> image = (z**2 + y**2 + np.minimum(abs(x), abs(x - 24))**2 < 7**2) * 100.0
+    >>> result = accelsurf.segment(image, start="ball:11.5,11.5,11.5,4", energy="threshold:50,", smoothness=1)
+    >>> more = refine(result, inside="ball:35.5,11.5,11.5,3")
+    >>> bool(result.labels[12, 12, 36]), bool(more.labels[12, 12, 36])
+    (False, True)
+    """
+    table = {"inside": inside, "outside": outside, "near": near, "object": object}
+    (refinement,) = refinements_of({key: value for key, value in table.items() if value is not None})
+    refiner = Refiner(result)
+    refiner.apply(refinement, on_step=on_step)
+    return refiner.result()
+
+
+def refined(result: Result, on_step: OnObjectStep | None = None) -> Result:
+    """Make the corrections of a run's settings after it has ended; of one that was interrupted none is made."""
+    wanted = result.config.refine
+    if not wanted:
+        return result
+    config = result.config.replace(refine=())
+    if result.stop.reason == "interrupted":
+        skipped = f"{len(wanted)} refinements were not made: the run was interrupted"
+        return dataclasses.replace(result, config=config, warnings=[*result.warnings, skipped])
+    refiner = Refiner(dataclasses.replace(result, config=config))
+    for refinement in wanted:
+        refiner.apply(refinement, on_step=on_step)
+    return refiner.result()
+
+
+def state_of(run: Run) -> RunState | None:
+    """What a finished run leaves to be refined from; None where the settings say so."""
+    if run.config.keep_state == "no":
+        return None
+    contexts = {one.id: one.context for one in run.objects}
+    return RunState(run.prepared, contexts, run.energy_given, run.clicks)

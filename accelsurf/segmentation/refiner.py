@@ -1,0 +1,427 @@
+"""Refiner: goes on from a finished run, correction after correction, each at the cost of its neighbourhood."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies.constraints.mask import MaskConstraint
+from accelsurf.errors import UsageError
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared
+from accelsurf.grid.click_bounds import click_bounds
+from accelsurf.grid.clicks import Click, Clicks, Side
+from accelsurf.grid.pyramid import Level
+from accelsurf.levelset import Workers
+from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, measures_of
+from accelsurf.segmentation.local_model import ModelChange, basin_of, local_models
+from accelsurf.segmentation.near_region import NearRegion, around_changes, around_clicks, automatic_near, rim_width
+from accelsurf.segmentation.new_clicks import check_object, clicks_of, clicks_on, placed_clicks, refuse_contradictions
+from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.segmentation.region_totals import RegionTotals
+from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run_setup import available_cores, energy_maker, setup_of, window_reach
+from accelsurf.segmentation.solver_setup import half_width, is_maker
+from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.run_config import RunConfig
+
+#: A correction begins near its end, as a run does after a coarser level: the stop rule is that of two levels.
+LEVELS = 2
+#: What is called with each record and the id of its object; a true value ends the correction.
+OnObjectStep = Callable[[StepRecord, int], bool | None]
+#: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.
+MARGIN = 5.0
+
+
+class Change(NamedTuple):
+    """What a correction did: voxels of the grid that changed sides, in a ``box`` of it; seconds of the solver."""
+
+    object_id: int
+    box: Box
+    voxels: int
+    seconds: float
+    stop: Stop
+
+
+class _Surface(NamedTuple):
+    """A surface between two corrections, as a value: psi (nz, ny, nx) from voxel ``corner`` of the region of interest.
+
+    ``inside`` is the number of its voxels.
+    """
+
+    id: int
+    corner: Corner
+    psi: NDArray[np.float32]
+    inside: int
+    history: list[StepRecord]
+    stop: Stop
+
+
+class _Before(NamedTuple):
+    """What `Refiner.undo` puts back: a surface, and its psi in the ``box`` of its array that was changed."""
+
+    place: int
+    surface: _Surface
+    box: Box
+    psi: NDArray[np.float32]
+    totals: dict[str, NDArray[np.float64]]
+
+
+class _Correction(NamedTuple):
+    """What `Refiner.undo` needs of a correction: settings and clicks before it, and what it changed, in order."""
+
+    config: RunConfig
+    clicks: Clicks
+    surfaces: list[_Before]
+    models: list[tuple[int, ModelChange]]
+
+
+class Refiner:
+    """A finished run that is corrected, click by click.
+
+    Parameters
+    ----------
+    result : Result
+        Of `accelsurf.segment` or of a refinement; it is not changed.
+
+    Attributes
+    ----------
+    config : RunConfig
+        That of the run, with the corrections so far.
+
+    Raises
+    ------
+    UsageError
+        When the result has no state, or its energy is one of the user's own that belongs to one grid.
+    """
+
+    def __init__(self, result: Result) -> None:
+        state = result.state
+        if state is None:
+            raise UsageError("refine: the result has no state to go on from", "run with keep_state=yes")
+        if state.energy is not None and not isinstance(state.energy, str) and not is_maker(state.energy):
+            raise UsageError(
+                "refine: the energy has one image, and a correction needs it on a box",
+                "give a class or function that makes the energy of (image, spacing)",
+            )
+        self._result, self._state, self.config = result, state, result.config
+        self._settings = frozen_settings(result)
+        self._images = state.prepared.images
+        self._shape, self._spacing = state.prepared.geometry.shape, state.prepared.geometry.spacing
+        self._reach = window_reach(self._settings, state.prepared.geometry)
+        self._surfaces = [self._surface_of(one) for one in result.objects]
+        self._regional = RegionTotals(self._images, self._surfaces[0].psi, state.totals)
+        self._clicks = state.clicks or Clicks((), self._shape)
+        self._models = local_models(state, self._settings, [one.id for one in self._surfaces])
+        self._undo: list[_Correction] = []
+        self._seconds = 0.0
+
+    def _surface_of(self, one: SegmentedObject) -> _Surface:
+        """The surface of an object on the grid of the region of interest."""
+        roi = self._state.prepared.box
+        box = tuple(slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(one.box, roi, strict=True))
+        part = tuple(slice(s.start - o.start, s.stop - o.start) for s, o in zip(box, one.box, strict=True))
+        psi = np.array(one.psi[part], np.float32, order="C")
+        z, y, x = (s.start - r.start for s, r in zip(box, roi, strict=True))
+        inside = int(np.count_nonzero(psi < 0))
+        return _Surface(one.id, (z, y, x), psi, inside, one.history, one.stop)
+
+    # -- corrections ---------------------------------------------------------------------------------------
+
+    def apply(
+        self, refinement: Refinement, clicks: Sequence[Click] | None = None, on_step: OnObjectStep | None = None
+    ) -> tuple[Change, ...]:
+        """Correct the objects that new clicks are about, each in a region around them.
+
+        Parameters
+        ----------
+        refinement : Refinement
+        clicks : sequence of Click, optional
+            Those of the refinement, on the image's grid; by default they are read from its texts.
+        on_step : callable, optional
+            Called with each record and the id of its object; a true value ends the correction.
+
+        Returns
+        -------
+        tuple of Change
+            One for each object whose surface was looked at.
+
+        Raises
+        ------
+        UsageError
+            When no object has the id, or a click contradicts an earlier one.
+        """
+        ids = [one.id for one in self._surfaces]
+        check_object(refinement, ids if self._result.has_ids else None)
+        prepared = self._state.prepared
+        new = placed_clicks(clicks_of(refinement, self._result) if clicks is None else clicks, prepared)
+        everything = self._clicks.with_more(new)
+        refuse_contradictions(new, everything, ids, prepared.geometry, prepared.first)
+        self._undo.append(_Correction(self.config, self._clicks, [], []))
+        self.config = self.config.replace(refine=(*self.config.refine, refinement))
+        self._clicks = everything
+        began = time.perf_counter()
+        changes = []
+        with Workers(available_cores() if self.config.threads == "auto" else self.config.threads) as workers:
+            for place, one in enumerate(self._surfaces):
+                if mine := clicks_on(new, one.id):
+                    changes.append(self._correct(place, mine, refinement.near, workers, on_step))
+        self._seconds += time.perf_counter() - began
+        return tuple(changes)
+
+    def undo(self) -> None:
+        """Go back to the state before the last correction; with none nothing happens."""
+        if not self._undo:
+            return
+        last = self._undo.pop()
+        self.config, self._clicks = last.config, last.clicks
+        for id, change in reversed(last.models):
+            self._models[id].undo(change)
+        for place, before, box, psi, totals in reversed(last.surfaces):
+            before.psi[box] = psi
+            self._surfaces[place] = before
+            self._regional.totals = totals
+
+    def _correct(
+        self, place: int, new: Sequence[Click], near: float | str, workers: Workers, on_step: OnObjectStep | None
+    ) -> Change:
+        """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
+        began = time.perf_counter()
+        one = self._grown(place, _box_around(new))
+        won = self._won(one.id, new)
+        if self._are_kept(one, new) and not any(self._is_near(one, change) for change in won):
+            return Change(one.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, one.stop)
+        takes = frozenset(self._holders(new)) - {place}
+        region = self._region(one, new, won, near)
+        one = self._grown(place, region.box)
+        box = _within(region.box, one.corner)
+        psi = one.psi[box].copy()
+        totals = self._regional
+        if self._result.has_ids:
+            domain = box_at(one.corner, one.psi.shape)
+            totals = RegionTotals([image[domain] for image in self._images], one.psi)
+        problem = self._problem(one, region, psi, totals, takes)._replace(won=self._basins(one.id, new, won, region))
+        outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, one.id))
+        inside = one.inside + _count(outcome.psi) - _count(psi)
+        stop = _stop_of(outcome.stop, inside, math.prod(self._shape))
+        self._put(place, box, outcome.psi, one._replace(inside=inside, history=outcome.history, stop=stop))
+        for other in sorted(takes):
+            self._cut(other, region, outcome.psi, workers)
+        changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
+        return Change(one.id, region.box, changed, time.perf_counter() - began, stop)
+
+    def _put(self, place: int, box: Box, psi: NDArray[np.float32], after: _Surface) -> None:
+        """Put a changed part of a surface in its place, so that `undo` can take it back."""
+        one = self._surfaces[place]
+        before = one.psi[box].copy()
+        self._undo[-1].surfaces.append(_Before(place, one, box, before, dict(self._regional.totals)))
+        one.psi[box] = psi
+        if not self._result.has_ids:
+            self._regional.change(box, before < 0, psi < 0)
+        self._surfaces[place] = after
+
+    def _won(self, id: int, new: Sequence[Click]) -> list[ModelChange]:
+        """Change the model of an object by new clicks; none where its energy has no model."""
+        if id not in self._models:
+            return []
+        won = [self._models[id].add(click) for click in new]
+        self._undo[-1].models.extend((id, change) for change in won)
+        return won
+
+    def _are_kept(self, one: _Surface, new: Sequence[Click]) -> bool:
+        """Whether all voxels of new clicks are on their sides already."""
+        placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape)).clicks
+        return all(((one.psi[click.box] < 0) == (click.side == "inside"))[click.mask].all() for click in placed)
+
+    def _is_near(self, one: _Surface, change: ModelChange) -> bool:
+        """Whether a change of the model comes within the band of a surface."""
+        mine, theirs = shared(one.corner, one.psi.shape, corner_of(change.box), change.mask.shape)
+        if any(s.start >= s.stop for s in mine):
+            return False
+        band = np.abs(one.psi[mine]) < half_width(self._settings) * max(self._spacing)
+        return bool((band & change.mask[theirs]).any())
+
+    def _basins(
+        self, id: int, new: Sequence[Click], won: Sequence[ModelChange], region: NearRegion
+    ) -> list[tuple[Side, NDArray[np.bool_]]]:
+        """What new clicks win by the model, with their sides, on the box of a region."""
+        out: list[tuple[Side, NDArray[np.bool_]]] = []
+        for click, change in zip(new, won, strict=False):
+            basin = basin_of(click, change.box, change.mask, self._models[id].field[change.box])
+            mask = np.zeros(region.mask.shape, np.bool_)
+            mine, theirs = shared(corner_of(region.box), mask.shape, corner_of(change.box), basin.shape)
+            if all(s.start < s.stop for s in mine):
+                mask[mine] = basin[theirs]
+            out.append((click.side, mask))
+        return out
+
+    def _region(
+        self, one: _Surface, new: Sequence[Click], won: Sequence[ModelChange], near: float | str
+    ) -> NearRegion:
+        """Where the surface may move for new clicks: within ``near``, or where they win, or by their depth."""
+        rim = rim_width(self._shape, self._spacing)
+        margin = max(MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1), self._reach)
+        if isinstance(near, str) and won:
+            found = around_changes([(c.box, c.mask) for c in won], new, rim, self._shape, self._spacing, margin)
+            if found is not None:
+                return found
+        if isinstance(near, str):
+            placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape)).clicks
+            near = automatic_near(one.psi, placed, self._spacing) + rim
+        return around_clicks(new, near, rim, self._shape, self._spacing, margin)
+
+    def _problem(
+        self, one: _Surface, region: NearRegion, psi: NDArray[np.float32], totals: RegionTotals, takes: frozenset[int]
+    ) -> LocalProblem:
+        """What is evolved for a region: energy and clicks on its box."""
+        state = self._state
+        settings = self._settings.replace(seed=None if self.config.seed is None else self.config.seed + one.id)
+        context = state.contexts[one.id].seeing_elsewhere(totals, _within(region.box, one.corner))
+        images = [np.ascontiguousarray(image[region.box]) for image in self._images]
+        make = energy_maker(state.energy, settings, 1, self._result.has_ids)
+        model = self._models.get(one.id)
+        field = None if model is None else lambda: np.ascontiguousarray(model.field[region.box])
+        energy = make(images[0], self._spacing, context.with_channels(images[1:], field)).energy
+        distance = self._bounding(one, region, takes)
+        if distance is not None:
+            energy = MaskConstraint(energy, distance)
+        clicks = self._clicks.of(one.id).on_box(region.box)
+        bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
+        setup = setup_of(settings, 0, LEVELS, state.prepared.geometry)
+        return LocalProblem(
+            psi, self._spacing, region, bounds, [], energy, setup, self.config.max_steps, one.history
+        )
+
+    # -- several objects -----------------------------------------------------------------------------------
+
+    def _holders(self, new: Sequence[Click]) -> list[int]:
+        """Places of the objects that have voxels of new inside clicks."""
+        out = []
+        for place, one in enumerate(self._surfaces):
+            placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape))
+            if any((one.psi[c.box] < 0)[c.mask].any() for c in placed.clicks if c.side == "inside"):
+                out.append(place)
+        return out
+
+    def _bounding(self, one: _Surface, region: NearRegion, takes: frozenset[int]) -> NDArray[np.float32] | None:
+        """Signed distance, mm, that bounds an object: that of the mask, and those to others it takes nothing from."""
+        mask = self._state.prepared.mask_distance
+        distance = None if mask is None else mask[region.box]
+        for place, other in enumerate(self._surfaces):
+            if other.id == one.id or place in takes:
+                continue
+            mine, theirs = shared(
+                corner_of(region.box), [s.stop - s.start for s in region.box], other.corner, other.psi.shape
+            )
+            if any(s.start >= s.stop for s in mine):
+                continue
+            if distance is None:
+                distance = np.full(tuple(s.stop - s.start for s in region.box), -1e6, np.float32)
+            distance = distance.copy()
+            distance[mine] = np.maximum(distance[mine], -other.psi[theirs])
+        return distance
+
+    def _cut(self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers) -> None:
+        """Take from an object what another has gained in a region."""
+        one = self._surfaces[place]
+        mine, theirs = shared(corner_of(region.box), winner.shape, one.corner, one.psi.shape)
+        psi = one.psi[theirs].copy()
+        after = np.where(region.mask[mine], np.maximum(psi, -winner[mine]), psi)
+        if not ((after < 0) != (psi < 0)).any():
+            return
+        width = half_width(self._settings)
+        volume, area = (measures_of(part, self._spacing, width, workers) for part in (psi, after))
+        last = one.history[-1]
+        last = last._replace(
+            volume_mm3=last.volume_mm3 + area[0] - volume[0], area_mm2=last.area_mm2 + area[1] - volume[1]
+        )
+        inside = one.inside + _count(after) - _count(psi)
+        stop = _stop_of(one.stop, inside, math.prod(self._shape))
+        self._put(place, theirs, after, one._replace(inside=inside, history=[*one.history[:-1], last], stop=stop))
+
+    def _grown(self, place: int, box: Box) -> _Surface:
+        """A surface on an array that has a box of the grid."""
+        one = self._surfaces[place]
+        low = np.minimum(one.corner, corner_of(box))
+        high = np.maximum(np.add(one.corner, one.psi.shape), [s.stop for s in box])
+        shape = tuple(int(n) for n in high - low)
+        if shape == one.psi.shape:
+            return one
+        psi = np.full(shape, np.abs(one.psi).max(), np.float32)
+        corner = (int(low[0]), int(low[1]), int(low[2]))
+        psi[_within(box_at(one.corner, one.psi.shape), corner)] = one.psi
+        self._surfaces[place] = one._replace(corner=corner, psi=psi)
+        return self._surfaces[place]
+
+    # -- result --------------------------------------------------------------------------------------------
+
+    def result(self) -> Result:
+        """The present state as a result; later corrections do not change it."""
+        base = self._result
+        objects = tuple(self._object(one, now) for one, now in zip(base.objects, self._surfaces, strict=True))
+        models = {id: model.model() for id, model in self._models.items()}
+        state = dataclasses.replace(
+            self._state, totals=dict(self._regional.totals), clicks=self._clicks, models=models
+        )
+        seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
+        return dataclasses.replace(base, objects=objects, config=self.config, state=state, seconds=seconds)
+
+    def _object(self, one: SegmentedObject, now: _Surface) -> SegmentedObject:
+        prepared, whole = self._state.prepared, self._result.geometry
+        if now.history is one.history:
+            return one
+        if not self._result.has_ids:
+            psi = prepared.on_whole_grid(now.psi)
+            psi = psi.copy() if psi is now.psi else psi
+            return dataclasses.replace(one, psi=psi, history=now.history, stop=now.stop)
+        low = [c + s.start for c, s in zip(now.corner, prepared.box, strict=True)]
+        box = box_at((low[0], low[1], low[2]), now.psi.shape)
+        part = self._result.image[box]
+        return dataclasses.replace(
+            one, box=box, psi=now.psi.copy(), image=part, geometry=cropped(whole, box), history=now.history,
+            stop=now.stop,
+        )
+
+
+def frozen_settings(result: Result) -> RunConfig:
+    """The settings at the end of a run; what was measured on the whole image is a number in them."""
+    settings = result.config.at(result.config.max_steps)
+    contrasts = [term["contrast"] for term in result.objects[0].terms if isinstance(term.get("contrast"), float)]
+    if settings.edge_contrast == "auto" and contrasts:
+        settings = settings.replace(edge_contrast=contrasts[0])
+    return settings.replace(refine=())
+
+
+def _count(psi: NDArray[np.float32]) -> int:
+    """Number of voxels inside."""
+    return int(np.count_nonzero(psi < 0))
+
+
+def _within(box: Box, corner: Corner) -> Box:
+    """A box counted from another first voxel."""
+    z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, corner, strict=True))
+    return z, y, x
+
+
+def _box_around(clicks: Sequence[Click]) -> Box:
+    """The box around clicks."""
+    low = np.min([corner_of(click.box) for click in clicks], axis=0)
+    high = np.max([[s.stop for s in click.box] for click in clicks], axis=0)
+    return box_at((int(low[0]), int(low[1]), int(low[2])), [int(n) for n in high - low])
+
+
+def _stop_of(stop: Stop, inside: int, voxels: int) -> Stop:
+    """Why a correction ended, of the whole object: a part of it that is gone is not the whole."""
+    if inside == 0:
+        return stop._replace(reason="vanished", message="the corrected object has no voxel left")
+    if inside == voxels:
+        return stop._replace(reason="filled", message="the corrected object fills the whole volume")
+    if stop.reason in ("vanished", "filled"):
+        return stop._replace(reason="converged", message="the correction left no surface near the click")
+    return stop

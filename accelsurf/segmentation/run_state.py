@@ -1,0 +1,43 @@
+"""What a finished run leaves besides its result, from which it can be refined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies.seeded import SeededModel
+from accelsurf.grid.clicks import Clicks
+from accelsurf.segmentation.image_context import ImageContext
+from accelsurf.segmentation.preprocessing import PreprocessedInput
+from accelsurf.segmentation.run_setup import EnergyLike
+
+
+@dataclass(frozen=True, eq=False)
+class RunState:
+    """What a refinement needs besides the surfaces and settings of a `Result`.
+
+    Attributes
+    ----------
+    prepared : PreprocessedInput
+        Image and mask of the run.
+    contexts : mapping of int to ImageContext
+        Of each object.
+    energy : Energy or callable or None
+        One of the user's own; None for one with a name.
+    clicks : Clicks or None
+        All clicks so far, on the grid of the region of interest; None for none.
+    models : mapping of int to SeededModel
+        Of each object after all refinements; empty before the first, or where the energy has none.
+    totals : mapping of str to ndarray (2, m)
+        Of `accelsurf.segmentation.region_totals.RegionTotals`; empty before the first refinement.
+    """
+
+    prepared: PreprocessedInput
+    contexts: Mapping[int, ImageContext] = field(default_factory=dict)
+    energy: EnergyLike | None = None
+    clicks: Clicks | None = None
+    models: Mapping[int, SeededModel] = field(default_factory=dict)
+    totals: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
