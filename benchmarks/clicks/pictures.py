@@ -40,6 +40,7 @@ class Album:
     kind: str
     frames: list[Frame] = field(default_factory=list)
     aspect: float = 1.0
+    window: tuple[float, float] = (0.0, 1.0)
 
     def watcher(self, image: Volume, truth: Mask) -> Callable[[PersonClick, Mask], None]:
         """What a game calls after each click."""
@@ -49,6 +50,9 @@ class Album:
         axis = int(np.argmax(image.geometry.spacing))
         sides = [i for i in range(3) if i != axis]
         self.aspect = image.geometry.spacing[sides[0]] / image.geometry.spacing[sides[1]]
+        # The window: the object's own range of values, and as much again to both sides.
+        low, high = np.percentile(image.array[truth], (1, 99))
+        self.window = float(2 * low - high), float(2 * high - low)
         shown = []
         for i in sides:
             margin = int(AROUND * (box[i].stop - box[i].start)) + 5
@@ -81,8 +85,7 @@ class Album:
         for axis in axes.flat:
             axis.set_axis_off()
         for axis, frame in zip(axes.flat, self.frames, strict=False):
-            low, high = np.percentile(frame.values, (1, 99))
-            axis.imshow(frame.values, cmap="gray", vmin=low, vmax=high, aspect=self.aspect)
+            axis.imshow(frame.values, cmap="gray", vmin=self.window[0], vmax=self.window[1], aspect=self.aspect)
             for mask, colour, style in ((frame.truth, REFERENCE, "--"), (frame.found, FOUND, "-")):
                 if mask.any() and not mask.all():
                     axis.contour(mask, [0.5], colors=colour, linewidths=1.2, linestyles=style)
