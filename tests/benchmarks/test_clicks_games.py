@@ -149,7 +149,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     peer = peers.ClickPeer("made-up", solver, [{"reach": 2.0, "cut": 5.0}, {"reach": 3.0, "cut": -99.0}])
     monkeypatch.setattr(methods, "METHODS", {"made-up": methods.Method("made-up", peer.grid, peer=peer)})
     monkeypatch.setattr(tables, "METHODS", methods.METHODS)
-    monkeypatch.setattr(tables, "write", lambda folder: [])
+    monkeypatch.setattr(tables, "write", lambda folder, page: [])
     return played
 
 
@@ -288,9 +288,10 @@ def test_tables_and_picture_are_made_of_the_games(tmp_path: Path, monkeypatch: p
     assert "| watershed | 0.600 | 0.700 | 0.800 | 0.900 |  |  | 3 | 4 | 5 | 100% | 0.0% |" in text
     assert "| median Dice after one click, as the best peer's | at least 0.6 | 0.8 | yes |" in text
     assert "| median Dice after one click and a size | at least 0.82 | - | not measured |" in text
+    assert (tmp_path / "clicks.md").read_text() in text
     facts = json.loads((tmp_path / "clicks.json").read_text())
     assert facts["figures"]["report"]["plain"]["watershed"]["noc"]["0.85"] == 4
-    assert [path.name for path in written] == ["clicks.json", "page.md", "clicks.png"]
+    assert [path.name for path in written] == ["clicks.json", "clicks.md", "page.md", "clicks.png"]
     assert written[-1].stat().st_size > 5000
 
 
