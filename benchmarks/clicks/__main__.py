@@ -17,6 +17,7 @@ from typing import Any
 from benchmarks.clicks.games import play, variants
 from benchmarks.clicks.methods import TUNED_CLICKS, Method, named, volume_shape
 from benchmarks.clicks.objects import HALVES, ClickObject, chosen, load, size_factor
+from benchmarks.clicks.pictures import Album
 from benchmarks.clicks.store import Store, brief, key_of
 from benchmarks.peers.measure import MissingError, set_threads
 
@@ -39,7 +40,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     from benchmarks.clicks import tables
 
-    for path in tables.write(options.results):
+    # Results elsewhere are trials: the docs show those of the repository.
+    page = tables.PAGE if options.results == RESULTS else None
+    for path in tables.write(options.results, page):
         print(f"written: {path}")
     return 0
 
@@ -59,6 +62,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of JSON and picture (benchmarks/results)")
     parser.add_argument("--tune", action="store_true", help=f"all settings of the grids, {TUNED_CLICKS} clicks")
     parser.add_argument("--again", action="store_true", help="play games again that are kept")
+    parser.add_argument("--pictures", action="store_true", help="of the result after each click that is played")
     parser.add_argument("--render", action="store_true", help="play nothing")
     options = parser.parse_args(arguments)
     if options.clicks < 1 or options.threads < 1:
@@ -97,16 +101,21 @@ def run(method: Method, options: argparse.Namespace) -> None:
         store.forget({key_of(one.name, kind, settings) for one, kind, settings in tasks})
     for one, kind, settings in tasks:
         if store.get(key_of(one.name, kind, settings), clicks) is None:
-            game = play_one(method, one, kind, settings, clicks, options.volumes)
+            album = Album(method.name, one.name, kind) if options.pictures else None
+            game = play_one(method, one, kind, settings, clicks, options.volumes, album)
+            if album is not None:
+                print(f"written: {album.write(options.results)}", flush=True)
             store.put(key_of(one.name, kind, settings), brief(game) if options.tune else game)
 
 
 def play_one(
-    method: Method, one: ClickObject, kind: str, settings: dict[str, Any], clicks: int, folder: Path | None
+    method: Method, one: ClickObject, kind: str, settings: dict[str, Any], clicks: int, folder: Path | None,
+    album: Album | None = None,
 ) -> dict[str, Any]:
     """Play a game and print it."""
     image, truth = load(one, folder)
-    game = play(method.segmenter(settings), image, truth, clicks, kind, size_factor(one))
+    watch = None if album is None else album.watcher(image, truth)
+    game = play(method.segmenter(settings), image, truth, clicks, kind, size_factor(one), watch)
     dices = " ".join(f"{click['dice']:.3f}" for click in game["clicks"])
     seconds = sum(click["wall_s"] for click in game["clicks"]) / max(len(game["clicks"]), 1)
     print(f"{method.name} {one.name} {volume_shape(image)} {kind} {settings or ''}: {dices}; {seconds:.2f} s/click",

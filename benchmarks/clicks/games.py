@@ -48,9 +48,10 @@ def variants(names: Sequence[str]) -> list[str]:
 
 
 def play(
-    segmenter: Segmenter, image: Volume, truth: Mask, clicks: int, variant: str = "plain", size_factor: float = 1.0
+    segmenter: Segmenter, image: Volume, truth: Mask, clicks: int, variant: str = "plain", size_factor: float = 1.0,
+    watch: Callable[[PersonClick, Mask], None] | None = None,
 ) -> dict[str, Any]:
-    """Play until ``clicks`` are spent or nothing is wrong.
+    """Play until ``clicks`` are spent or nothing is wrong; ``watch`` is called with each click and the labels after it.
 
     Returns
     -------
@@ -76,6 +77,8 @@ def play(
             labels = np.zeros_like(truth) if labels is None else labels
         record |= {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_seconds() - cpu, "dice": dice(labels, truth)}
         out.append(record)
+        if watch is not None:
+            watch(click, labels)
     return {"clicks": out, "perfect": bool(out) and out[-1]["dice"] == 1.0}
 
 

@@ -40,7 +40,7 @@ class Rerun:
 
     def __init__(self, image: Volume, size_mm3: float | None) -> None:
         self.image = image
-        self.options: dict[str, Any] = {} if size_mm3 is None else {"size": f"{size_mm3!r}mm3"}
+        self.options: dict[str, Any] = {} if size_mm3 is None else {"size": f"{size_mm3:.6f}mm3"}
         self.texts: dict[str, list[str]] = {"inside": [], "outside": []}
 
     def click(self, click: PersonClick) -> Mask:
@@ -64,7 +64,7 @@ class Refined:
         given: dict[str, Any] = {click.side: (text_of(click, self.image),)}
         if self.result is None:
             if self.size is not None:
-                given["size"] = f"{self.size!r}mm3"
+                given["size"] = f"{self.size:.6f}mm3"
             self.result = segment(self.image, config=RunConfig(**given, keep_state="yes"))
         else:
             self.result = refine(self.result, **given)

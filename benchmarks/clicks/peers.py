@@ -164,9 +164,9 @@ def _pairs(count: int) -> tuple[range, range]:
 PEERS = {peer.name: peer for peer in (
     ClickPeer("threshold", threshold, combinations(reach=REACHES, spreads=(1.5, 2.5, 4.0))),
     ClickPeer("watershed", watershed, combinations(reach=REACHES, sigma=(0.5, 1.0, 2.0))),
-    ClickPeer("geodesic", geodesic, combinations(reach=REACHES, sigma=(0.5,), weight=(16.0, 64.0))),
+    ClickPeer("geodesic", geodesic, combinations(reach=REACHES, sigma=(0.5,), weight=(64.0, 256.0))),
     ClickPeer("grow-cut", grow_cut, combinations(reach=REACHES, sigma=(0.5,), penalty=(0.1, 0.3))),
-    ClickPeer("random-walker", random_walker, combinations(reach=REACHES, beta=(400.0, 1600.0)), 120_000),
+    ClickPeer("random-walker", random_walker, combinations(reach=REACHES, beta=(100.0, 400.0)), 120_000),
     ClickPeer("graph-cut", graph_cut, combinations(reach=REACHES, weight=(2.0, 8.0)), 120_000),
     ClickPeer("classifier", classifier, combinations(reach=REACHES, position=(False, True)), 250_000),
 )}

@@ -29,8 +29,8 @@ TITLES = {"tune": "Half to tune on", "report": "Half to report"}
 WANTED = {1: 0.75, 5: 0.90}
 
 
-def write(folder: Path, page: Path = PAGE) -> list[Path]:
-    """Write JSON and picture beside the games, and the tables into the page; what was written."""
+def write(folder: Path, page: Path | None) -> list[Path]:
+    """Write JSON, tables and picture beside the games, and the tables into a page of the docs too; what was written."""
     games = {half: {kind: collected(folder, half, kind) for kind in KINDS} for half in HALVES}
     figures = {
         half: {kind: {name: summary(list(own.values())) for name, own in methods.items()}
@@ -42,8 +42,12 @@ def write(folder: Path, page: Path = PAGE) -> list[Path]:
     facts = plain({"machine": machine(), "settings": settings, "goals": goals, "figures": figures})
     target = folder / "clicks.json"
     target.write_text(json.dumps(facts, indent=1) + "\n")
-    put_table(page, "clicks", text_of(figures, games, goals, settings), "scripts/benchmark")
-    return [target, page, *picture(folder, figures)]
+    text = text_of(figures, games, goals, settings)
+    own = folder / "clicks.md"
+    own.write_text(text)
+    if page is not None:
+        put_table(page, "clicks", text, "scripts/benchmark")
+    return [target, own, *([page] if page is not None else []), *picture(folder, figures)]
 
 
 def collected(folder: Path, half: str, kind: str) -> dict[str, dict[str, dict[str, Any]]]:

@@ -149,7 +149,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     peer = peers.ClickPeer("made-up", solver, [{"reach": 2.0, "cut": 5.0}, {"reach": 3.0, "cut": -99.0}])
     monkeypatch.setattr(methods, "METHODS", {"made-up": methods.Method("made-up", peer.grid, peer=peer)})
     monkeypatch.setattr(tables, "METHODS", methods.METHODS)
-    monkeypatch.setattr(tables, "write", lambda folder: [])
+    monkeypatch.setattr(tables, "write", lambda folder, page: [])
     return played
 
 
@@ -288,7 +288,24 @@ def test_tables_and_picture_are_made_of_the_games(tmp_path: Path, monkeypatch: p
     assert "| watershed | 0.600 | 0.700 | 0.800 | 0.900 |  |  | 3 | 4 | 5 | 100% | 0.0% |" in text
     assert "| median Dice after one click, as the best peer's | at least 0.6 | 0.8 | yes |" in text
     assert "| median Dice after one click and a size | at least 0.82 | - | not measured |" in text
+    assert (tmp_path / "clicks.md").read_text() in text
     facts = json.loads((tmp_path / "clicks.json").read_text())
     assert facts["figures"]["report"]["plain"]["watershed"]["noc"]["0.85"] == 4
-    assert [path.name for path in written] == ["clicks.json", "page.md", "clicks.png"]
+    assert [path.name for path in written] == ["clicks.json", "clicks.md", "page.md", "clicks.png"]
     assert written[-1].stat().st_size > 5000
+
+
+def test_an_album_has_the_slice_through_each_click(tmp_path: Path) -> None:
+    from benchmarks.clicks.pictures import Album
+
+    image, truth = ball_scan()
+    album = Album("any", "ball", "plain")
+    game = play(lambda i, s: Painter(i, s), image, truth, 3, watch=album.watcher(image, truth))
+    assert len(album.frames) == 3
+    for frame, one in zip(album.frames, game["clicks"], strict=True):
+        # Slices are 2 mm thick: they are across z, and the click is where its value says.
+        column, row = (int(value) for value in frame.at)
+        assert frame.values[row, column] == image.array[tuple(one["index"])]
+        assert frame.found[row, column] and frame.truth[row, column]
+        assert f"{one['dice']:.3f}" in frame.text
+    assert album.aspect == 1.0 and album.write(tmp_path).stat().st_size > 5000
