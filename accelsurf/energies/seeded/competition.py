@@ -54,11 +54,16 @@ def field_of(images: Sequence[NDArray[np.float32]], spacing: Sequence[float], ma
     return Field(Medium(values, passes), Grid(nz, ny, nx, *(float(h) for h in spacing)))
 
 
-def arrival(field: Field, tissue: Tissue, seeds: NDArray[np.int64], max_count: int) -> tuple[Times, Order]:
-    """Times from seeds (each at 0), inf where the march does not come, and its voxels in the order of their times."""
+def arrival(
+    field: Field, tissue: Tissue, seeds: NDArray[np.int64], max_count: int, cap: Times = _NO_CAP
+) -> tuple[Times, Order]:
+    """Times from seeds (each at 0), inf where the march does not come, and its voxels in the order of their times.
+
+    It does not come where its time is not below ``cap`` (n,) float32.
+    """
     times = np.full(field.size, np.inf, np.float32)
     times[seeds] = 0.0
-    order = march(times, field.medium, tissue, field.grid, seeds, _NO_CAP, np.inf, max(max_count, len(seeds)))
+    order = march(times, field.medium, tissue, field.grid, seeds, cap, np.inf, max(max_count, len(seeds)))
     return times, order[np.argsort(times[order], kind="stable")]
 
 

@@ -50,8 +50,8 @@ class SeededModel:
         Weight of the area that suits the field, mm.
     clicks : Clicks
         What it was made from.
-    answer : Answer
-        What the next click's answer is made from.
+    answer : Answer or None
+        What the next click's answer is made from; None of a partition.
     images : tuple of ndarray (nz, ny, nx), float32
         The channels, smoothed.
     """
@@ -63,7 +63,7 @@ class SeededModel:
     proposal: Proposal
     area_weight_mm: float
     clicks: Clicks
-    answer: Answer
+    answer: Answer | None
     images: tuple[Image, ...]
 
 
@@ -109,13 +109,13 @@ def seeded_model(
     if not inside:
         raise InputError("seeded: no inside click was given", "give one with --inside")
     allowed = _allowed(images[0].shape, box, mask)
-    goes_on = previous is not None and _starts_with(clicks, previous.clicks)
-    smooth = previous.images if goes_on and previous is not None else _smoothed(images, spacing)
-    field = field_of(smooth, spacing, allowed)
-    if goes_on and previous is not None:
-        answer, proposal = previous.answer, previous.proposal
+    if previous is not None and previous.answer is not None and _starts_with(clicks, previous.clicks):
+        smooth, answer, proposal = previous.images, previous.answer, previous.proposal
+        field = field_of(smooth, spacing, allowed)
         left = list(clicks.clicks[len(previous.clicks) :])
     else:
+        smooth = _smoothed(images, spacing)
+        field = field_of(smooth, spacing, allowed)
         answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
         left = [click for click in clicks.clicks if click is not inside[0]]
     with ThreadPoolExecutor(max(threads, 1)) as pool:

@@ -10,9 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
+from accelsurf.energies.seeded.answers import CLICKED
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
 from accelsurf.energies.seeded.competition import arrival, balance, field_of
-from accelsurf.energies.seeded.model import AREA, CLICKED, SMOOTHING, SeededModel
+from accelsurf.energies.seeded.model import AREA, SMOOTHING, SeededModel
 from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.errors import InputError
 from accelsurf.grid.clicks import Clicks
@@ -56,15 +57,15 @@ def partition_model(
     smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images]
     field, tissue = field_of(smooth, spacing, mask), learn(smooth, spacing, first)
     shape = inside.shape
-    others, _ = arrival(field, tissue, np.flatnonzero(outside).astype(np.int64))
+    others, _ = arrival(field, tissue, np.flatnonzero(outside).astype(np.int64), field.size)
     # Where others come earlier it is none of the object's: the march need not go there.
-    own_times, _ = arrival(field, tissue, np.flatnonzero(inside).astype(np.int64), others)
+    own_times, _ = arrival(field, tissue, np.flatnonzero(inside).astype(np.int64), field.size, others)
     times_in, times_out = own_times.reshape(shape), others.reshape(shape)
     force = balance(times_in, times_out).astype(np.float32)
-    force[inside], force[outside] = -CLICKED, CLICKED
+    force[inside], force[outside] = CLICKED["inside"], CLICKED["outside"]
     labels, _ = ndimage.label(force < 0)
     own = np.unique(labels[inside])
     start = np.isin(labels, own[own > 0])
     volume = float(np.count_nonzero(start)) * float(np.prod(spacing))
     proposal = Proposal(float(times_in[start].max()), volume, 1.0)
-    return SeededModel(force, np.asarray(start), times_in, times_out, proposal, AREA * min(spacing), clicks)
+    return SeededModel(force, np.asarray(start), times_in, times_out, proposal, AREA * min(spacing), clicks, None, ())
