@@ -59,5 +59,6 @@ def prolong_surface(
     surface : LevelSet
     fields : list of ndarray (n,)
     """
-    surface = LevelSet(prolong(old.psi, coarse, fine), fine.spacing, half_width, old.workers, overwrite=True)
+    psi = prolong(old.psi, coarse, fine)
+    surface = LevelSet(psi, fine.spacing, half_width, old.workers, overwrite=True, extension=old.extension)
     return surface, transfer_fields(flow.fields, flow.fill_values, old.dense.slot, coarse, surface, fine)

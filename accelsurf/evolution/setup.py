@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.flows import Flow, StepLimits
+from accelsurf.levelset.extension import CLOSEST_POINT
 
 
 class SolverSetup(NamedTuple):
@@ -13,7 +14,7 @@ class SolverSetup(NamedTuple):
 
     ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
     each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard
-    or None; ``reach``, how far beyond the surface its energy sees the image, mm.
+    or None; ``reach``, how far beyond the surface its energy sees the image, mm; ``extension`` of the level set.
     """
 
     flow: Flow
@@ -23,3 +24,4 @@ class SolverSetup(NamedTuple):
     rule: StopRule | None
     max_volume: float | None = None
     reach: float = 0.0
+    extension: str = CLOSEST_POINT

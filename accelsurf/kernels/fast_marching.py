@@ -18,7 +18,7 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.closest import FOUND, LIMITED, OFFSET, closest_points, crossing_point, feet_memory
 from accelsurf.kernels.foot_checks import is_near_volume
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
-from accelsurf.kernels.march import FROZEN, MARGIN, OPEN, accept_foot, grown, grown_rows, guess_feet
+from accelsurf.kernels.march import MARGIN, accept_foot, guess_feet
 from accelsurf.kernels.residues import known_point
 from accelsurf.kernels.stages import Stage
 
@@ -135,7 +135,8 @@ def upwind_neighbours(cell, slot, grid, known, furthest, up):
             if rise >= 0.0 and offset_of(foot, s, other, grid, axis, sign) + rise * rise <= SAME_SHEET * h * h:
                 slots[3 + axis] = other
                 terms[1, axis], terms[2, axis] = (4.0 * terms[0, axis] - d) / 3.0, 2.0 * h / 3.0
-    if nearest >= 0:
+    wall = (iz == 0) | (iz == grid.nz - 1) | (iy == 0) | (iy == grid.ny - 1) | (ix == 0) | (ix == grid.nx - 1)
+    if wall and nearest >= 0:
         slope_across((iz, iy, ix), grid, known, nearest, up)
 
 
@@ -225,46 +226,38 @@ def upwind_weights(d, up, weights):
 
 
 @kernel
-def comes_before(heap, i, j, cells):
-    """Order of two entries of ``heap`` = (keys, slots): by distance, then by cell."""
-    keys, slots = heap
-    return keys[i] < keys[j] or (keys[i] == keys[j] and cells[slots[i]] < cells[slots[j]])
+def is_before(d, s, e, t, cells):
+    """Whether slot ``s`` at distance ``d`` comes before slot ``t`` at ``e``: by distance, then by cell."""
+    return d < e or (d == e and cells[s] < cells[t])
 
 
 @kernel
-def swap(heap, i, j):
-    """Exchange two entries."""
-    keys, slots = heap
-    keys[i], keys[j] = keys[j], keys[i]
-    slots[i], slots[j] = slots[j], slots[i]
-
-
-@kernel
-def push(heap, size, key, s, cells):
-    """Put a slot into the heap, which has room for it."""
-    keys, slots = heap
-    keys[size], slots[size] = key, s
+def push(keys, slots, size, key, s, cells):
+    """Put slot ``s`` into the heap of ``size`` entries, which has room for it; the first entry is that before all."""
     i = size
-    while i > 0 and comes_before(heap, i, (i - 1) // 2, cells):
-        swap(heap, i, (i - 1) // 2)
-        i = (i - 1) // 2
+    while i > 0:
+        parent = (i - 1) >> 1
+        if not is_before(key, s, keys[parent], slots[parent], cells):
+            break
+        keys[i], slots[i] = keys[parent], slots[parent]
+        i = parent
+    keys[i], slots[i] = key, s
 
 
 @kernel
-def pop(heap, size, cells):
+def pop(keys, slots, size, cells):
     """Slot of the first of ``size`` entries, which leaves the heap."""
-    first = heap[1][0]
-    last = size - 1
-    swap(heap, 0, last)
-    i = 0
-    while 2 * i + 1 < last:
-        child = 2 * i + 1
-        if child + 1 < last and comes_before(heap, child + 1, child, cells):
+    first, last = slots[0], size - 1
+    key, s = keys[last], slots[last]
+    i, child = 0, 1
+    while child < last:
+        if child + 1 < last and is_before(keys[child + 1], slots[child + 1], keys[child], slots[child], cells):
             child += 1
-        if not comes_before(heap, child, i, cells):
+        if not is_before(keys[child], slots[child], key, s, cells):
             break
-        swap(heap, i, child)
-        i = child
+        keys[i], slots[i] = keys[child], slots[child]
+        i, child = child, 2 * child + 1
+    keys[i], slots[i] = key, s
     return first
 
 
@@ -297,31 +290,73 @@ def carried_foot(s, d, grid, foot, up, weights):
     foot[s, 0], foot[s, 1], foot[s, 2] = mean[0] * scale, mean[1] * scale, mean[2] * scale
 
 
+@kernel
+def estimate(cell, slot, grid, distance, state):
+    """First-order distance (mm) of a cell from its accepted neighbours, of which there is one at least."""
+    iz, iy, ix = unravel(cell, grid)
+    d0, w0, d1, w1, d2, w2 = 1e30, 0.0, 1e30, 0.0, 1e30, 0.0
+    for axis in range(3):
+        h, n, stride, at = grid.hz, grid.nz, grid.ny * grid.nx, iz
+        if axis == 1:
+            h, n, stride, at = grid.hy, grid.ny, grid.nx, iy
+        elif axis == 2:
+            h, n, stride, at = grid.hx, grid.nx, 1, ix
+        d, w = 1e30, 1.0 / (h * h)
+        for sign in (-1, 1):
+            s = slot[cell + sign * stride] if 0 <= at + sign < n else -1
+            if s >= 0 and state[s] == ACCEPTED:
+                d = min(d, abs(distance[s]))
+        # Nearest first.
+        if d < d0:
+            d0, w0, d1, w1, d2, w2 = d, w, d0, w0, d1, w1
+        elif d < d1:
+            d1, w1, d2, w2 = d, w, d1, w1
+        else:
+            d2, w2 = d, w
+    # (d - d0)^2 w0 + (d - d1)^2 w1 + ... = 1, measured from d0, with as many terms as are nearer than d.
+    best = 1.0 / np.sqrt(w0)
+    a, b, c = w0, 0.0, -1.0
+    if d1 - d0 < best:
+        u = d1 - d0
+        a, b, c = a + w1, b + w1 * u, c + w1 * u * u
+        best = (b + np.sqrt(max(b * b - a * c, 0.0))) / a
+        if d2 - d0 < best:
+            u = d2 - d0
+            a, b, c = a + w2, b + w2 * u, c + w2 * u * u
+            best = (b + np.sqrt(max(b * b - a * c, 0.0))) / a
+    return d0 + best
+
+
 @kernel(stage=Stage.CLOSEST_POINTS)
-def march_outwards(dense, grid, known, n, front, half_width):
+def march_outwards(dense, grid, known, heap, counts, front, half_width):
     """Distances and feet outwards from the slots ``front`` (m,), which have theirs, up to ``half_width`` voxels; serial.
 
-    ``known`` = (cells, foot (n, 3), distance (n,) float64, state (n,) int8) of the first ``n`` slots, with room for more.
-    ``distance`` (mm) has the sign of psi; ``state`` is ACCEPTED at ``front`` and FAR elsewhere. Cells that are met enter
-    as slots from ``n`` on, in ``dense.slot`` too. Returns ``known``, perhaps with more room, and the new n.
+    ``known`` = (cells, foot (n, 3), distance (n,) float64, state (n,) int8), with room for more slots than n. ``distance``
+    (mm) has the sign of psi; ``state`` is ACCEPTED at ``front`` and FAR elsewhere. Cells that are met enter as slots from
+    n on, in ``dense.slot`` too. ``heap`` = (keys float64, slots int64) of `push`. ``counts`` (3,) int64 = n, entries
+    of the heap, slots of the front that have been handed on. Returns whether the march has ended; else it wants more
+    room and goes on from where it is.
     """
     slot = dense.slot
     cells, foot, distance, state = known
-    near, size = np.empty(6, np.int64), 0
-    heap = np.empty(n + 1024), np.empty(n + 1024, np.int64)
+    keys, slots = heap
+    near, weights = np.empty(6, np.int64), np.empty(6)
     up = np.empty(6, np.int64), np.empty(3, np.int64), np.empty((4, 3))
-    weights = np.empty(6)
-    begun = 0
+    n, size, begun = counts[0], counts[1], counts[2]
+    ended = True
     while begun < front.shape[0] or size > 0:
+        if n + 6 > cells.shape[0] or size + 6 > keys.shape[0]:
+            ended = False
+            break
         if begun < front.shape[0]:
             s = front[begun]
             begun += 1
         else:
-            s = pop(heap, size, cells)
+            s = pop(keys, slots, size, cells)
             size -= 1
             if state[s] != TRIAL:
                 continue
-            upwind_neighbours(cells[s], slot, grid, (cells, foot, distance, state), 1e30, up)
+            upwind_neighbours(cells[s], slot, grid, known, 1e30, up)
             d = solve_distance(up, grid, True)
             carried_foot(s, d, grid, foot, up, weights)
             distance[s] = -d if dense.psi[cells[s]] < 0.0 else d
@@ -337,21 +372,18 @@ def march_outwards(dense, grid, known, n, front, half_width):
                 continue
             other = slot[near[side]]
             if other < 0:
-                cells, foot = grown(cells, n), grown_rows(foot, n)
-                distance, state = grown(distance, n), grown(state, n)
                 other, cells[n], state[n] = n, near[side], FAR
                 slot[near[side]] = n
                 n += 1
             if state[other] != FAR and state[other] != TRIAL:
                 continue
-            upwind_neighbours(near[side], slot, grid, (cells, foot, distance, state), 1e30, up)
-            d = solve_distance(up, grid, False)
+            d = estimate(near[side], slot, grid, distance, state)
             if state[other] == FAR or d < distance[other]:
-                heap = grown(heap[0], size), grown(heap[1], size)
-                push(heap, size, d, other, cells)
+                push(keys, slots, size, d, other, cells)
                 size += 1
                 distance[other], state[other] = d, TRIAL
-    return (cells, foot, distance, state), n
+    counts[0], counts[1], counts[2] = n, size, begun
+    return ended
 
 
 # ------------------------------------------------------------------------------------------------- fields on the band

@@ -32,11 +32,20 @@ def march_outwards(surface: LevelSet) -> ClosestPoints:
     length = np.sqrt((to_closest[front].astype(np.float64) ** 2).sum(axis=1))
     distance[front] = np.copysign(np.maximum(length, MIN_DISTANCE * surface.smallest_spacing), psi[front])
     state[front] = fast_marching.ACCEPTED
-    (cells, to_closest, _, state), size = surface.workers.serial(
-        fast_marching.march_outwards, dense, grid, (cells, to_closest, distance, state), n, front, surface.half_width
-    )
+    known, heap = (cells, to_closest, distance, state), (np.empty(room), np.empty(room, np.int64))
+    counts, march_on = np.array([n, 0, 0]), fast_marching.march_outwards
+    while not surface.workers.serial(march_on, dense, grid, known, heap, counts, front, surface.half_width):
+        known, heap = _with_room(known, heap)
+    cells, to_closest, _, state = known
     reached = np.where(state == fast_marching.FAR, np.int8(march.OPEN), np.int8(march.FROZEN))
-    return ClosestPoints(cells, to_closest, reached, size)
+    return ClosestPoints(cells, to_closest, reached, int(counts[0]))
+
+
+def _with_room(known: tuple[np.ndarray, ...], heap: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], ...]:
+    """The arrays of a march with room for half as many entries again."""
+    more = known[0].size // 2 + 1024
+    rows = tuple(np.concatenate([one, np.zeros((more, *one.shape[1:]), one.dtype)]) for one in known)
+    return rows, tuple(np.concatenate([one, np.zeros(more, one.dtype)]) for one in heap)
 
 
 def _find_front_feet(surface: LevelSet, front: np.ndarray, to_closest: np.ndarray) -> None:

@@ -152,7 +152,7 @@ class EvolvingObject:
         corner, psi = self._starts.current()
         if not self._among_others:
             self.corner = corner
-            self._evolve(LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True), state)
+            self._evolve(self._surface_of(psi), state)
             return
         inside = np.argwhere(psi < 0)
         low, high = inside.min(axis=0) + corner, inside.max(axis=0) + 1 + corner
@@ -192,6 +192,11 @@ class EvolvingObject:
         room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
         return widened((a, b, c), self.grid.shape, (room[0], room[1], room[2]))
 
+    def _surface_of(self, psi: NDArray[np.float32]) -> LevelSet:
+        """The surface where ``psi``, on a box of the grid, is 0; the memory of ``psi`` is used."""
+        setup = self._setup
+        return LevelSet(psi, self.grid.spacing, setup.half_width, self.workers, True, setup.extension)
+
     def _lay_out(
         self, box: Box, known: NDArray[np.float32], at: Corner, before: Evolution | None, state: LoopState | None
     ) -> None:
@@ -204,7 +209,7 @@ class EvolvingObject:
         distance = self._inputs.mask_distance(self.level, box)
         if distance is not None:
             np.maximum(psi, distance, out=psi)
-        surface = LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True)
+        surface = self._surface_of(psi)
         fields = None
         if before is not None:
             fields = shift_fields(before.flow.fields, before.surface, at, surface, self.corner)
@@ -373,7 +378,7 @@ class EvolvingObject:
         if (self.corner, now.surface.shape) != (checkpoint.corner, checkpoint.shape):
             self.corner = checkpoint.corner
             empty = np.ones(checkpoint.shape, np.float32)
-            self._evolve(LevelSet(empty, self.grid.spacing, setup.half_width, self.workers, overwrite=True), None)
+            self._evolve(self._surface_of(empty), None)
             now = self.evolution
         elif new_energy:
             now.energy = self._energy_on(box_at(self.corner, self.surface.shape))

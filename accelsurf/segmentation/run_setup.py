@@ -86,6 +86,7 @@ def setup_of(settings: RunConfig, place: int, levels: int, geometry: Geometry) -
         stop_rule(settings, levels),
         settings.max_volume,
         window_reach(settings, geometry),
+        settings.extension,
     )
 
 

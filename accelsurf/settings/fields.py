@@ -343,3 +343,9 @@ class SettingFields(BaseModel):
         "(or remove=; with object=ID among several objects); in TOML tables [[edit]].",
         entry=SettingEntry(RUN, metavar="CHANGE", repeated=True, fixed=True),
     )
+    extension: Literal["closest-point", "fast-marching"] = setting(
+        "closest-point",
+        "How distances and speeds get from the surface to the band: by the closest point of each voxel, or by fast "
+        "marching, from the voxels beside the surface outwards in order of distance.",
+        entry=SettingEntry(RUN, metavar="NAME", fixed=True),
+    )
