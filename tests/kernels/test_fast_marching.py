@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import fast_marching, march
-from accelsurf.kernels.fast_marching import order_of, pop, push
+from accelsurf.kernels.eikonal import ACCEPTED
+from accelsurf.kernels.fast_marching import insert, pop
 from accelsurf.kernels.grid import Grid
+from accelsurf.kernels.upwind_extension import order_of
 from accelsurf.levelset import LevelSet
 from tests.support import reference
 from tests.support.fast_march import PlainMarch
@@ -81,7 +83,7 @@ def test_the_heap_gives_distances_in_order_and_ties_by_cell() -> None:
     distances = rng.integers(0, 40, 200) / 4.0
     keys, slots = np.empty(200), np.empty(200, np.int64)
     for s in range(200):
-        push(keys, slots, s, distances[s], s, cells)
+        insert(keys, slots, s, distances[s], s, cells)
     got = [pop(keys, slots, 200 - k, cells) for k in range(200)]
     assert got == sorted(range(200), key=lambda s: (distances[s], cells[s]))
 
@@ -105,7 +107,7 @@ def test_a_march_that_runs_out_of_room_goes_on() -> None:
         n = cells.size
         dense.slot[cells] = np.arange(n)
         known = [np.concatenate([a, np.zeros((7, *a.shape[1:]), a.dtype)]) for a in
-                 (cells, feet, psi_of.astype(np.float64), np.full(n, fast_marching.ACCEPTED, np.int8))]
+                 (cells, feet, psi_of.astype(np.float64), np.full(n, ACCEPTED, np.int8))]
         heap, counts, calls = [np.empty(7), np.empty(7, np.int64)], np.array([n, 0, 0]), 0
         run, where = fast_marching.march_outwards, (dense, Grid(12, 12, 12, 1.0, 1.0, 1.0))
         while not run(*where, tuple(known), tuple(heap), counts, np.arange(n), 2.0):
