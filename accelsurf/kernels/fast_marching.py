@@ -1,8 +1,8 @@
 """Fast marching: distances and closest points outwards from the cells beside the surface, in order of distance.
 
 Those cells know their closest points. From there every cell is accepted in order of its distance, ties by the cell's
-index (Sethian): by a first-order estimate, and when accepted once more in second order, see `eikonal`. The closest point
-is a field that is extended with it.
+index (Sethian): by a first-order estimate, and when accepted once more in second order, see `eikonal`. The closest
+point is a field that is extended with it.
 """
 
 from __future__ import annotations
@@ -163,9 +163,9 @@ def march_outwards(dense, grid, known, heap, counts, front, half_width):
 
     ``known`` = (cells, foot (n, 3), distance (n,) float64, state (n,) int8), with room for more slots than n.
     ``distance`` (mm) has the sign of psi; ``state`` is ACCEPTED at ``front`` and FAR elsewhere. Cells that are met
-    enter as slots from n on, in ``dense.slot`` too. ``heap`` = (keys float64, slots int64) of `insert`. ``counts`` (3,)
-    int64 = n, entries of the heap, slots of the front that have been handed on. Returns whether the march has ended; else it
-    wants more room and goes on from where it is.
+    enter as slots from n on, in ``dense.slot`` too. ``heap`` = (keys float64, slots int64) of `insert`. ``counts``
+    (3,) int64 = n, entries of the heap, slots of the front that have been handed on. Returns whether the march has
+    ended; else it wants more room and goes on from where it is.
     """
     slot = dense.slot
     cells, foot, distance, state = known

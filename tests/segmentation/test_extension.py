@@ -8,7 +8,7 @@ import pytest
 from accelsurf.analysis import metrics
 from accelsurf.errors import UsageError
 from accelsurf.grid.volume import Volume
-from accelsurf.segmentation import segment, segment_objects
+from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import load_checkpoint, save_checkpoint
 from accelsurf.settings.run_config import RunConfig
@@ -67,7 +67,8 @@ def test_a_run_goes_on_from_a_file_with_the_same_bytes(tmp_path, changes) -> Non
     with Run(image(), run_of(**changes), objects=starts) as other:
         other.restore(load_checkpoint(tmp_path / "run.checkpoint", other))
         assert ended(other) == want
-    with pytest.raises(UsageError), Run(image(), run_of(**changes).replace(extension="closest-point"), objects=starts) as it:
+    closest = run_of(**changes).replace(extension="closest-point")
+    with pytest.raises(UsageError), Run(image(), closest, objects=starts) as it:
         it.restore(load_checkpoint(tmp_path / "run.checkpoint", it))
 
 
@@ -82,6 +83,7 @@ def test_threads_do_not_change_a_run() -> None:
 
 def test_within_a_mask() -> None:
     mask = AWAY[0] < -2.0
-    result = segment(image(0.1), start="ball:12,13.5,14,4", extension="fast-marching", mask=mask, max_steps=60, threads=1)
+    given = {"start": "ball:12,13.5,14,4", "max_steps": 60, "threads": 1}
+    result = segment(image(0.1), extension="fast-marching", mask=mask, **given)
     labels = np.asarray(result.labels) > 0
     assert not labels[~mask].any() and metrics.dice(labels, mask) > 0.9
