@@ -33,7 +33,8 @@ def march_outwards(surface: LevelSet) -> ClosestPoints:
     length = np.sqrt((to_closest[front].astype(np.float64) ** 2).sum(axis=1))
     distance[front] = np.copysign(np.maximum(length, MIN_DISTANCE * surface.smallest_spacing), psi[front])
     state[front] = ACCEPTED
-    known, heap = (cells, to_closest, distance, state), (np.empty(room), np.empty(room, np.int64))
+    known: tuple[np.ndarray, ...] = cells, to_closest, distance, state
+    heap: tuple[np.ndarray, ...] = np.empty(room), np.empty(room, np.int64)
     counts, march_on = np.array([n, 0, 0]), fast_marching.march_outwards
     while not surface.workers.serial(march_on, dense, grid, known, heap, counts, front, surface.half_width):
         known, heap = _with_room(known, heap)
