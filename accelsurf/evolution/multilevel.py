@@ -61,5 +61,5 @@ def prolong_surface(
     surface : LevelSet
     fields : list of ndarray (n,)
     """
-    surface = LevelSet(psi, fine.spacing, half_width, old.workers, overwrite=True)
+    surface = LevelSet(psi, fine.spacing, half_width, old.workers, overwrite=True, extension=old.extension)
     return surface, transfer_fields(flow.fields, flow.fill_values, old.dense.slot, coarse, surface, fine)

@@ -2,7 +2,8 @@
 
 from accelsurf.levelset.checkpoint import SurfaceState, checkpoint_surface, restore_surface
 from accelsurf.levelset.displacement import FAR, Snapshot
-from accelsurf.levelset.level_set import FRONT_WIDTH, NO_CELLS, BandChange, LevelSet
+from accelsurf.levelset.level_set import FRONT_WIDTH, NO_CELLS, LevelSet
+from accelsurf.levelset.measures import BandChange
 from accelsurf.levelset.threads import Workers, dot
 
 __all__ = [

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from accelsurf.kernels import march, residues
+from accelsurf.kernels import fast_marching, march, residues
+from accelsurf.levelset.extension import FAST_MARCHING
 
 if TYPE_CHECKING:
     from accelsurf.levelset.level_set import LevelSet
@@ -83,6 +84,17 @@ def find_residues(surface: LevelSet, velocity: np.ndarray, dt: float) -> np.ndar
     out = np.empty(surface.size, np.float32)
     parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, out)
     # A smooth surface has none that count.
-    if out.any():
+    if out.any() and surface.extension == FAST_MARCHING:
+        beside = beside_surface(surface, surface.band.psi)
+        where = slot, surface.grid, surface.band, motion
+        parallel(fast_marching.front_residues, surface.size, *where, beside, out)
+    elif out.any():
         parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, out)
     return out
+
+
+def beside_surface(surface: LevelSet, psi: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the band cells with a neighbour on the other side, by ``psi`` (n,)."""
+    beside, where = np.empty(surface.size, np.bool_), (surface.dense.slot, surface.grid, surface.band.cells)
+    surface.workers.parallel(fast_marching.cells_beside, surface.size, *where, psi, beside)
+    return beside

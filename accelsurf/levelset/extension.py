@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from accelsurf.levelset.threads import Workers
 
 
+#: How distances and fields get from the front to the cells further off: by closest points, or by a fast march.
+CLOSEST_POINT, FAST_MARCHING = "closest-point", "fast-marching"
+
+
 class ExtensionTable(NamedTuple):
     """Where cells off the front read the front's values, see `kernels.band.outward_table`.
 

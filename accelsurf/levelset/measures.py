@@ -1,4 +1,4 @@
-"""What is measured on the band: shares of voxels, area, curvature."""
+"""What is measured on the band: shares of voxels, area, curvature, and what a redistancing did to it."""
 
 from __future__ import annotations
 
@@ -19,3 +19,15 @@ class Measures(NamedTuple):
     curvature: np.ndarray
     variation: np.ndarray
     resolved: np.ndarray
+
+
+class BandChange(NamedTuple):
+    """What a redistancing did to the band.
+
+    ``entered_inside`` and ``left_inside`` are the raveled cells with psi < 0 that came into the band and
+    that left it; ``fields`` are the extended fields on the new band.
+    """
+
+    entered_inside: np.ndarray
+    left_inside: np.ndarray
+    fields: list[np.ndarray]

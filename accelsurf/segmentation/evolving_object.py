@@ -21,7 +21,7 @@ from accelsurf.levelset.transfer import shift_fields
 from accelsurf.segmentation.balls import BallEdit, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelInputs
-from accelsurf.segmentation.object_grid import GUARD, constrained, psi_on_box, roomy_box
+from accelsurf.segmentation.object_grid import constrained, larger_box, psi_on_box, roomy_box
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
 from accelsurf.segmentation.run_clicks import LevelClicks
 from accelsurf.segmentation.start_pyramid import StartPyramid, finer_box, to_finest
@@ -149,7 +149,7 @@ class EvolvingObject:
         if not self._among_others:
             self.corner = corner
             self._clicks.apply(psi, self.level)
-            self._evolve(LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True), state)
+            self._evolve(self._surface_of(psi), state)
             return
         inside = np.argwhere(psi < 0)
         low, high = inside.min(axis=0) + corner, inside.max(axis=0) + 1 + corner
@@ -185,6 +185,11 @@ class EvolvingObject:
 
     # -- on a grid -----------------------------------------------------------------------------------------
 
+    def _surface_of(self, psi: NDArray[np.float32]) -> LevelSet:
+        """The surface where ``psi``, on a box of the grid, is 0; the memory of ``psi`` is used."""
+        setup = self._setup
+        return LevelSet(psi, self.grid.spacing, setup.half_width, self.workers, True, setup.extension)
+
     def _lay_out(
         self, box: Box, known: NDArray[np.float32], at: Corner, before: Evolution | None, state: LoopState | None
     ) -> None:
@@ -192,7 +197,7 @@ class EvolvingObject:
         self.corner = corner_of(box)
         psi = psi_on_box(known, at, box)
         self._bound(psi)
-        surface = LevelSet(psi, self.grid.spacing, self._setup.half_width, self.workers, overwrite=True)
+        surface = self._surface_of(psi)
         fields = None
         if before is not None:
             fields = shift_fields(before.flow.fields, before.surface, at, surface, self.corner)
@@ -271,12 +276,8 @@ class EvolvingObject:
         """Change to a larger box when the band, or the part from ``low`` to ``high``, comes near its edge."""
         if low is None or high is None:
             low, high = self.extent()
-        corner, shape = np.array(self.corner), np.array(self.surface.shape)
-        ends = np.array(self.grid.shape)
-        near = ((low - corner < GUARD) & (corner > 0)) | ((corner + shape - high < GUARD) & (corner + shape < ends))
-        if near.any():
-            low, high = np.minimum(low, corner + GUARD), np.maximum(high, corner + shape - GUARD)
-            box = roomy_box(low, high, self._setup.reach, self.grid)
+        box = larger_box(low, high, box_at(self.corner, self.surface.shape), self._setup.reach, self.grid)
+        if box is not None:
             before, at = self.evolution, self.corner
             before.measure()
             self._lay_out(box, before.surface.psi, at, before, before.state.on_next_grid(with_fields=True))
@@ -375,7 +376,7 @@ class EvolvingObject:
         if (self.corner, now.surface.shape) != (checkpoint.corner, checkpoint.shape):
             self.corner = checkpoint.corner
             empty = np.ones(checkpoint.shape, np.float32)
-            self._evolve(LevelSet(empty, self.grid.spacing, setup.half_width, self.workers, overwrite=True), None)
+            self._evolve(self._surface_of(empty), None)
             now = self.evolution
         elif new_energy:
             now.energy = self._energy_on(box_at(self.corner, self.surface.shape))

@@ -69,7 +69,7 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
         Its history has the volume and area of the whole object; the potential is that of the box.
     """
     psi, spacing, setup = problem.psi, problem.spacing, problem.setup
-    surface = LevelSet(psi, spacing, setup.half_width, workers)
+    surface = LevelSet(psi, spacing, setup.half_width, workers, extension=setup.extension)
     volume, area = _measures(surface)
     before = signed_distance(psi, float(surface.gamma), spacing)
     bounds = united(near_bounds(before, problem.region, spacing), problem.clicks)

@@ -36,6 +36,23 @@ def roomy_box(low: NDArray[np.int64], high: NDArray[np.int64], reach: float, gri
     return widened((a, b, c), grid.shape, (room[0], room[1], room[2]))
 
 
+def larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach: float, grid: Level) -> Box | None:
+    """Return a larger box for an object between two voxels that come near the edge of its box; None where they do not.
+
+    Parameters
+    ----------
+    low, high, reach, grid
+        As for `roomy_box`.
+    box : tuple of slice
+        The box now.
+    """
+    first, end = np.array([s.start for s in box]), np.array([s.stop for s in box])
+    near = ((low - first < GUARD) & (first > 0)) | ((end - high < GUARD) & (end < np.array(grid.shape)))
+    if not near.any():
+        return None
+    return roomy_box(np.minimum(low, first + GUARD), np.maximum(high, end - GUARD), reach, grid)
+
+
 def psi_on_box(known: NDArray[np.float32], at: Corner, box: Box) -> NDArray[np.float32]:
     """Return psi on a box, known from voxel ``at`` on; beyond the known values everything is outside."""
     psi = np.full(tuple(s.stop - s.start for s in box), np.abs(known[np.isfinite(known)]).max(), np.float32)

@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from accelsurf.settings import energy_expression
 from accelsurf.settings.edits import Edit, edits_of
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import SettingEntry, SettingGroup, Slider, setting
@@ -19,44 +18,12 @@ from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.refinements import Refinement, refinements_of
-from accelsurf.settings.volumes import VOLUME, VOLUME_FORM, volume_mm3
+from accelsurf.settings.volumes import VOLUME
+from accelsurf.settings.written_values import checked_expression, checked_volume, one_or_many, split_commas
 
 #: A length in voxels, as it is written.
 VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
 RUN, FILES = SettingGroup.RUN, SettingGroup.FILES
-
-
-def _volume(value: Any) -> Any:
-    """Refuse a volume of 0."""
-    if isinstance(value, str) and VOLUME_FORM.fullmatch(value):
-        volume_mm3(value)
-    return value
-
-
-def _one_or_many(value: Any) -> Any:
-    """Turn a single start into a tuple of one."""
-    return (value,) if isinstance(value, str) else value
-
-
-def _expression(value: Any) -> Any:
-    """Check an energy; turn a list of tables into its text."""
-    if isinstance(value, (list, tuple)):
-        value = energy_expression.from_tables(value)
-    if isinstance(value, str):
-        value = " ".join(value.split())
-        energy_expression.parse(value)
-    return value
-
-
-def _split_commas(value: Any) -> Any:
-    """Turn ``"ply,stl"`` into ``("ply", "stl")``; names given twice count once."""
-    if value == "auto":
-        return value
-    if isinstance(value, str):
-        value = value.split(",")
-    if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
-        return tuple(dict.fromkeys(item.strip().lower() for item in value))
-    return value
 
 
 def _term_names() -> dict[str, str]:
@@ -78,7 +45,7 @@ class SettingFields(BaseModel):
         "accelsurf info lists the values of each, and why.",
         entry=SettingEntry(RUN, metavar="NAME", fixed=True, listed=lambda: ", ".join(PRESETS)),
     )
-    energy: Annotated[str, BeforeValidator(_expression)] = setting(
+    energy: Annotated[str, BeforeValidator(checked_expression)] = setting(
         "chan-vese",
         "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'. "
         "With --inside it is seeded unless given.",
@@ -89,7 +56,7 @@ class SettingFields(BaseModel):
         "How the surface moves.",
         entry=SettingEntry(RUN, metavar="NAME", choice=True, names=_flow_names),
     )
-    start: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+    start: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         ("center",),
         "First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, seed:X,Y,Z,R, label:FILE, threshold:LO,HI, "
         "largest:LO,HI, otsu, mesh:FILE, center, or clicks (what --inside says; the default with it). "
@@ -116,18 +83,18 @@ class SettingFields(BaseModel):
         "made in the box alone; the outputs are on the whole grid.",
         entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
     )
-    foreground: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+    foreground: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
         "Voxels of the object that likelihood and learned thresholds learn from, written as a start; several are "
         "united.",
         entry=SettingEntry(RUN, metavar="WHERE", scope="term", repeated=True, fixed=True),
     )
-    background: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+    background: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
         "Voxels around the object that likelihood learns from, written as a start; several are united.",
         entry=SettingEntry(RUN, metavar="WHERE", scope="term", repeated=True, fixed=True),
     )
-    channel: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+    channel: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
         "Further channels of the image: files on the same grid, in order after those of the input.",
         entry=SettingEntry(RUN, metavar="FILE", repeated=True, fixed=True),
@@ -312,7 +279,7 @@ class SettingFields(BaseModel):
     )
     mesh: Annotated[
         Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], Field(min_length=1)] | Literal["auto"],
-        BeforeValidator(_split_commas),
+        BeforeValidator(split_commas),
     ] = setting(
         "auto",
         "Formats, separated by commas, {}",
@@ -355,13 +322,13 @@ class SettingFields(BaseModel):
         "among several objects); in TOML tables [[edit]].",
         entry=SettingEntry(RUN, metavar="CHANGE", repeated=True, fixed=True),
     )
-    inside: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+    inside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
         "Voxels that are in the object, and stay in it: point:X,Y,Z, stroke:FILE, or written as a start. With --inside "
         "and neither --start nor --energy the program chooses everything. Each is a click of its own.",
         entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
     )
-    outside: Annotated[tuple[str, ...], BeforeValidator(_one_or_many)] = setting(
+    outside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
         "Voxels that are not in the object, and stay out of it, written as --inside; with --objects in none of them.",
         entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
@@ -372,7 +339,7 @@ class SettingFields(BaseModel):
         "outside of it is in the object, and energies learn from what lies around it.",
         entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
     )
-    size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(_volume)] = setting(
+    size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(checked_volume)] = setting(
         None,
         "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
         "not bound the result.",
@@ -393,4 +360,10 @@ class SettingFields(BaseModel):
         "Corrections of the finished run, one after another: 'inside=point:X,Y,Z outside=WHERE near=MM' (with "
         "object=ID among several objects); in TOML tables [[refine]]. accelsurf refine adds them.",
         entry=SettingEntry(RUN, metavar="CLICKS", repeated=True, fixed=True),
+    )
+    extension: Literal["closest-point", "fast-marching"] = setting(
+        "closest-point",
+        "How distances and speeds get from the surface to the band: by the closest point of each voxel, or by fast "
+        "marching, from the voxels beside the surface outwards in order of distance.",
+        entry=SettingEntry(RUN, metavar="NAME", fixed=True),
     )

@@ -1,0 +1,41 @@
+"""Values of settings as they are written, before their types are checked: one or many, with commas, energies, volumes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from accelsurf.settings import energy_expression
+from accelsurf.settings.volumes import VOLUME_FORM, volume_mm3
+
+
+def checked_volume(value: Any) -> Any:
+    """Refuse a volume of 0."""
+    if isinstance(value, str) and VOLUME_FORM.fullmatch(value):
+        volume_mm3(value)
+    return value
+
+
+def one_or_many(value: Any) -> Any:
+    """Turn a single start into a tuple of one."""
+    return (value,) if isinstance(value, str) else value
+
+
+def checked_expression(value: Any) -> Any:
+    """Check an energy; turn a list of tables into its text."""
+    if isinstance(value, (list, tuple)):
+        value = energy_expression.from_tables(value)
+    if isinstance(value, str):
+        value = " ".join(value.split())
+        energy_expression.parse(value)
+    return value
+
+
+def split_commas(value: Any) -> Any:
+    """Turn ``"ply,stl"`` into ``("ply", "stl")``; names given twice count once."""
+    if value == "auto":
+        return value
+    if isinstance(value, str):
+        value = value.split(",")
+    if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
+        return tuple(dict.fromkeys(item.strip().lower() for item in value))
+    return value
