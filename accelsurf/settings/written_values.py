@@ -1,4 +1,4 @@
-"""Values of settings as they are written, before their types are checked: one or many, with commas, energies, volumes."""
+"""Values of settings as they are written, before their types are checked: one or many, commas, energies, volumes."""
 
 from __future__ import annotations
 
