@@ -197,24 +197,30 @@ def test_a_leak_into_tissue_like_the_object_is_told_by_its_values():
     muscle = ((x - 8) ** 2 + y**2 + z**2 < 11**2) & ~organ
     scan = -900.0 + 990 * organ + 960 * muscle + np.random.default_rng(1).normal(0, 8, SHAPE)
     start = "ball:15,21.5,19.5,6vox"
-    leaked = segment(scan, spacing=SPACING, start=start, energy="likelihood:update=no")
+    leaked = segment(scan, spacing=SPACING, start=start, energy="likelihood:model=histogram,update=no")
     assert leaked.labels[muscle].mean() > 0.8 and leaked.quality.unlike_learned > 0.2
     assert leaked.stop.reason == "converged" and leaked.quality.no_edge_fraction < 0.1  # nothing else tells
     assert any(words.startswith("values: ") and "leaked" in words for words in leaked.quality.notes)
-    held = segment(scan, spacing=SPACING, start=start, preset="ct-organ")
+    held = segment(scan, spacing=SPACING, start=start, energy="threshold:learned,learned")
     assert held.labels[muscle].mean() < 0.15 and held.quality.unlike_learned < 0.05
     assert not any(words.startswith("values: ") for words in held.quality.notes)
     # What was not learned cannot be unlike.
     assert segment(scan, spacing=SPACING, start=start, max_steps=5).quality.unlike_learned is None
 
 
-def test_learned_values_are_those_before_presmoothing():
+def test_learned_values_are_those_of_the_image_that_is_evolved():
     z, y, x = coordinates()
     scan = 100.0 * (z**2 + y**2 + x**2 < 12**2) + np.random.default_rng(1).normal(0, 10, SHAPE)
     words = {"spacing": SPACING, "start": "ball:23.5,21.5,19.5,6vox", "max_steps": 1}
     words["energy"] = "threshold:learned,learned"
-    bounds = [segment(scan, presmooth=sigma, **words).terms[0] for sigma in (0, "1vox")]
-    assert [term["HI"] - term["LO"] for term in bounds] == pytest.approx([50, 50], rel=0.06)
+    for sigma in (0.0, 0.8):
+        term = segment(scan, presmooth=sigma, **words).terms[0]
+        evolved = gaussian_mm(scan.astype(np.float32), SPACING, sigma) if sigma else scan
+        ball = evolved[z**2 + y**2 + x**2 < 4**2]  # of the tissue that the start lies in
+        deviation = 1.4826 * np.median(np.abs(ball - np.median(ball)))
+        assert term["HI"] - term["LO"] == pytest.approx(5 * deviation, rel=0.06)
+        assert 0.5 * (term["HI"] + term["LO"]) == pytest.approx(100, abs=1)
+        assert (deviation > 9) == (sigma == 0)
     half = segment(scan, **{**words, "energy": "threshold:half:20,"}).terms[0]["LO"]
     assert half == pytest.approx(60, abs=0.5)
 
@@ -227,7 +233,7 @@ def test_it_takes_less_memory_than_the_solver():
     inside = (ax[:, None, None] ** 2 + ax[:, None] ** 2 + ax**2 < 70**2).astype(np.uint8)
     image = inside.astype(np.float32)
     tracemalloc.start()
-    assess(inside, image, (1.0, 1.0, 1.0), [], DONE, (0.5, 1.5))
+    assess(inside, image, Geometry(inside.shape, (1.0, 1.0, 1.0)), [], DONE, (0.5, 1.5))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 16 * inside.size
