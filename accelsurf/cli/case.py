@@ -19,7 +19,7 @@ from accelsurf.cli.outcome import shortcoming
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, object_files, outputs, result_sets
+from accelsurf.report import document, object_files, output_folder, outputs, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.settings.run_config import RunConfig
 
@@ -178,8 +178,8 @@ def run_case(
         When there is no result; the report has been written then, and an earlier result is as it was.
     """
     log = Log()
-    with outputs.opened_set(place.folder, place.name) as files:
-        outputs.refuse_existing(place.paths(config), place.overwrite)
+    with output_folder.opened_set(place.folder, place.name) as files:
+        output_folder.refuse_existing(place.paths(config), place.overwrite)
         try:
             result = (compute or _compute)(place, config, watcher, log)
             config = result.config
@@ -206,7 +206,7 @@ def _write(
     log.warnings += warnings
     target = place if error is None else _failed_place(place, config, error)
     names = target.names(config, result.geometry.slice_axis is not None)
-    with outputs.naming_final(files):
+    with output_folder.naming_final(files):
         written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum)
         log.outputs += describe_drafts(files, {path.name: kind for kind, path in written})
         interrupted = result.stop.reason == "interrupted"
@@ -233,7 +233,7 @@ def _commit(target: Place, files: FileSet, failed: bool) -> None:
     written = [path.name for path in files.drafts.iterdir()]
     if not (failed or target.overwrite):  # another program may have put a file there while the run went on
         report = target.report_path
-        outputs.refuse_existing({"report" if n == report.name else n: files.folder / n for n in written}, False)
+        output_folder.refuse_existing({"report" if n == report.name else n: files.folder / n for n in written}, False)
     gone = result_sets.outdated(files.folder, target.name, written, failed)
     files.commit(last=target.report_path.name, remove=gone)
 
@@ -301,7 +301,7 @@ def report_failure(place: Place, error: BaseException) -> None:
     error : BaseException
     """
     try:
-        with outputs.opened_set(place.folder, place.name) as files:
+        with output_folder.opened_set(place.folder, place.name) as files:
             _write_failure(place, None, error, Log(), files)
     except AccelsurfError as second:
         say(f"warning: the report could not be written: {second.message}")
@@ -320,7 +320,7 @@ def _write_failure(
             raise OutputError(f"{target.report_path}: is the report of a result")  # of an image that is called so
         if log.checksum is None and place.source.is_file() and not stopped:
             log.checksum = sha256(place.source)
-        with outputs.naming_final(files):
+        with output_folder.naming_final(files):
             _write_report(target, config, log, "interrupted" if stopped else "failed", code, error, None, files)
             _commit(target, files, failed=True)
     except AccelsurfError as second:

@@ -67,7 +67,7 @@ def compare(
     from accelsurf.cli.progress import Watcher
     from accelsurf.io.channels import read as read_channels
     from accelsurf.report.file_entries import describe_input
-    from accelsurf.report.outputs import opened_set, refuse_existing
+    from accelsurf.report.output_folder import opened_set, refuse_existing
 
     display = display or Display()
     source, folder = required(input, "INPUT"), required(output, "-o DIR, the output folder,")
@@ -153,7 +153,8 @@ def conclude(
     from accelsurf.io.files import write_bytes
     from accelsurf.report import document, preview
     from accelsurf.report.file_entries import describe_drafts
-    from accelsurf.report.outputs import naming_final, preview_content
+    from accelsurf.report.output_folder import naming_final
+    from accelsurf.report.outputs import preview_content
 
     runs = [_describe_run(name, result, truth) for name, result in results.items()]
     lines = [_table_line(run, result) for run, result in zip(runs, results.values(), strict=True)]

@@ -50,7 +50,7 @@ def look(
     from accelsurf.io.files import write_bytes
     from accelsurf.report.grey_window import parse_window
     from accelsurf.report.look import look_png
-    from accelsurf.report.outputs import make_writable
+    from accelsurf.report.output_folder import make_writable
 
     source = required(input, "IMAGE")
     shown = parse_window(window)

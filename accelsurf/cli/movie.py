@@ -97,7 +97,7 @@ def movie(
     """
     from accelsurf.cli.progress import Watcher
     from accelsurf.io import channels
-    from accelsurf.report.outputs import refuse_existing
+    from accelsurf.report.output_folder import refuse_existing
     from accelsurf.segmentation.run import Run
     from accelsurf.viewer.frontends import movie_file
     from accelsurf.viewer.scene.headless import require_graphics

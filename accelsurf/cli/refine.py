@@ -13,7 +13,7 @@ from accelsurf.errors import InputError, OutputError
 from accelsurf.settings.refinements import Refinement, refinements_of
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Log, Place
+    from accelsurf.cli.case import Finished, Log, Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.state_file import StateFile
@@ -77,22 +77,19 @@ def refine(
     given = {"inside": inside, "outside": outside, "near": near, "object": object}
     (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
     from accelsurf.cli.case import Place, run_case
-    from accelsurf.cli.outcome import summary_lines
     from accelsurf.cli.progress import Watcher
 
     display = display or Display()
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
-    in_place = output is None or output.resolve() == source.report.parent.resolve()
     folder = source.report.parent if output is None else output
+    in_place = folder.resolve() == source.report.parent.resolve()
     place = Place(source.image, folder, source.name, overwrite or in_place)
     if in_place and not overwrite:
         _refuse_changed(place, source)
     compute = _Refinement(source, refinement, in_place)
     done = run_case(place, source.state.config, Watcher(display), strict, compute)
     if not display.quiet:
-        log = done.log
-        lines = summary_lines(place.name, done.result, log.outputs, done.place.report_path, log.seconds["total"])
-        print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
+        _print_summary(done, compute)
     return done.code
 
 
@@ -127,6 +124,14 @@ class _Refinement:
             + (f" (object {one.object_id})" if len(self._changes) > 1 else "")
             for one in self._changes
         ]
+
+
+def _print_summary(done: Finished, compute: _Refinement) -> None:
+    from accelsurf.cli.outcome import summary_lines
+
+    log = done.log
+    lines = summary_lines(done.place.name, done.result, log.outputs, done.place.report_path, log.seconds["total"])
+    print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
 
 
 def _source_of(path: Path, image: Path | None) -> _Source:

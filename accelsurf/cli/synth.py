@@ -38,7 +38,7 @@ def synth(
     from accelsurf.report.document import to_json
     from accelsurf.report.environment import versions
     from accelsurf.report.file_entries import describe_drafts
-    from accelsurf.report.outputs import naming_final, opened_set, refuse_existing
+    from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
 
     folder = required(output, "-o DIR, the output folder,")
     used = recipes.load_recipe(recipe)

@@ -10,7 +10,7 @@ import numpy as np
 
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels import differences, march, motion, region, residues, transport
+from accelsurf.kernels import components, differences, march, motion, region, residues, transport
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
 from accelsurf.levelset.closest_points import find_closest_points, find_residues
 from accelsurf.levelset.displacement import Displacement, Snapshot, displacement
@@ -277,9 +277,9 @@ class LevelSet:
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
         peak, where = np.empty(self.size, np.bool_), (self.dense, self.grid, self.band)
         flipped = np.zeros(self.size, np.bool_)
-        self.workers.parallel(band_kernels.find_peaks, self.size, *where, depth, peak)
+        self.workers.parallel(components.find_peaks, self.size, *where, depth, peak)
         inside, outside, _ = self.workers.serial(
-            band_kernels.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED, held, flipped
+            components.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED, held, flipped
         )
         if inside + outside:
             self.workers.parallel(

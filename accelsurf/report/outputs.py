@@ -5,26 +5,21 @@ they are written, each completely.
 from __future__ import annotations
 
 import functools
-import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from accelsurf import io
-from accelsurf.errors import OutputError, UsageError
+from accelsurf.errors import UsageError
 from accelsurf.evolution.rests import MAX_RESTS
-from accelsurf.io.file_set import FileSet, opened
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report import object_files, preview, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
-from accelsurf.report.result_sets import is_failure_report
 from accelsurf.segmentation.state_file import state_bytes
 from accelsurf.settings.file_formats import (
     DEFAULT_IMAGE_FORMAT,
@@ -44,9 +39,6 @@ if TYPE_CHECKING:
 
 #: Kind of a file, its name, and the function that writes it.
 Writer = tuple[str, str, Callable[[Path], None]]
-
-#: Of a file's name, on the usual file systems.
-MAX_NAME_BYTES = 255
 
 
 def label_format(config: RunConfig, source_suffix: str) -> str:
@@ -135,98 +127,6 @@ def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
             f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
             "use --format tif for a stack, or a volume format",
         )
-
-
-def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
-    """Refuse to start when an output exists already, or the folder cannot take one; make the folder.
-
-    The report of a failed run does not count as existing: it has no result.
-
-    Raises
-    ------
-    OutputError
-        When an output exists and may not be replaced, or nothing can be written there.
-    """
-    longest = max((path.name for path in paths.values()), key=lambda name: len(os.fsencode(name)), default="")
-    if len(os.fsencode(longest)) > MAX_NAME_BYTES:
-        raise OutputError(
-            f"{longest}: the name of an output would have {len(os.fsencode(longest))} bytes, at most {MAX_NAME_BYTES} "
-            "expected",
-            "rename the image, or link to it by a shorter name",
-        )
-    existing = [path for path in paths.values() if os.path.lexists(path)]
-    results = [path for path in existing if not (path == paths.get("report") and is_failure_report(path))]
-    if results and not overwrite:
-        more = f" and {len(results) - 1} more" if len(results) > 1 else ""
-        raise OutputError(f"{results[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
-    folders = [path for path in existing if path.is_dir()]
-    if folders:
-        raise OutputError(f"{folders[0]}: is a folder, a file is to be written there", "choose another folder with -o")
-    for folder in {path.parent for path in paths.values()}:
-        make_writable(folder)
-
-
-def make_writable(folder: Path) -> None:
-    """Make a folder, and check that a file can be written there.
-
-    Raises
-    ------
-    OutputError
-        When it cannot.
-    """
-    try:
-        os.fspath(folder).encode()
-    except UnicodeEncodeError:
-        message = f"{folder}: the name of the folder is not valid UTF-8"
-        raise OutputError(message, "choose another folder with -o, or link to this one") from None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = "it is a file" if isinstance(error, FileExistsError) else error.strerror or str(error)
-        raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
-
-
-@contextmanager
-def opened_set(folder: Path, name: str) -> Iterator[FileSet]:
-    """Make a folder, and prepare the files of a run in it; see `accelsurf.io.file_set.opened`.
-
-    Raises
-    ------
-    OutputError
-        When nothing can be written there, or another run is writing files of this name.
-    """
-    make_writable(folder)
-    with ExitStack() as stack:
-        try:
-            files = stack.enter_context(opened(folder, name))
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
-        yield files
-
-
-@contextmanager
-def naming_final(files: FileSet) -> Iterator[None]:
-    """Name in errors the files as they would be called, not their drafts.
-
-    Raises
-    ------
-    OutputError
-        Instead of one that names a draft, and of what a full disk makes Python raise.
-    """
-    try:
-        yield
-    except OutputError as error:
-        message, hint = (text.replace(str(files.drafts), str(files.folder)) for text in (error.message, error.hint))
-        raise OutputError(message, hint) from error
-    except OSError as error:
-        name = Path(error.filename).name if isinstance(error.filename, str) else ""
-        raise OutputError(
-            f"{files.folder / name}: cannot be written ({error.strerror or error})",
-            f"may {files.folder} be written to, is there space on the disk, is a file of it open in another program?",
-        ) from error
 
 
 def write_result(

@@ -89,9 +89,8 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
-    with _run_of(volume, spacing, channels, config, energy, options) as run:
-        result = _result_at_end(run, None if on_step is None else _without_id(on_step), on_warning)
-    return with_refinements(result, None if on_step is None else _without_id(on_step))
+    run = _run_of(volume, spacing, channels, config, energy, options)
+    return _finished(run, _without_id(on_step), on_warning)
 
 
 def evolve(
@@ -190,33 +189,33 @@ def segment_objects(
         options, objects = {**options, "objects": objects}, None
     if objects is None and with_options(config, None, options)[0].objects is None:
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
-    with _run_of(volume, spacing, channels, config, energy, options, objects) as run:
-        result = _result_at_end(run, on_step, on_warning)
-    return with_refinements(result, on_step)
+    run = _run_of(volume, spacing, channels, config, energy, options, objects)
+    return _finished(run, on_step, on_warning)
 
 
-
-def _without_id(on_step: Callable[[StepRecord], bool | None]) -> Callable[[StepRecord, int], bool | None]:
+def _without_id(on_step: Callable[[StepRecord], bool | None] | None) -> Callable[[StepRecord, int], bool | None] | None:
     """The same for a run of several objects."""
-    return lambda record, own: on_step(record)
+    return None if on_step is None else lambda record, own: on_step(record)
 
 
-def _result_at_end(
+def _finished(
     run: Run,
     on_step: Callable[[StepRecord, int], bool | None] | None,
     on_warning: Callable[[str], None] | None,
 ) -> Result:
-    """Run to the end, or until ``on_step`` returns true."""
+    """The result with its corrections, of a run that goes to the end, or until ``on_step`` returns true."""
     growth = LateGrowth(run.volume.geometry.shape)
-    if on_warning is not None:
-        for warning in run.level_warnings:
-            on_warning(warning)
-    for step in run:
-        own = next(one for one in run.objects if one.id == step.object_id)
-        growth.watch(step, run.grid, own.corner, run.prepared.first)
-        if on_step is not None and on_step(step.record, step.object_id):
-            run.request_stop()
-    return replace(result_of(run), late_growth=growth.place())
+    with run:
+        if on_warning is not None:
+            for warning in run.level_warnings:
+                on_warning(warning)
+        for step in run:
+            own = next(one for one in run.objects if one.id == step.object_id)
+            growth.watch(step, run.grid, own.corner, run.prepared.first)
+            if on_step is not None and on_step(step.record, step.object_id):
+                run.request_stop()
+        result = replace(result_of(run), late_growth=growth.place())
+    return with_refinements(result, on_step)
 
 
 def _run_of(

@@ -23,17 +23,11 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.combined_objects import combined_history, common_terms
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig
-
-#: Columns of the history that are summed over objects, and those of which the largest counts.
-SUMMED = (
-    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
-    "area_mm2", "band_cells", "cells_visited", "seconds",
-)
-LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -276,8 +270,7 @@ class Result:
     def history(self) -> list[StepRecord]:
         """The record of each step; of several objects, sums and largest values over them.
 
-        Energies, mass, volume and area are summed; the columns of `LARGEST` have the largest value of any object; the
-        other columns are those of the first. An object that has stopped counts with its last record.
+        See `accelsurf.segmentation.combined_objects.combined_history`.
         """
         if not self.has_ids:
             return self._one.history
@@ -380,28 +373,3 @@ class Result:
 
         described: dict[str, Any] = accelsurf.report_of(self)
         return described
-
-
-def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
-    """The history of several objects together, by step; one that has stopped counts with its last record."""
-    records = []
-    for step in range(max(map(len, histories))):
-        now = [history[min(step, len(history) - 1)] for history in histories]
-        sums = {key: sum(getattr(record, key) for record in now) for key in SUMMED}
-        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in LARGEST}
-        records.append(now[0]._replace(step=step, restarted=False, **sums, **largest))
-    return records
-
-
-def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """The terms of all objects; "by object" where a setting differs.
-
-    Examples
-    --------
-    >>> common_terms([[{"name": "threshold", "LO": 3}], [{"name": "threshold", "LO": 4}]])
-    [{'name': 'threshold', 'LO': 'by object'}]
-    """
-    return [
-        {key: value if all(one[key] == value for one in same) else "by object" for key, value in same[0].items()}
-        for same in zip(*terms, strict=True)
-    ]

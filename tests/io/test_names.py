@@ -13,7 +13,7 @@ from accelsurf.errors import InputError, OutputError
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io import channels, images
-from accelsurf.report import canvas, document, outputs
+from accelsurf.report import canvas, document, output_folder
 
 VALUES = np.arange(120, dtype=np.int16).reshape(4, 5, 6)
 BAD = os.fsdecode(b"scan\xff\xfe")
@@ -46,7 +46,7 @@ def test_the_command_line_survives_a_name_that_is_not_utf8(tmp_path):
 
 def test_a_folder_for_outputs_that_is_not_utf8_is_refused_before_the_run(tmp_path):
     with pytest.raises(OutputError, match="the name of the folder is not valid UTF-8"):
-        outputs.make_writable(tmp_path / BAD)
+        output_folder.make_writable(tmp_path / BAD)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -69,7 +69,7 @@ def test_long_names_are_written_and_read(tmp_path, suffix, letter):
 def test_a_name_too_long_for_the_outputs_is_refused_before_the_run(tmp_path):
     paths = {"report": tmp_path / ("\u65e5" * 82 + "_report.json")}
     with pytest.raises(OutputError, match="258 bytes, at most 255"):
-        outputs.refuse_existing(paths, overwrite=False)
+        output_folder.refuse_existing(paths, overwrite=False)
 
 
 def test_a_pipe_is_not_waited_for(tmp_path):

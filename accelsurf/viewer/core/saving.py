@@ -11,7 +11,7 @@ from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, file_entries, object_files, outputs, result_sets
+from accelsurf.report import document, file_entries, object_files, output_folder, outputs, result_sets
 from accelsurf.segmentation.api import Result, result_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -64,7 +64,7 @@ def save(
     suffix = "" if source is None else io.split_name(source)[1]
     labels = outputs.label_format(config, suffix)
     outputs.check(config, labels, run.volume.geometry)
-    with outputs.opened_set(folder, name) as files:
+    with output_folder.opened_set(folder, name) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
         all_names = outputs.names(config, labels, run.volume.geometry.slice_axis is not None).items()
         names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
@@ -72,7 +72,7 @@ def save(
         paths |= {"run": folder / RUN_FILE} if "run" in what else {}
         paths |= {"report": folder / result_sets.report_name(name)} if "report" in what else {}
         _check_paths(paths, replaceable)
-        with outputs.naming_final(files):
+        with output_folder.naming_final(files):
             return _write(files, paths, names, name, source, result)
 
 
@@ -116,8 +116,8 @@ def _result_paths(result: Result, folder: Path, names: Mapping[str, str]) -> dic
 def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -> None:
     """Refuse to replace other files, and folders that cannot be written."""
     others = {kind: path for kind, path in paths.items() if replaceable is not None and path not in replaceable}
-    outputs.refuse_existing(others, overwrite=False)
-    outputs.refuse_existing(paths, overwrite=True)
+    output_folder.refuse_existing(others, overwrite=False)
+    output_folder.refuse_existing(paths, overwrite=True)
 
 
 def _write_report(

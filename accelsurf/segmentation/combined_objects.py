@@ -1,0 +1,43 @@
+"""Several objects told as one: their histories summed, their terms with what differs between them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from accelsurf.evolution.records import StepRecord
+
+#: Columns of the history that are summed over objects, and those of which the largest counts.
+SUMMED = (
+    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
+    "area_mm2", "band_cells", "cells_visited", "seconds",
+)
+LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
+
+
+def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
+    """The history of several objects together, by step.
+
+    Energies, mass, volume and area are summed; the columns of `LARGEST` have the largest value of any object; the other
+    columns are those of the first. An object that has stopped counts with its last record.
+    """
+    records = []
+    for step in range(max(map(len, histories))):
+        now = [history[min(step, len(history) - 1)] for history in histories]
+        sums = {key: sum(getattr(record, key) for record in now) for key in SUMMED}
+        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in LARGEST}
+        records.append(now[0]._replace(step=step, restarted=False, **sums, **largest))
+    return records
+
+
+def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The terms of all objects; "by object" where a setting differs.
+
+    Examples
+    --------
+    >>> common_terms([[{"name": "threshold", "LO": 3}], [{"name": "threshold", "LO": 4}]])
+    [{'name': 'threshold', 'LO': 'by object'}]
+    """
+    return [
+        {key: value if all(one[key] == value for one in same) else "by object" for key, value in same[0].items()}
+        for same in zip(*terms, strict=True)
+    ]
