@@ -128,6 +128,16 @@ class Refiner:
         inside = int(np.count_nonzero(psi < 0))
         return CorrectedSurface(one.id, (z, y, x), psi, inside, one.history, one.stop)
 
+    @property
+    def surfaces(self) -> tuple[CorrectedSurface, ...]:
+        """The surfaces as they are, in order of their ids; not to be changed."""
+        return tuple(self._surfaces)
+
+    @property
+    def clicks(self) -> Clicks:
+        """All clicks so far, on the grid of the region of interest."""
+        return self._clicks
+
     # -- corrections ---------------------------------------------------------------------------------------
 
     def apply(
