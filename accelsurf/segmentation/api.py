@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord, Stop
-from accelsurf.grid.boxes import Box, Corner, box_at, corner_of
-from accelsurf.grid.clicks import SIDES, Clicks
+from accelsurf.grid.boxes import Box, box_at, widened
+from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
-from accelsurf.segmentation.clicked_voxels import clicked_voxels
+from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
 from accelsurf.segmentation.late_growth import LateGrowth
 from accelsurf.segmentation.refine import state_of, with_refinements
-from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.rest_points import rest_points
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
@@ -296,7 +296,7 @@ def result_of(run: Run) -> Result:
         kernels=run.seconds_by_kernel(),
         edits_done=run.edits_done,
         given=run.given,
-        clicks=clicks_of_run(run),
+        clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
         state=state_of(run),
         warnings=run.level_warnings
         + [
@@ -305,18 +305,6 @@ def result_of(run: Run) -> Result:
         ]
         + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
     )
-
-
-def clicks_of_run(run: Run) -> Clicks | None:
-    """Return the clicks in force, on the image's grid."""
-    if run.clicks is None:
-        return None
-    clicks = []
-    for click in run.clicks.clicks:
-        z, y, x = (a + b for a, b in zip(corner_of(click.box), run.prepared.first, strict=True))
-        corner: Corner = (z, y, x)
-        clicks.append(click._replace(box=box_at(corner, click.mask.shape)))
-    return Clicks(tuple(clicks), run.volume.geometry.shape)
 
 
 def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
@@ -350,15 +338,9 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
     """The objects of a run of several, each on a part of the grid a little larger than its own."""
     geometry, objects = run.volume.geometry, []
     for one, (corner, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
-        at = [c + s.start for c, s in zip(corner, run.prepared.box, strict=True)]
-        low = [max(c - AROUND, 0) for c in at]
-        high = [min(c + n + AROUND, m) for c, n, m in zip(at, psi.shape, geometry.shape, strict=True)]
-        # An object that the region of interest cuts ends half a voxel beyond it.
-        before = [(c - a, b - c - n) for a, b, c, n in zip(low, high, at, psi.shape, strict=True)]
-        around = np.abs(np.pad(psi, before, mode="edge"))
-        around[tuple(slice(k, k + n) for (k, _), n in zip(before, psi.shape, strict=True))] = psi
-        z, y, x = (slice(a, b) for a, b in zip(low, high, strict=True))
-        box: Box = (z, y, x)
+        z, y, x = (c + first for c, first in zip(corner, run.prepared.first, strict=True))
+        box = widened(box_at((z, y, x), psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
+        around = closed_on(psi, (z, y, x), box)
         learned = run.prepared.learned_by(one.context)
         objects.append(
             SegmentedObject(

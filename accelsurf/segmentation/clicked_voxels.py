@@ -1,12 +1,33 @@
-"""The voxels that a person clicked, on an object's part of the image's grid."""
+"""What a person clicked on the region of interest, on the image's grid: all clicks, and the voxels of an object."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, corner_of, shared
-from accelsurf.grid.clicks import SIDES, Clicks
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared
+from accelsurf.grid.clicks import Clicks
+
+
+def on_image(clicks: Clicks | None, first: Corner, shape: tuple[int, int, int]) -> Clicks | None:
+    """Clicks on the image's grid; None without any.
+
+    Parameters
+    ----------
+    clicks : Clicks or None
+        On the grid of the region of interest.
+    first : (z, y, x)
+        First voxel of that region in the image.
+    shape : (nz, ny, nx)
+        Of the image.
+    """
+    if clicks is None or not clicks.clicks:
+        return None
+    out = []
+    for click in clicks.clicks:
+        z, y, x = (a + b for a, b in zip(corner_of(click.box), first, strict=True))
+        out.append(click._replace(box=box_at((z, y, x), click.mask.shape)))
+    return Clicks(tuple(out), shape)
 
 
 def clicked_voxels(clicks: Clicks | None, own: int, first: Corner, box: Box) -> NDArray[np.bool_] | None:
@@ -26,7 +47,11 @@ def clicked_voxels(clicks: Clicks | None, own: int, first: Corner, box: Box) -> 
     if clicks is None:
         return None
     marked = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
-    both = clicks.mask(SIDES[0], own) | clicks.mask(SIDES[1], own)
-    mine, theirs = shared(corner_of(box), marked.shape, first, both.shape)
-    marked[mine] = both[theirs]
+    for click in clicks.clicks:
+        if click.id != own:
+            continue
+        z, y, x = (a + b for a, b in zip(corner_of(click.box), first, strict=True))
+        mine, theirs = shared(corner_of(box), marked.shape, (z, y, x), click.mask.shape)
+        if all(s.start < s.stop for s in mine):
+            marked[mine] |= click.mask[theirs]
     return marked

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, shared
 from accelsurf.grid.clicks import Click, Side
+from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.run_start import AROUND
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -48,6 +50,21 @@ def counted_from(box: Box, corner: Corner) -> Box:
     """A box counted from another first voxel."""
     z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, corner, strict=True))
     return z, y, x
+
+
+def part_of_image(before: Box, corner: Corner, now: CorrectedSurface, prepared: PreprocessedInput) -> Box:
+    """The part of the image of one of several objects after a correction.
+
+    What it was ``before``, and its array, from voxel ``corner`` of the image on; with room beyond the region of
+    interest where that cuts the object.
+    """
+    out = []
+    image = prepared.volumes[0].geometry.shape
+    for old, c, n, region, whole in zip(before, corner, now.psi.shape, prepared.box, image, strict=True):
+        low = c - (AROUND if c == region.start else 0)
+        high = c + n + (AROUND if c + n == region.stop else 0)
+        out.append(slice(max(min(low, old.start), 0), min(max(high, old.stop), whole)))
+    return out[0], out[1], out[2]
 
 
 def wrong_part(click: Click, one: CorrectedSurface) -> Click | None:

@@ -19,6 +19,7 @@ from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import Workers
+from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.corrected_surface import (
     CorrectedSurface,
     box_around,
@@ -26,6 +27,7 @@ from accelsurf.segmentation.corrected_surface import (
     counted_from,
     frozen_settings,
     on_box,
+    part_of_image,
     stop_of_whole,
     wrong_part,
 )
@@ -33,8 +35,9 @@ from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, me
 from accelsurf.segmentation.local_model import ModelChange, basin_of, local_models
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
 from accelsurf.segmentation.new_clicks import check_object, clicks_of, clicks_on, placed_clicks, refuse_contradictions
-from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.region_totals import RegionTotals
+from accelsurf.segmentation.rest_points import on_larger_box
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_setup import available_cores, energy_maker, setup_of, window_reach
 from accelsurf.segmentation.solver_setup import half_width, is_maker
@@ -161,7 +164,13 @@ class Refiner:
         Raises
         ------
         UsageError
-            When no object has the id, or a click contradicts an earlier one.
+            When no object has the id.
+        InputError
+            When a click contradicts an earlier one, or lies outside of region or mask.
+
+        Notes
+        -----
+        All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
         """
         ids = [one.id for one in self._surfaces]
         check_object(refinement, ids if self._result.has_ids else None)
@@ -172,17 +181,25 @@ class Refiner:
         self._undo.append(_Correction(self.config, self._clicks, [], []))
         self.config = self.config.replace(refine=(*self.config.refine, refinement))
         self._clicks = everything
+        try:
+            return self._correct_all(new, refinement.near, on_step)
+        except BaseException:  # Ctrl-C too
+            self.undo()
+            raise
+
+    def _correct_all(self, new: Sequence[Click], near: float | str, on_step: OnObjectStep | None) -> tuple[Change, ...]:
+        """Correct each object that ``new`` clicks, on the grid of the region of interest, are about."""
         began = time.perf_counter()
         changes = []
         with Workers(available_cores() if self.config.threads == "auto" else self.config.threads) as workers:
             for place, one in enumerate(self._surfaces):
                 if mine := clicks_on(new, one.id):
-                    changes.append(self._correct(place, mine, refinement.near, workers, on_step))
+                    changes.append(self._correct(place, mine, near, workers, on_step))
         self._seconds += time.perf_counter() - began
         return tuple(changes)
 
     def undo(self) -> None:
-        """Go back to the state before the last correction; with none nothing happens."""
+        """Go back to the state before the last correction that was made; with none nothing happens."""
         if not self._undo:
             return
         last = self._undo.pop()
@@ -362,20 +379,26 @@ class Refiner:
             self._state, totals=dict(self._regional.totals), clicks=self._clicks, models=models
         )
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
-        return dataclasses.replace(base, objects=objects, config=self.config, state=state, seconds=seconds)
+        clicks = on_image(self._clicks, self._state.prepared.first, base.geometry.shape)
+        return dataclasses.replace(
+            base, objects=objects, config=self.config, state=state, seconds=seconds, clicks=clicks
+        )
 
     def _object(self, one: SegmentedObject, now: CorrectedSurface) -> SegmentedObject:
         prepared, whole = self._state.prepared, self._result.geometry
-        if now.history is one.history:
-            return one
+        is_same = now.history is one.history
+        z, y, x = (c + first for c, first in zip(now.corner, prepared.first, strict=True))
+        box = one.box if is_same or not self._result.has_ids else part_of_image(one.box, (z, y, x), now, prepared)
+        clicked = clicked_voxels(self._clicks, one.id, prepared.first, box) if len(self._clicks) else None
+        if is_same:
+            unchanged = clicked is None or (one.clicked is not None and np.array_equal(clicked, one.clicked))
+            return one if unchanged else dataclasses.replace(one, clicked=clicked)
         if not self._result.has_ids:
             psi = prepared.on_whole_grid(now.psi)
             psi = psi.copy() if psi is now.psi else psi
-            return dataclasses.replace(one, psi=psi, history=now.history, stop=now.stop)
-        low = [c + s.start for c, s in zip(now.corner, prepared.box, strict=True)]
-        box = box_at((low[0], low[1], low[2]), now.psi.shape)
-        part = self._result.image[box]
+            return dataclasses.replace(one, psi=psi, history=now.history, stop=now.stop, clicked=clicked)
         return dataclasses.replace(
-            one, box=box, psi=now.psi.copy(), image=part, geometry=cropped(whole, box), history=now.history,
-            stop=now.stop,
+            one, box=box, psi=closed_on(now.psi, (z, y, x), box), image=self._result.image[box],
+            geometry=cropped(whole, box), history=now.history, stop=now.stop, clicked=clicked,
+            rests=on_larger_box(one.rests, one.box, box),
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelsurf import io
 from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.boxes import Box, Corner, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
 from accelsurf.settings.run_config import RunConfig
@@ -71,6 +71,17 @@ def cropped(geometry: Geometry, box: Box) -> Geometry:
     origin = geometry.index_to_world(np.array([float(s.start) for s in box]))
     corner = (float(origin[0]), float(origin[1]), float(origin[2]))
     return Geometry((shape[0], shape[1], shape[2]), geometry.spacing, corner, geometry.direction)
+
+
+def closed_on(psi: NDArray[np.float32], corner: Corner, box: Box) -> NDArray[np.float32]:
+    """Psi on a larger ``box`` of the image, known from voxel ``corner`` on: all beyond is outside.
+
+    An object that the region of interest cuts ends half a voxel beyond it.
+    """
+    before = [(c - s.start, s.stop - c - n) for s, c, n in zip(box, corner, psi.shape, strict=True)]
+    out = np.abs(np.pad(psi, before, mode="edge"))
+    out[tuple(slice(k, k + n) for (k, _), n in zip(before, psi.shape, strict=True))] = psi
+    return out
 
 
 def region_of_run(config: RunConfig, geometry: Geometry) -> Box:

@@ -46,6 +46,12 @@ def rest_points(rests: Sequence[FoundRest], prepared: PreprocessedInput, box: Bo
     return tuple(_point(rest, prepared, box) for rest in rests)
 
 
+def on_larger_box(rests: Sequence[RestPoint], before: Box, box: Box) -> tuple[RestPoint, ...]:
+    """The rests of an object whose part of the image's grid was ``before``, and is now the larger ``box``."""
+    around = [(a.start - b.start, b.stop - a.stop) for a, b in zip(before, box, strict=True)]
+    return tuple(rest._replace(labels=np.pad(rest.labels, around)) for rest in rests)
+
+
 def _point(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> RestPoint:
     geometry, at = prepared.geometry, rest.at
     grids = pyramid.levels(geometry.shape, geometry.spacing, at.level + 1)

@@ -9,12 +9,13 @@ from accelsurf.errors import InputError
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import result_of
+from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.local_model import local_models
 from accelsurf.segmentation.new_clicks import clicks_of, clicks_on, placed_clicks
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, surface_of
+from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, rests_of, surface_of
 
 
 def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) -> Result:
@@ -52,13 +53,19 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         for id, model in models.items():
             for click in clicks_on(new, id):
                 model.add(click)
+    said = clicks if clicks.clicks else None
+    objects = tuple(
+        dataclasses.replace(one, clicked=clicked_voxels(said, one.id, prepared.first, one.box)) for one in objects
+    )
     return dataclasses.replace(
         base,
         objects=objects,
+        clicks=on_image(said, prepared.first, base.geometry.shape),
         config=state.config,
         levels=list(state.levels),
         edits_done=state.edits_done,
         warnings=list(state.warnings),
+        late_growth=state.late_growth,
         state=dataclasses.replace(
             base.state,
             totals=dict(state.totals),
@@ -71,13 +78,13 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
 def _object(one: ObjectFile, known: SegmentedObject, base: Result) -> SegmentedObject:
     """An object as the state has it; what it shows of the image is that of the run."""
     try:
-        psi = surface_of(one)
+        psi, rests = surface_of(one), rests_of(one)
     except ValueError as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
     box = box_of(one)
     if not base.has_ids:
-        return dataclasses.replace(known, psi=psi, history=list(one.history), stop=one.stop)
+        return dataclasses.replace(known, psi=psi, history=list(one.history), stop=one.stop, rests=rests)
     return dataclasses.replace(
         known, box=box, psi=psi, image=base.image[box], geometry=cropped(base.geometry, box),
-        history=list(one.history), stop=one.stop,
+        history=list(one.history), stop=one.stop, rests=rests,
     )

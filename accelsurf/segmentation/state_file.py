@@ -21,6 +21,7 @@ from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
+from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.result import Result
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
@@ -49,13 +50,24 @@ class SurfaceFile(NamedTuple):
     far: float
 
 
+class RestFile(NamedTuple):
+    """A `RestPoint`, with its voxels packed."""
+
+    step: int
+    volume_mm3: float
+    left_at: int
+    place: tuple[float, float, float]
+    inside: PackedArray
+
+
 class ObjectFile(NamedTuple):
-    """An object: its ``id``, ``surface``, ``history`` and ``stop``."""
+    """An object: its ``id``, ``surface``, ``history``, ``stop`` and ``rests``."""
 
     id: int
     surface: SurfaceFile
     history: tuple[StepRecord, ...]
     stop: Stop
+    rests: tuple[RestFile, ...]
 
 
 class StateFile(NamedTuple):
@@ -72,7 +84,7 @@ class StateFile(NamedTuple):
     objects : tuple of ObjectFile
     totals : dict of str to ndarray
         As of `accelsurf.segmentation.run_state.RunState`.
-    levels, edits_done, warnings
+    levels, edits_done, warnings, late_growth
         As of `Result`.
     """
 
@@ -84,12 +96,13 @@ class StateFile(NamedTuple):
     levels: tuple[LevelSummary, ...]
     edits_done: int
     warnings: tuple[str, ...]
+    late_growth: tuple[float, float, float] | None
 
 
 #: The types in the file, by the names under which they are written.
 TYPES: dict[str, type] = {
     kind.__name__: kind for kind in (
-        Level, LevelSummary, ObjectFile, PackedArray, StateFile, StepRecord, Stop, SurfaceFile,
+        Level, LevelSummary, ObjectFile, PackedArray, RestFile, StateFile, StepRecord, Stop, SurfaceFile,
     )
 }
 
@@ -106,13 +119,16 @@ def state_bytes(result: Result, image: str) -> bytes:
     """
     assert result.state is not None
     objects = tuple(
-        ObjectFile(one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(one.history), one.stop)
+        ObjectFile(
+            one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(one.history), one.stop,
+            tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in one.rests),
+        )
         for one in result.objects
     )
     config = result.config.model_dump(mode="json")
     state = StateFile(
         config, image, result.geometry.shape, objects, dict(result.state.totals), tuple(result.levels),
-        result.edits_done, tuple(result.warnings),
+        result.edits_done, tuple(result.warnings), result.late_growth,
     )
     header = {"accelsurf": __version__, "state": VERSION}
     return to_bytes((header, state), TYPES)
@@ -191,6 +207,23 @@ def surface_of(one: ObjectFile) -> NDArray[np.float32]:
         raise ValueError(f"the band of object {one.id} does not fit its values")
     psi[in_band] = values
     return psi
+
+
+def rests_of(one: ObjectFile) -> tuple[RestPoint, ...]:
+    """The rests of an object, on its box.
+
+    Raises
+    ------
+    ValueError
+        When the file is damaged.
+    """
+    out = []
+    for rest in one.rests:
+        inside = _unpacked(rest.inside)
+        if inside.dtype != np.bool_ or inside.shape != one.surface.in_band.shape:
+            raise ValueError(f"a rest of object {one.id} does not fit its box")
+        out.append(RestPoint(*rest[:-1], inside.view(np.uint8)))
+    return tuple(out)
 
 
 def box_of(one: ObjectFile) -> tuple[slice, slice, slice]:

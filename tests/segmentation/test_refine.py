@@ -232,6 +232,54 @@ def test_a_contradiction_is_refused_with_the_voxel_and_changes_nothing(result):
     with pytest.raises(InputError, match=r"voxel 24,14,12 .* both inside and outside"):
         refiner.apply(*refinements_of({"outside": f"point:{world(12, 14, 24)}"}))
     assert refiner.result().psi.tobytes() == psi.tobytes() and refiner.config == config
+    # What was refused is no correction: undo takes back the one before it.
+    refiner.undo()
+    assert refiner.result().psi.tobytes() == result.psi.tobytes() and refiner.config == result.config
+
+
+def test_a_correction_that_fails_leaves_nothing_behind(result):
+    """All or nothing: the objects corrected before the failure go back too."""
+    refiner = Refiner(result)
+    refiner.apply(*refinements_of({"inside": f"point:{world(12, 14, 24)}", "near": 5}))
+    before = refiner.result()
+
+    def fail(record, own):
+        raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 6)},2", "near": 6}), on_step=fail)
+    now = refiner.result()
+    assert now.psi.tobytes() == before.psi.tobytes() and now.config == before.config
+    assert len(now.clicks) == len(before.clicks) == 1
+    refiner.undo()
+    assert refiner.result().psi.tobytes() == result.psi.tobytes()
+
+
+def test_the_result_has_all_clicks_in_order(image):
+    before = first_run(image, inside=f"point:{world(12, 14, 14)}", roi="2,2,0,60,26,36")
+    after = refine(before, outside=f"point:{world(12, 14, 24)}", near=5)
+    after = refine(after, inside=f"point:{world(11, 14, 14)}")
+    at = [("inside", (12, 14, 14)), ("outside", (12, 14, 24)), ("inside", (11, 14, 14))]
+    assert [(one.side, tuple(s.start for s in one.box)) for one in after.clicks.clicks] == at
+    assert after.clicks.shape == SHAPE and after.objects[0].clicked.shape == after.objects[0].psi.shape
+    assert sorted(map(tuple, np.argwhere(after.objects[0].clicked).tolist())) == sorted(place for _, place in at)
+
+
+def test_objects_that_the_region_cuts_end_half_a_voxel_beyond_it():
+    image, starts = two_balls()[0], np.zeros(SHAPE, int)
+    starts[10:14, 12:16, 12:16], starts[10:14, 12:16, 46:50] = 3, 7
+    roi = "0,14,0,63,29,37"  # through the middle of both
+    before = accelsurf.segment_objects(image, starts, spacing=SPACING, threads=1, roi=roi)
+    after = refine(before, outside=f"ball:{world(12, 16, 53)},2", object=7, near=6)
+    old, new = before.by_id[7], after.by_id[7]
+    assert not np.array_equal(after.labels, before.labels) and new.box == old.box
+    assert not new.labels[:, : 14 - new.box[1].start].any()
+    # Where the region ends, to a part of a voxel that vertices move by; without what lies beyond it would be 14.
+    assert [one.surface.vertices[:, 1].min() for one in (old, new)] == pytest.approx([13.5, 13.5], abs=0.05)
+    far = far_from([(12, 16, 53)], 6.0)
+    far[:, :14] = False  # no surface there: the values next to it, turned outside
+    far = far[new.box]
+    assert new.psi[far].tobytes() == old.psi[far].tobytes()
 
 
 def test_a_result_without_state_is_refused(image):

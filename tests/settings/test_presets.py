@@ -110,14 +110,15 @@ def test_vessel_of_any_phase_beside_bone(lumen):
     assert dice(found("ct-vessel", image, "ball:24,22,15,3vox"), vessel) > 0.9
 
 
-@pytest.mark.parametrize("value", [60, 110])
-def test_organ_beside_muscle_and_fat(value):
+@pytest.mark.parametrize(("value", "clicks"), [(60, {"outside": "point:43,22,15vox"}), (110, {})])
+def test_organ_beside_muscle_and_fat(value, clicks):
+    """Muscle at 30 HU: from an organ without contrast agent, as bright within the noise, a click outside parts it."""
     z, y, x = grid()
     organ = (x + 3) ** 2 + y**2 + z**2 < 15**2
     muscle = ((x - 15) ** 2 + y**2 + z**2 < 5**2) & ~organ
     image = noisy(-100.0 + (100 + value) * organ + 130 * muscle, 15)
-    labels = found("ct-organ", image, inside="ball:20,22,15,8vox")
-    assert dice(labels, organ) > 0.9 and not labels[muscle].all()
+    labels = found("ct-organ", image, inside="ball:20,22,15,8vox", **clicks)
+    assert dice(labels, organ) > 0.9 and labels[muscle].mean() < 0.5
 
 
 def test_a_preset_of_clicks_asks_for_one():

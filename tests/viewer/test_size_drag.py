@@ -84,16 +84,16 @@ def test_releasing_begins_the_run_that_the_same_settings_begin(tmp_path):
     volume, own = scan()
     with Session(volume, RunConfig(start="ball:5,5,5,2", max_steps=60, levels=1)) as session:
         drag = session.press(PRESS).result()
-        session.release(9.5).result()
+        session.release(10.0).result()  # where it fits: the size counts
         settings = session.status.settings
-        assert settings.inside == (PRESS,) and settings.size == drag.size_text(9.5) and settings.energy == "seeded"
+        assert settings.inside == (PRESS,) and settings.size == drag.size_text(10.0) and settings.energy == "seeded"
         session.play()
         assert session.wait(120)
         session.save(tmp_path, ["run", "labels"]).result()
         session.undo().result()
         assert session.status.settings.start == ("ball:5,5,5,2",) and session.status.settings.inside == ()
         with pytest.raises(UsageError, match="nothing was pressed"):
-            session.release(9.5).result()
+            session.release(10.0).result()
     config = RunConfig.from_toml(next(tmp_path.glob("*.toml")))
     result = segment(volume, config=config)
     assert 2 * (result.labels & own).sum() / (result.labels.sum() + own.sum()) > 0.95

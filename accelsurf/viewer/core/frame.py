@@ -17,7 +17,7 @@ from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.levelset import LevelSet
 from accelsurf.report.preview_content import ClickMark, marks_of
-from accelsurf.segmentation.api import clicks_of_run
+from accelsurf.segmentation.clicked_voxels import on_image
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
 
@@ -272,7 +272,7 @@ class Frame:
             for one, record in zip(run.objects, records, strict=True)
         )
         made = cls.of(states, run.grid, max_voxels, run.prepared.first)
-        clicks = clicks_of_run(run)
+        clicks = on_image(run.clicks, run.prepared.first, run.volume.geometry.shape)
         return made if clicks is None else replace(made, clicks=marks_of(clicks.clicks, run.geometry.spacing))
 
     @classmethod
