@@ -31,8 +31,8 @@ class LocalProblem(NamedTuple):
     """What moves, and what holds it; arrays on the box of the region.
 
     ``psi`` (nz, ny, nx) of the surface before, mm; ``spacing``; ``region`` in which it may move; ``clicks``, the bounds
-    of all clicks there; ``won``, voxels (nz, ny, nx) that new clicks win, each with its side; ``energy`` of the box;
-    ``setup`` of the solver; ``max_steps`` of this evolution; the ``history`` so far.
+    of all clicks there; ``won``, voxels (nz, ny, nx) that new clicks win, each with its side; ``sides`` of the new
+    clicks; ``energy`` of the box; ``setup`` of the solver; ``max_steps`` of this evolution; the ``history`` so far.
     """
 
     psi: NDArray[np.float32]
@@ -40,6 +40,7 @@ class LocalProblem(NamedTuple):
     region: NearRegion
     clicks: ClickBounds
     won: list[tuple[Side, NDArray[np.bool_]]]
+    sides: frozenset[Side]
     energy: Energy
     setup: SolverSetup
     max_steps: int
@@ -72,7 +73,7 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     surface = LevelSet(psi, spacing, setup.half_width, workers, extension=setup.extension)
     volume, area = _measures(surface)
     before = signed_distance(psi, float(surface.gamma), spacing)
-    bounds = united(near_bounds(before, problem.region, spacing), problem.clicks)
+    bounds = united(near_bounds(before, problem.region, spacing, problem.sides), problem.clicks)
     dense = surface.dense.psi.reshape(surface.shape)
     dense[...] = before
     for side, basin in problem.won:

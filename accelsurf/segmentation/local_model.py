@@ -1,7 +1,9 @@
-"""The clicks' model of an object that is corrected: which voxels another click wins."""
+"""The clicks' model of an object that is corrected: which voxels another click wins. Each click costs its own box."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,24 +11,56 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.seeded import SeededModel, seeded_model
-from accelsurf.grid.boxes import Box, bounding_box, box_at
+from accelsurf.energies.seeded import SeededModel
+from accelsurf.energies.seeded.answers import CLICKED, Answer, with_click
+from accelsurf.energies.seeded.competition import field_of
+from accelsurf.energies.seeded.model import BEYOND, later_times
+from accelsurf.energies.seeded.partition import partition_model
+from accelsurf.grid.boxes import Box, box_at, corner_of, shared, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.segmentation.corrected_surface import CorrectedSurface, box_around, counted_from, on_box
+from accelsurf.segmentation.near_region import around_clicks, automatic_near
 from accelsurf.segmentation.preprocessing import uses_model
-from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig
 
 Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
+#: The first box of a march has so many times the radius of a ball of as many voxels as the march may accept.
+REACH = 2.5
+#: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
+CLEAR = 2
+
+
+class LocalState(NamedTuple):
+    """A model between two clicks, as a value, on a ``box`` of the grid; beyond it F is 1 and nothing is inside.
+
+    ``clicks`` that it was made from and the ``answer`` to them (None of a partition), on the whole grid's indices;
+    ``images``, the channels as the model sees them, on the whole grid; ``field`` F and ``start`` on the box.
+    """
+
+    clicks: Clicks
+    answer: Answer | None
+    images: tuple[Image, ...]
+    box: Box
+    field: Image
+    start: Mask
+
+    @classmethod
+    def of(cls, model: SeededModel) -> LocalState:
+        """That of a whole model."""
+        if model.answer is None:
+            return cls(model.clicks, None, model.images, whole_box(model.field.shape), model.field, model.start)
+        return _answered(model.clicks, model.answer, model.images)
 
 
 class ModelChange(NamedTuple):
-    """What a click changed: the ``mask`` on a ``box`` of the grid where F has another side, and the model before."""
+    """What a click changed: the ``mask`` on a ``box`` of the grid where the model's object has changed; and before."""
 
     box: Box
-    mask: NDArray[np.bool_]
-    before: SeededModel
+    mask: Mask
+    before: LocalState
 
 
 class LocalModel:
@@ -34,85 +68,104 @@ class LocalModel:
 
     Parameters
     ----------
-    model : SeededModel
+    state : LocalState
     images : sequence of ndarray (nz, ny, nx), float32
         The channels, as they are evolved.
     spacing : (hz, hy, hx)
         mm.
     passes : ndarray of bool or None
         The mask of the run.
-    threads : int
-        The result is the same for any number.
     """
 
-    def __init__(
-        self,
-        model: SeededModel,
-        images: Sequence[Image],
-        spacing: Spacing,
-        passes: NDArray[np.bool_] | None,
-        threads: int,
-    ) -> None:
-        self.model = model
-        self._images, self._spacing, self._passes, self._threads = images, spacing, passes, threads
+    def __init__(self, state: LocalState, images: Sequence[Image], spacing: Spacing, passes: Mask | None) -> None:
+        self.state = state
+        self._images, self.spacing, self._passes = images, spacing, passes
 
-    @property
-    def field(self) -> Image:
-        """F (nz, ny, nx): the surface grows where it is below 0."""
-        return self.model.field
+    def field_on(self, box: Box) -> Image:
+        """F on a box of the grid: the surface grows where it is below 0."""
+        return _placed(self.state.field, self.state.box, box, 1.0)
 
     def add(self, click: Click) -> ModelChange:
-        """Go on to the model with one more click.
+        """Go on to the model with one more click: the same as the model of all clicks, at the cost of a box.
 
         Parameters
         ----------
         click : Click
             On the grid of the model, as its object sees it.
         """
-        before = self.model
-        self.model = seeded_model(
-            self._images,
-            self._spacing,
-            before.clicks.with_more([click]),
-            mask=self._passes,
-            threads=self._threads,
-            previous=before,
+        before, clicks = self.state, self.state.clicks.with_more([click])
+        if before.answer is None:
+            whole = partition_model(self._images, self.spacing, clicks, mask=self._passes)
+            self.state = LocalState.of(whole)
+        else:
+            self.state = _answered(clicks, self._with_click(before.answer, click), before.images)
+        box = self.state.box
+        return ModelChange(box, self.state.start != _placed(before.start, before.box, box, False), before)
+
+    def _with_click(self, answer: Answer, click: Click) -> Answer:
+        """The answer to one more click, computed on a box that its march does not come near the border of."""
+        count = 1.05 * BEYOND * answer.count
+        axes = [n for n in self.state.clicks.shape if n > 1]
+        reach = REACH * (count * (3.0 / (4.0 * math.pi) if len(axes) == 3 else 1.0 / math.pi)) ** (1.0 / len(axes))
+        mean = math.prod(self.spacing) ** (1.0 / 3.0)
+        margin = [math.ceil(reach * mean / h) + CLEAR for h in self.spacing]
+        while True:
+            box = _both(widened(click.box, self.state.clicks.shape, margin), answer.box)
+            found = self._on_box(answer, click, box)
+            if found is not None:
+                return found
+            margin = [2 * m for m in margin]
+
+    def _on_box(self, answer: Answer, click: Click, box: Box) -> Answer | None:
+        """The same on a given box; None where the march comes near its border."""
+        images = [np.ascontiguousarray(image[box]) for image in self.state.images]
+        passes = None if self._passes is None else self._passes[box]
+        field, corner = field_of(images, self.spacing, passes), corner_of(box)
+        here = dataclasses.replace(
+            answer, box=counted_from(answer.box, corner), clicks=tuple(_moved(c, corner) for c in answer.clicks)
         )
-        changed = (self.model.field < 0) != (before.field < 0)
-        box = bounding_box(changed) or box_at((0, 0, 0), (0, 0, 0))
-        return ModelChange(box, changed[box], before)
+        own = _moved(click, corner)
+        marched = later_times(images, self.spacing, field, own, here)
+        if _is_near_border(np.isfinite(marched[0]).reshape(field.shape), box, self.state.clicks.shape):
+            return None
+        after = with_click(here, field, own, marched)
+        back = (-corner[0], -corner[1], -corner[2])
+        return dataclasses.replace(after, box=counted_from(after.box, back), clicks=(*answer.clicks, click))
 
     def undo(self, change: ModelChange) -> None:
         """Take back the last change."""
-        self.model = change.before
+        self.state = change.before
 
 
-def basin_of(click: Click, change: ModelChange, field: Image) -> Click:
-    """What a click wins, as a click: its voxels, and those connected to it whose field is now on its side by it.
+def basin_of(click: Click, change: ModelChange, model: LocalModel, one: CorrectedSurface) -> Click:
+    """What a click wins, as a click: its voxels, and those that the model gives to its side and the surface does not.
+
+    Of those, what the model has given because of the click: also what an outside click cuts off, whose field is as it
+    was, but which is connected to no inside click any more. And what lies around the click, connected to it: the
+    surface has left what the model gave it before, and the click says that this was wrong.
 
     Parameters
     ----------
     click : Click
     change : ModelChange
         That it made.
-    field : ndarray (nz, ny, nx), float32
+    model : LocalModel
         After the click.
+    one : CorrectedSurface
     """
-    side = (field < 0) if click.side == "inside" else (field > 0)
-    corners = np.array([[t.start for t in click.box], [t.start for t in change.box]])
-    ends = np.array([[t.stop for t in click.box], [t.stop for t in change.box]])
-    if not change.mask.size:
-        return click
-    low, high = corners.min(axis=0), ends.max(axis=0)
-    box = box_at((int(low[0]), int(low[1]), int(low[2])), [int(n) for n in high - low])
-    own = np.zeros(tuple(t.stop - t.start for t in box), np.bool_)
-    own[tuple(slice(t.start - b.start, t.stop - b.start) for t, b in zip(change.box, box, strict=True))] = change.mask
-    own &= side[box]
-    (placed,) = Clicks((click,), (field.shape[0], field.shape[1], field.shape[2])).on_box(box).clicks
-    own[placed.box] |= placed.mask
+    spacing = model.spacing
+    near = automatic_near(one.psi, [click._replace(box=counted_from(click.box, one.corner))], spacing)
+    around = around_clicks([click], near, 0.0, model.state.clicks.shape, spacing, 0.0)
+    box = _both(around.box, change.box)
+    own = _placed(model.state.start, model.state.box, box, False) == (click.side == "inside")
+    changed = own & _placed(change.mask, change.box, box, False)
+    own &= _placed(around.mask, around.box, box, False)
+    own &= (_placed(one.psi, box_at(one.corner, one.psi.shape), box, 1.0) < 0) != (click.side == "inside")
+    placed = counted_from(click.box, corner_of(box))
+    own[placed] |= click.mask
     labels, _ = ndimage.label(own)
-    found = np.unique(labels[placed.box][placed.mask])
-    return click._replace(box=box, mask=np.asarray(np.isin(labels, found[found > 0])))
+    touched = np.unique(labels[placed][click.mask])
+    return click._replace(box=box, mask=np.asarray(changed | np.isin(labels, touched[touched > 0])))
 
 
 def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> dict[int, LocalModel]:
@@ -122,8 +175,46 @@ def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> di
     prepared = state.prepared
     distance = prepared.mask_distance
     passes = None if distance is None else np.asarray(distance < 0)
-    models = {id: state.models.get(id) or state.contexts[id].seeded_model() for id in ids}
-    return {
-        id: LocalModel(model, prepared.images, prepared.geometry.spacing, passes, thread_count(settings))
-        for id, model in models.items()
-    }
+    known = {id: state.models.get(id) or LocalState.of(state.contexts[id].seeded_model()) for id in ids}
+    return {id: LocalModel(one, prepared.images, prepared.geometry.spacing, passes) for id, one in known.items()}
+
+
+def _answered(clicks: Clicks, answer: Answer, images: tuple[Image, ...]) -> LocalState:
+    """F and the start of an answer, with its clicks marked, on the smallest box that has both."""
+    box = _both(answer.box, box_around(clicks.clicks))
+    field = _placed(answer.force, answer.box, box, 1.0)
+    start = _placed(answer.inside, answer.box, box, False)
+    for side, mask in on_box(clicks.clicks, box):
+        field[mask], start[mask] = CLICKED[side], side == "inside"
+    return LocalState(clicks, answer, images, box, field, start)
+
+
+def _placed(values: NDArray, own: Box, box: Box, beyond: float) -> NDArray:
+    """Values of one box on another; ``beyond`` where the first has none."""
+    out = np.full([s.stop - s.start for s in box], beyond, values.dtype)
+    mine, theirs = shared(corner_of(box), out.shape, corner_of(own), values.shape)
+    if all(s.start < s.stop for s in mine):
+        out[mine] = values[theirs]
+    return out
+
+
+def _moved(click: Click, corner: tuple[int, int, int]) -> Click:
+    return click._replace(box=counted_from(click.box, corner))
+
+
+def _both(one: Box, other: Box) -> Box:
+    """The smallest box that holds two."""
+    low = [min(a.start, b.start) for a, b in zip(one, other, strict=True)]
+    high = [max(a.stop, b.stop) for a, b in zip(one, other, strict=True)]
+    return box_at((low[0], low[1], low[2]), [b - a for a, b in zip(low, high, strict=True)])
+
+
+def _is_near_border(mask: Mask, box: Box, shape: Sequence[int]) -> bool:
+    """Whether a mask on a box comes near a border of the box that is none of the grid's."""
+    for axis, (side, n) in enumerate(zip(box, shape, strict=True)):
+        ends = (slice(None),) * axis
+        if side.start > 0 and mask[(*ends, slice(None, CLEAR))].any():
+            return True
+        if side.stop < n and mask[(*ends, slice(-CLEAR, None))].any():
+            return True
+    return False

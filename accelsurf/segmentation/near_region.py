@@ -3,12 +3,15 @@
 Beyond the region nothing changes. Within the rim, of width L, the surface may leave its old place by
 b(d) = L/4 u^2/(1 - u^2), u = d/L, at the depth d in the region: it leaves it at a tangent, so that there is no crease,
 and its curvature along the seam differs by at most b''(0) = 1/(2 L).
+
+Clicks of one side move the surface to that side alone: who says that something is missing has not said that anything
+is too much.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +20,14 @@ from scipy import ndimage
 
 from accelsurf.grid.boxes import Box, box_at, corner_of, widened
 from accelsurf.grid.click_bounds import ClickBounds
-from accelsurf.grid.clicks import Click
+from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import axis_steps
 
 #: Width of the rim: at least so many voxels of the smallest spacing, and of the largest.
 RIM_SMALLEST, RIM_LARGEST = 6.0, 2.0
-#: How far a correction goes unless it is known: times the depth of the click in what is wrong.
-AUTO_TIMES = 2.0
+#: How far a correction goes unless it is known: times the depth of the click in what is wrong, and so many voxels of
+#: the smallest spacing at most, so that an answer does not take long; more is for another click, or ``near``.
+AUTO_TIMES, MAX_NEAR = 1.5, 12.0
 #: The smallest automatic region, voxels of the largest spacing.
 MIN_NEAR = 4.0
 #: First half width, voxels, of the box in which the surface is searched around a click.
@@ -83,8 +87,8 @@ def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
     return mask
 
 
-def automatic_near(psi: NDArray[np.float32], clicks: Sequence[Click], spacing: Spacing) -> float:
-    """How far a correction goes, mm, by its distance from the surface: a click lies in the middle of what is wrong.
+def automatic_near(psi: NDArray[np.float32], clicks: Iterable[Click], spacing: Spacing) -> float:
+    """How far from the clicks a correction goes, mm, without the rim: a click lies in the middle of what is wrong.
 
     Parameters
     ----------
@@ -94,10 +98,9 @@ def automatic_near(psi: NDArray[np.float32], clicks: Sequence[Click], spacing: S
     spacing : (hz, hy, hx)
         mm.
     """
-    least = MIN_NEAR * max(axis_steps(psi.shape, spacing))
-    for click in clicks:
-        least = max(least, AUTO_TIMES * distance_to_surface(psi, click, spacing))
-    return least
+    steps = axis_steps(psi.shape, spacing)
+    deepest = max(distance_to_surface(psi, click, spacing) for click in clicks)
+    return max(MIN_NEAR * max(steps), min(AUTO_TIMES * deepest, MAX_NEAR * min(steps)))
 
 
 def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing) -> float:
@@ -134,7 +137,9 @@ def signed_distance(psi: NDArray[np.float32], gamma: float, spacing: Spacing) ->
     return np.where(far, np.copysign(beyond, psi), psi).astype(np.float32)
 
 
-def near_bounds(before: NDArray[np.float32], region: NearRegion, spacing: Spacing) -> ClickBounds:
+def near_bounds(
+    before: NDArray[np.float32], region: NearRegion, spacing: Spacing, sides: Collection[Side] = SIDES
+) -> ClickBounds:
     """Bounds of psi that hold the surface beyond the region and let it go within it.
 
     Parameters
@@ -144,17 +149,20 @@ def near_bounds(before: NDArray[np.float32], region: NearRegion, spacing: Spacin
     region : NearRegion
     spacing : (hz, hy, hx)
         mm.
+    sides : collection of {"inside", "outside"}
+        Those of the clicks: with one of them the surface moves to that side alone.
     """
     depth = np.full(before.shape, np.inf)
     if not region.mask.all():
         depth = ndimage.distance_transform_edt(region.mask, spacing)
-    bounded = depth < region.rim
-    u2 = (depth[bounded] / region.rim) ** 2
-    room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
-    cells = np.flatnonzero(bounded)
-    shape = before.shape
-    values = before[bounded]
-    return ClickBounds((shape[0], shape[1], shape[2]), cells, values - room, values + room)
+    # The rim; and where the surface may move to one side, everything.
+    bounded = depth < region.rim if len(set(sides)) > 1 else np.full(before.shape, True)
+    u2 = np.minimum(depth[bounded] / region.rim, 1.0) ** 2
+    with np.errstate(divide="ignore"):
+        room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
+    values, shape = before[bounded], before.shape
+    low, high = (values - room if "inside" in sides else values), (values + room if "outside" in sides else values)
+    return ClickBounds((shape[0], shape[1], shape[2]), np.flatnonzero(bounded), low, high)
 
 
 def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:

@@ -131,6 +131,16 @@ class Refiner:
         inside = int(np.count_nonzero(psi < 0))
         return CorrectedSurface(one.id, (z, y, x), psi, inside, one.history, one.stop)
 
+    @property
+    def surfaces(self) -> tuple[CorrectedSurface, ...]:
+        """The surfaces as they are, in order of their ids; not to be changed."""
+        return tuple(self._surfaces)
+
+    @property
+    def clicks(self) -> Clicks:
+        """All clicks so far, on the grid of the region of interest."""
+        return self._clicks
+
     # -- corrections ---------------------------------------------------------------------------------------
 
     def apply(
@@ -219,7 +229,9 @@ class Refiner:
         if self._result.has_ids:
             domain = box_at(one.corner, one.psi.shape)
             totals = RegionTotals([image[domain] for image in self._images], one.psi)
-        problem = self._problem(one, region, psi, totals, takes)._replace(won=on_box(won, region.box))
+        problem = self._problem(one, region, psi, totals, takes)._replace(
+            won=on_box(won, region.box), sides=frozenset(click.side for click in new)
+        )
         outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, one.id))
         inside = one.inside + count_inside(outcome.psi) - count_inside(psi)
         stop = stop_of_whole(outcome.stop, inside, math.prod(self._shape))
@@ -250,7 +262,7 @@ class Refiner:
             for click in new:
                 change = self._models[one.id].add(click)
                 self._undo[-1].models.append((one.id, change))
-                won.append(basin_of(click, change, self._models[one.id].field))
+                won.append(basin_of(click, change, self._models[one.id], one))
         wrong = [wrong_part(click, one) for click in won]
         return [click for click in wrong if click is not None]
 
@@ -283,7 +295,7 @@ class Refiner:
         images = [np.ascontiguousarray(image[region.box]) for image in self._images]
         make = energy_maker(state.energy, settings, 1, self._result.has_ids)
         model = self._models.get(one.id)
-        field = None if model is None else lambda: np.ascontiguousarray(model.field[region.box])
+        field = None if model is None else lambda: model.field_on(region.box)
         energy = make(images[0], self._spacing, context.with_channels(images[1:], field)).energy
         distance = self._bounding(one, region, takes)
         if distance is not None:
@@ -292,7 +304,7 @@ class Refiner:
         bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
         setup = setup_of(settings, 0, LEVELS, state.prepared.geometry)
         return LocalProblem(
-            psi, self._spacing, region, bounds, [], energy, setup, self.config.max_steps, one.history
+            psi, self._spacing, region, bounds, [], frozenset(), energy, setup, self.config.max_steps, one.history
         )
 
     # -- several objects -----------------------------------------------------------------------------------
@@ -362,7 +374,7 @@ class Refiner:
         """The present state as a result; later corrections do not change it."""
         base = self._result
         objects = tuple(self._object(one, now) for one, now in zip(base.objects, self._surfaces, strict=True))
-        models = {id: model.model for id, model in self._models.items()}
+        models = {id: model.state for id, model in self._models.items()}
         state = dataclasses.replace(
             self._state, totals=dict(self._regional.totals), clicks=self._clicks, models=models
         )

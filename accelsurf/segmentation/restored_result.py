@@ -70,7 +70,7 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
             base.state,
             totals=dict(state.totals),
             clicks=clicks,
-            models={id: one.model for id, one in models.items()},
+            models={id: one.state for id, one in models.items()},
         ),
     )
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded import SeededModel
 from accelsurf.grid.clicks import Clicks
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.run_setup import EnergyLike
+
+if TYPE_CHECKING:
+    from accelsurf.segmentation.local_model import LocalState
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +32,7 @@ class RunState:
         One of the user's own; None for one with a name.
     clicks : Clicks or None
         All clicks so far, on the grid of the region of interest; None for none.
-    models : mapping of int to SeededModel
+    models : mapping of int to LocalState
         Of each object after all refinements; empty before the first, or where the energy has none.
     totals : mapping of str to ndarray (2, m)
         Of `accelsurf.segmentation.region_totals.RegionTotals`; empty before the first refinement.
@@ -39,5 +42,5 @@ class RunState:
     contexts: Mapping[int, ImageContext] = field(default_factory=dict)
     energy: EnergyLike | None = None
     clicks: Clicks | None = None
-    models: Mapping[int, SeededModel] = field(default_factory=dict)
+    models: Mapping[int, LocalState] = field(default_factory=dict)
     totals: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)

@@ -119,7 +119,7 @@ def seeded_model(
         answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
         left = [click for click in clicks.clicks if click is not inside[0]]
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        marched = pool.map(lambda click: _later(smooth, spacing, field, click, answer), left)
+        marched = pool.map(lambda click: later_times(smooth, spacing, field, click, answer), left)
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
     force, start, times_in, times_out = answered(answer, clicks)
@@ -181,7 +181,7 @@ def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
     return most if np.isinf(prior.spread) else int(min(prior.voxels * np.exp(FARTHEST * prior.spread), most))
 
 
-def _later(
+def later_times(
     images: Sequence[Image], spacing: Spacing, field: Field, click: Click, answer: Answer
 ) -> tuple[Times, Tissue]:
     """Arrival times from a later click, on the scale of the first one's."""

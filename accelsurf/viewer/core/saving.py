@@ -22,7 +22,8 @@ RUN_FILE = "run.toml"
 
 
 def save(
-    run: Run, folder: Path, name: str, source: Path | None, what: Collection[str], replaceable: Collection[Path] | None
+    run: Run, folder: Path, name: str, source: Path | None, what: Collection[str], replaceable: Collection[Path] | None,
+    corrected: Result | None = None,
 ) -> list[Path]:
     """Write the present result of a run into a folder, all files at once.
 
@@ -41,6 +42,8 @@ def save(
         Of `KINDS`.
     replaceable : collection of Path or None
         Files that may be replaced; None: all.
+    corrected : Result, optional
+        Of the run and the corrections that were made after its end, with settings that repeat them.
 
     Returns
     -------
@@ -56,8 +59,8 @@ def save(
     """
     for kind in what:
         check_known("save", kind, KINDS)
-    config = repeating(run)
-    result = dataclasses.replace(result_of(run), config=config)
+    result = corrected or dataclasses.replace(result_of(run), config=repeating(run))
+    config = result.config
     empty = not result.labels.any() or bool(result.labels.all())
     if empty and set(what) & {"labels", "mesh"}:
         raise UsageError("there is no surface to save", "go back, or restart")

@@ -20,7 +20,6 @@ from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
-from accelsurf.viewer.core.frame import Frame, histories_of_run
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.core.timeline import Timeline
@@ -176,17 +175,20 @@ class Session:
         """
         return self._do(lambda timeline: timeline.edit_ball(kind, ball, object_id))
 
-    def add_click(self, side: Side, where: str, object_id: int | None = None) -> Future[None]:
+    def add_click(self, side: Side, where: str | Sequence[str], object_id: int | None = None) -> Future[None]:
         """Say of voxels that they are in the object, or are not: ``ball:X,Y,Z,R``, ``point:X,Y,Z``, ``stroke:FILE``.
 
-        Of several objects it is the one with this id, or else the one that is nearest to a ball's centre.
+        Several at once are one stroke: one change. While the run goes on they are an edit; after its end a correction,
+        as `accelsurf refine` makes it. Of several objects it is the one with this id, or else the one that is nearest
+        to the first ball's centre.
 
         Raises
         ------
         UsageError, InputError
             From the Future, when it is no place, lies outside, or contradicts another click.
         """
-        return self._do(lambda timeline: timeline.add_click(side, where, object_id))
+        texts = (where,) if isinstance(where, str) else tuple(where)
+        return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
 
     def press(self, ball: str, voxels: int = FIRST_VOXELS) -> Future[SizeDrag]:
         """Begin to drag the size of an object from a ball in it, ``ball:X,Y,Z,R``.
@@ -219,6 +221,10 @@ class Session:
     def undo(self) -> Future[None]:
         """Undo the last change, and go to the step where it was made."""
         return self._do(lambda timeline: timeline.undo())
+
+    def redo(self) -> Future[None]:
+        """Make the change again that was undone last."""
+        return self._do(lambda timeline: timeline.redo())
 
     def save(
         self, folder: Path, what: Sequence[str] = saving.KINDS, overwrite: bool = False
@@ -282,6 +288,7 @@ class Session:
             self.ready.set_exception(error)
             self._reject_commands()
         else:
+            timeline.corrections.progress = self._show_progress
             self._status = Status.of(timeline, "", False)
             self.ready.set_result(None)
             try:
@@ -345,16 +352,18 @@ class Session:
         message = timeline.message if error is None else error_line(error)
         self._status = Status.of(timeline, message, error is not None)
 
+    def _show_progress(self, message: str) -> None:
+        """Renew the message while a command is being carried out."""
+        self._status = self._status._replace(message=message, failed=False)
+
     def _make_view(self, timeline: Timeline) -> None:
         """Make a view if one is wanted and it is time."""
         playing = timeline.is_playing
         if not self._views.is_due(self._version, playing):
             return
-        began, run = time.perf_counter(), timeline.run
+        began = time.perf_counter()
         try:
-            records = [step.record for step in run.current()]
-            frame = Frame.of_run(run, records, PLAYING_VOXELS if playing else None)
-            histories = histories_of_run(run, records)
+            frame, histories = timeline.picture(PLAYING_VOXELS if playing else None)
         except Exception as error:
             self._views.refuse()
             self._status = Status.of(timeline, error_line(error), True)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.settings.edits import Edit
+from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.timeline import Timeline
@@ -39,6 +40,10 @@ class Status(NamedTuple):
         How many changes can be undone.
     objects : tuple of int
         Ids of the objects; none for a run of one object without an id.
+    redoable : int
+        How many undone changes can be made again.
+    refinements : tuple of Refinement
+        Corrections after the run's end; while it goes on again, those that are made when it ends.
     """
 
     ready: bool
@@ -52,6 +57,8 @@ class Status(NamedTuple):
     failed: bool
     undoable: int
     objects: tuple[int, ...] = ()
+    redoable: int = 0
+    refinements: tuple[Refinement, ...] = ()
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:
@@ -68,11 +75,13 @@ class Status(NamedTuple):
             checkpoints=timeline.checkpoints.steps,
             settings=timeline.run.settings,
             edits=timeline.run.config.edit,
-            stop=timeline.run.stop,
+            stop=timeline.stop,
             message=message,
             failed=failed,
-            undoable=timeline.undoable,
+            undoable=timeline.log.undoable,
             objects=tuple(one.id for one in timeline.run.objects) if timeline.run.has_ids else (),
+            redoable=timeline.log.redoable,
+            refinements=timeline.corrections.wanted,
         )
 
     @property

@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 from accelsurf.errors import UsageError
+from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
+from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with
+from accelsurf.viewer.core.corrections import Corrections
+from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.size_drag import SizeDrag
@@ -25,7 +29,8 @@ class Timeline:
     """A run, its checkpoints and its past changes.
 
     A checkpoint is taken at each step, before the edits of that step. Going back keeps the later checkpoints and
-    edits, so playing on makes the same steps again; a change made then replaces them.
+    edits, so playing on makes the same steps again; a change made then replaces them. Clicks after the run's end are
+    corrections, made near them at once; when the run goes on again, they are made again at its next end.
 
     Parameters
     ----------
@@ -40,6 +45,8 @@ class Timeline:
     ----------
     run : Run
     checkpoints : CheckpointHistory
+    corrections : Corrections
+    log : ChangeLog
     """
 
     def __init__(
@@ -48,10 +55,10 @@ class Timeline:
         self.volume, self._channels = volume, tuple(channels)
         self.checkpoints = CheckpointHistory(checkpoint_mb)
         self._playing, self._last_step, self._message = False, -1, ""
-        self._changes: list[tuple[RunConfig, int]] = []
+        self.log, self.corrections = ChangeLog(), Corrections(config.refine)
         self._written: set[Path] = set()
         self._drag: SizeDrag | None = None
-        self.run = Run(volume, config, None, self._channels)
+        self.run = Run(volume, config.replace(refine=()), None, self._channels)
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
 
@@ -73,9 +80,13 @@ class Timeline:
         return self._message
 
     @property
-    def undoable(self) -> int:
-        """How many changes can be undone."""
-        return len(self._changes)
+    def stop(self) -> Stop | None:
+        """Why the run, or the last correction, ended; None while it goes on."""
+        return self.corrections.stop(self.run)
+
+    def picture(self, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
+        """What is drawn, see `Frame.of_run`, and each object's records up to it."""
+        return self.corrections.picture(self.run, max_voxels)
 
     def close(self) -> None:
         """End the run's threads."""
@@ -90,6 +101,7 @@ class Timeline:
         stop = self.run.stop
         if stop is not None:
             self._playing, self._message = False, f"{stop.reason}: {stop.message}"
+            self._message = self.corrections.correct_again(self.run) or self._message
             return
         self._add_checkpoint()
         if 0 <= self._last_step <= self.step_number:
@@ -119,6 +131,7 @@ class Timeline:
             # It plays without an end: one more step, then it pauses.
             last_step = self.step_number + 1
         self._playing, self._last_step, self._message = True, last_step, ""
+        self.corrections.leave()
 
     def _reasons(self) -> list[str]:
         """Why the objects that have ended did."""
@@ -157,8 +170,8 @@ class Timeline:
         self._message = f"step {step}"
 
     def restart(self) -> None:
-        """Go to the start and forget all edits but the settings in force."""
-        run = self.run
+        """Go to the start and forget all edits and corrections but the settings in force."""
+        run, before = self.run, self._now()
         base, now, config = run.config.at(-1), run.settings, run.config
         changed = {key: getattr(now, key) for key in RunConfig.model_fields if getattr(now, key) != getattr(base, key)}
         changed.pop("seed", None)
@@ -167,11 +180,15 @@ class Timeline:
         edits = (Edit(step=0, **changed),) if changed else ()
         if edits != config.edit:
             self._replace_edits(edits)
+        elif before.refinements:
+            self.log.add(before)
+        self.corrections.wanted = ()
         self._message = "at the start"
 
     def _restore(self, step: int) -> None:
         """Restore the state before the edits of a step: from the last checkpoint before it, steps are made again."""
         run = self.run
+        self.corrections.leave()
         present = self._present if step == self.step_number else None
         checkpoint = present or self.checkpoints.nearest(step, self._present.level)
         if checkpoint is None:
@@ -197,8 +214,9 @@ class Timeline:
 
     def _replace_run(self, config: RunConfig) -> None:
         """Begin another run; the present one stays until that one is ready."""
-        before, self.run = self.run, Run(self.volume, config, None, self._channels)
+        before, self.run = self.run, Run(self.volume, config.replace(refine=()), None, self._channels)
         before.close()
+        self.corrections.leave()
         self.checkpoints.clear()
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -215,19 +233,8 @@ class Timeline:
         """
         run, step = self.run, self.step_number
         edits = self._edits_so_far()
-        # Several changes at one step are one edit, as when a slider is dragged back and forth.
-        last = edits[-1] if edits and edits[-1].step == step and not edits[-1].balls else None
-        earlier = edits if last is None else edits[:-1]
         run.check(Edit(step=step, **settings))
-        run.config.replace(edit=(*earlier, Edit(step=step, **settings)))
-        before = run.config.replace(edit=earlier).at(step)
-        after = before.replace(**{**(last.settings if last else {}), **settings})
-        changed = {
-            key: getattr(after, key) for key in RunConfig.model_fields if getattr(after, key) != getattr(before, key)
-        }
-        # An edit without settings makes a converged run continue.
-        continues = last is not None and not last.settings
-        altered = (*earlier, Edit(step=step, **changed)) if changed or continues else earlier
+        altered = edits_with(run.config, edits, step, settings)
         if altered != edits:
             self._replace_edits(altered)
         self._message = ", ".join(f"{key} {value}" for key, value in settings.items())
@@ -255,27 +262,35 @@ class Timeline:
         whose = "" if edit.object is None else f" {'to' if kind == 'add' else 'from'} object {edit.object}"
         self._message = f"{'added' if kind == 'add' else 'removed'} {ball}{whose}"
 
-    def add_click(self, side: Side, where: str, object_id: int | None = None) -> None:
+    def add_click(self, side: Side, where: tuple[str, ...], object_id: int | None = None) -> None:
         """Say of voxels that they are in the object, or are not; this holds from here on.
 
         Parameters
         ----------
         side : {"inside", "outside"}
-        where : str
-            As ``--inside`` takes it.
+        where : tuple of str
+            Each as ``--inside`` takes it; all together are one change.
         object_id : int, optional
-            Of a run of objects with ids: the one that is nearest to a ball's centre unless given.
+            Of a run of objects with ids: the one that is nearest to the first ball's centre unless given.
 
         Raises
         ------
         UsageError, InputError
-            When it is no place, lies outside, or contradicts another click.
+            When one is no place, lies outside, or contradicts another click.
         """
-        (edit,) = RunConfig(edit=[{"step": self.step_number, side: [where], "object": object_id}]).edit
+        clicks: dict[str, Any] = {side: list(where), "object": object_id}
         if object_id is None and self.run.has_ids:
-            edit = edit.model_copy(update={"object": nearest_object(self.run, where)})
+            clicks["object"] = nearest_object(self.run, where[0])
+        said = f"{side}: {where[0]}" + (f" and {len(where) - 1} more" if len(where) > 1 else "")
+        said += "" if clicks["object"] is None else f", object {clicks['object']}"
+        if self.run.stop is not None and not all(reason in FINAL_REASONS for reason in self._reasons()):
+            (refinement,) = RunConfig(refine=[clicks]).refine
+            before = self._now()
+            self._message = self.corrections.correct(self.run, refinement, said)
+            return self.log.add(before)
+        (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
         self._replace_edits((*self._edits_so_far(), edit))
-        self._message = f"{side}: {where}" + ("" if edit.object is None else f", object {edit.object}")
+        self._message = said
 
     def press(self, ball: str, voxels: int) -> SizeDrag:
         """Begin to drag the size of an object: compute the arrival times from a ball in it."""
@@ -294,20 +309,21 @@ class Timeline:
         if self._drag is None:
             raise UsageError("nothing was pressed, so there is no size to take", "press in the object first")
         drag, self._drag = self._drag, None
-        before, size = self.run.config, drag.size_text(drag_mm)
+        before, size = self._now(), drag.size_text(drag_mm)
         self.pause()
         settings = {"inside": (drag.click,), "outside": (), "size": size, "start": ("clicks",), "energy": "seeded"}
         self._replace_run(self.run.settings.replace(preset=None, **settings))
-        self._changes.append((before, 0))
+        self.log.add(before._replace(step=0))
+        self.corrections.wanted = ()
         self._message = f"inside: {drag.click}, size {size}"
 
     def start_from(self, start: tuple[str, ...]) -> None:
         """Begin another run, with the settings in force."""
-        run = self.run
-        before = run.config
+        run, before = self.run, self._now()
         self.pause()
         self._replace_run(run.settings.replace(start=start))
-        self._changes.append((before, 0))
+        self.log.add(before._replace(step=0))
+        self.corrections.wanted = ()
         self._message = "start: " + " + ".join(start)
 
     def undo(self) -> None:
@@ -318,10 +334,30 @@ class Timeline:
         UsageError
             When there is none.
         """
-        if not self._changes:
-            raise UsageError("there is no change to undo")
-        run = self.run
-        config, step = self._changes.pop()
+        self._go_back_to(self.log.undo(self._now()))
+        self._message = f"undid the last change, at step {self.step_number}"
+
+    def redo(self) -> None:
+        """Make the change again that was undone last.
+
+        Raises
+        ------
+        UsageError
+            When there is none.
+        """
+        self._go_back_to(self.log.redo(self._now()))
+        self._message = f"made the undone change again, at step {self.step_number}"
+
+    def _now(self) -> Moment:
+        """What is in force, before a change at the present step."""
+        return Moment(self.run.config, self.step_number, self.corrections.wanted)
+
+    def _go_back_to(self, moment: Moment) -> None:
+        """Go to the settings and corrections of a moment; a correction alone is made, or taken back, at once."""
+        run, (config, step, wanted) = self.run, moment
+        if config == run.config and self.corrections.go_to(run, wanted):
+            return
+        self.corrections.wanted = wanted
         self.pause()
         checkpoint = self.checkpoints.nearest(min(step, self.step_number), self._present.level)
         if config.at(-1) != run.config.at(-1) or checkpoint is None:
@@ -332,26 +368,25 @@ class Timeline:
             self._restore(step)
             run.set_edits(config.edit)
         self._catch_up(step)
-        self._message = f"undid the last change, at step {step}"
 
     def _edits_so_far(self) -> tuple[Edit, ...]:
         return tuple(edit for edit in self.run.config.edit if edit.step <= self.step_number)
 
     def _replace_edits(self, edits: tuple[Edit, ...]) -> None:
         """Continue with other edits from the present step; the steps made after it are forgotten."""
-        run, step = self.run, self.step_number
-        before = run.config
-        if edits == before.edit and run.stop is None:
+        run, step, before = self.run, self.step_number, self._now()
+        if edits == before.config.edit and run.stop is None:
             return
         for edit in edits:
             if edit.step >= step:
                 run.check(edit)
-        before.replace(edit=edits)
+        before.config.replace(edit=edits)
         if run.stop is not None or run.edits_done > self._present.edits_done:
             run.restore(self._present)
         run.set_edits(edits)
         self.checkpoints.drop_after(step)
-        self._changes.append((before, step))
+        self.corrections.leave()
+        self.log.add(before)
 
     # -- files --------------------------------------------------------------------------------------------
 
@@ -360,7 +395,8 @@ class Timeline:
     ) -> list[Path]:
         """Write files, see `saving.save`; those written before may be replaced."""
         self.run.apply_edits()
-        written = saving.save(self.run, folder, name, source, what, None if overwrite else self._written)
+        replaceable = None if overwrite else self._written
+        written = saving.save(self.run, folder, name, source, what, replaceable, self.corrections.result())
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written

@@ -32,6 +32,7 @@ _KEYS = (
     ("Right, Left", "one step, back one step"),
     ("Home", "restart with the settings in force"),
     ("Ctrl+Z", "undo the last change"),
+    ("Ctrl+Shift+Z", "make it again"),
     ("Ctrl+S", "save labels, mesh, picture, run.toml"),
     ("V  S  I  X", "look, size, inside, outside"),
     ("B  P  G  K", "ball, points, grow, shrink"),

@@ -1,4 +1,4 @@
-"""The mouse on the window's scene: moves slices, places balls to start from, adds and removes with a brush."""
+"""The mouse on the window's scene: slices, balls to start from, strokes that are inside or outside, a brush."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from pyvistaqt import QtInteractor
 from accelsurf.grid.clicks import SIDES, Side
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import Dragging
+from accelsurf.viewer.scene.mouse import STROKE_STEP, ball_text
 from accelsurf.viewer.scene.scene import Scene
 
-#: A brush that is dragged makes a ball each time it has moved by this fraction of its radius.
-BRUSH_STEP = 0.5
 #: Samples of a pixel, and the names of renderers without a graphics card.
 SAMPLES, SOFTWARE = 8, ("llvmpipe", "softpipe", "SWR", "Software")
 
@@ -56,6 +55,7 @@ class CanvasTools(QObject):
         self.tool = "look"
         self._dragged_tile = ""
         self._points: list[str] = []
+        self._stroke: list[str] = []
         self._center: NDArray[np.float64] | None = None
         self._is_software: bool | None = None
         self._dragging: Dragging | None = None
@@ -69,7 +69,7 @@ class CanvasTools(QObject):
 
     def use(self, tool: str) -> None:
         """Use a tool from now on."""
-        self.tool, self._points = tool, []
+        self.tool, self._points, self._stroke = tool, [], []
         self._scene.mark_ball(None)
         self._canvas.setCursor(Qt.CursorShape.ArrowCursor if tool == "look" else Qt.CursorShape.CrossCursor)
         self._scene.render()
@@ -142,9 +142,10 @@ class CanvasTools(QObject):
         if self.tool == "ball" and self._center is not None:
             self._points = []
             self._session.start_from([self._ball(self._center)])
-        elif self.tool in SIDES and self._center is not None:
+        elif self.tool in SIDES and self._stroke:
             side: Side = "inside" if self.tool == "inside" else "outside"
-            self._session.add_click(side, self._ball(self._center), self._object_id())
+            self._session.add_click(side, tuple(self._stroke), self._object_id())
+            self._stroke = []
         elif self.tool == "size":
             if self._dragging is not None and self._drag_mm > 0:
                 self._session.release(self._drag_mm)
@@ -178,15 +179,18 @@ class CanvasTools(QObject):
         if self.tool == "size":
             self._apply_size(world)
             return
-        if self.tool in ("ball", *SIDES):
+        if self.tool == "ball":
             self._center = world
         elif self.tool == "points":
             self._points.append(self._ball(world))
             self._session.start_from(self._points)
-        elif self._center is None or np.linalg.norm(world - self._center) >= BRUSH_STEP * self._radius():
+        elif self._center is None or np.linalg.norm(world - self._center) >= STROKE_STEP * self._radius():
             self._center = world
-            kind: Literal["add", "remove"] = "add" if self.tool == "grow" else "remove"
-            self._session.edit_ball(kind, self._ball(world), self._object_id())
+            if self.tool in SIDES:
+                self._stroke.append(self._ball(world))
+            else:
+                kind: Literal["add", "remove"] = "add" if self.tool == "grow" else "remove"
+                self._session.edit_ball(kind, self._ball(world), self._object_id())
         self._mark(world)
 
     def _apply_size(self, world: NDArray[np.float64]) -> None:
@@ -207,4 +211,4 @@ class CanvasTools(QObject):
         self._scene.render()
 
     def _ball(self, world: NDArray[np.float64]) -> str:
-        return "ball:" + ",".join(f"{v:.6g}" for v in (*world, self._radius()))
+        return ball_text(world, self._radius())

@@ -39,8 +39,8 @@ NEAREST = "nearest"
 TOOLS = {
     "look": ("V", "Look", "Turn the surface; drag in a slice to move the slices"),
     "size": ("S", "Size", "Press in the object and drag outwards until the outline fits: a click and a size"),
-    "inside": ("I", "Inside", "Click in a slice: this is in the object, and stays in it"),
-    "outside": ("X", "Outside", "Click in a slice: this is not in the object, and stays out of it"),
+    "inside": ("I", "Inside", "Click in a slice, or draw a stroke: this is in the object, and stays in it"),
+    "outside": ("X", "Outside", "Click in a slice, or draw a stroke: this is not in the object, and stays out of it"),
     "ball": ("B", "Ball", "Press in a slice or on the surface and drag: a ball to start from"),
     "points": ("P", "Points", "Click in a slice: small balls to start from, one for each point"),
     "grow": ("G", "Grow", "Press and drag in a slice or on the surface: add what the brush covers"),
@@ -172,6 +172,7 @@ class Panel(QWidget):
     planes_wanted = Signal(bool)
     theme_wanted = Signal(str)
     undo_wanted = Signal()
+    redo_wanted = Signal()
     save_wanted = Signal()
 
     def __init__(self, geometry: Geometry) -> None:
@@ -193,9 +194,13 @@ class Panel(QWidget):
         line = QHBoxLayout()
         self.undo = QPushButton("Undo")
         self.undo.setToolTip("Undo the last change (Ctrl+Z)")
+        self.redo = QPushButton("Redo")
+        self.redo.setToolTip("Make the undone change again (Ctrl+Shift+Z)")
         self.save = QPushButton("Save")
         self.save.setToolTip("Labels, mesh, picture, report and run.toml (Ctrl+S)")
-        for button, signal in ((self.undo, self.undo_wanted), (self.save, self.save_wanted)):
+        for button, signal in (
+            (self.undo, self.undo_wanted), (self.redo, self.redo_wanted), (self.save, self.save_wanted),
+        ):
             button.clicked.connect(signal)
             button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             line.addWidget(button)
@@ -284,7 +289,7 @@ class Panel(QWidget):
 
     # -- settings in force --------------------------------------------------------------------------------
 
-    def show_settings(self, settings: RunConfig, undoable: int) -> None:
+    def show_settings(self, settings: RunConfig, undoable: int, redoable: int) -> None:
         """Show the settings in force, except where the user is changing one."""
         for key, choice in self.choices.items():
             if not choice.view().isVisible():
@@ -298,6 +303,7 @@ class Panel(QWidget):
             amount.setVisible(True)
             amount.setEnabled(settings.matters(key))
         self.undo.setEnabled(undoable > 0)
+        self.redo.setEnabled(redoable > 0)
 
     def scale_radius(self, factor: float) -> None:
         """Multiply the radius of ball and brush."""

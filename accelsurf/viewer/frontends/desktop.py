@@ -130,6 +130,7 @@ class Window(QMainWindow):
         panel.planes_wanted.connect(lambda on: self._redraw(lambda: self.scene.show_planes(on)))
         panel.theme_wanted.connect(self.paint)
         panel.undo_wanted.connect(self.undo)
+        panel.redo_wanted.connect(self.redo)
         panel.save_wanted.connect(self.save)
         for key, work in self._shortcuts().items():
             action = QAction(self)
@@ -146,6 +147,7 @@ class Window(QMainWindow):
             "Left": self.step_back,
             "Home": bar.restart.click,
             "Ctrl+Z": self.undo,
+            "Ctrl+Shift+Z": self.redo,
             "Ctrl+S": self.save,
             "C": self._next_color,
             "T": lambda: self.paint("light" if self._theme == "dark" else "dark"),
@@ -183,6 +185,11 @@ class Window(QMainWindow):
         """Undo the last change."""
         if self.session.status.undoable:
             self.session.undo()
+
+    def redo(self) -> None:
+        """Make the change again that was undone last."""
+        if self.session.status.redoable:
+            self.session.redo()
 
     def save(self) -> None:
         """Save into the folder, which the user is asked for if it is not known, with a picture of the scene."""
@@ -278,7 +285,7 @@ class Window(QMainWindow):
         self._shown = status
         self.bar.show_status(status)
         self.panel.save.setEnabled(status.ready)
-        self.panel.show_settings(status.settings, status.undoable)
+        self.panel.show_settings(status.settings, status.undoable, status.redoable)
         self.panel.show_objects(status.objects)
         self.setWindowTitle(f"accelsurf - {self.session.name} - step {status.step} - {status.word}")
         self._show_message(status)

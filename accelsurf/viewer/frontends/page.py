@@ -118,7 +118,8 @@ class Page:
         link = f"files/{{}}?secret={self.token}"
         return {
             "step": status.step, "last": max((status.step, *status.checkpoints)), "playing": status.playing,
-            "state_word": status.word, "undoable": status.undoable, "message": requests.message or status.message,
+            "state_word": status.word, "undoable": status.undoable, "redoable": status.redoable,
+            "message": requests.message or status.message,
             "failed": bool(requests.message) or status.failed,
             **{key: getattr(settings, key) for key in SETTINGS},
             # The run's energy may be an expression that is not in the list.

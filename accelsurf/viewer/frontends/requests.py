@@ -74,6 +74,7 @@ class RequestHandler:
             "go_to": lambda step: self._ask(session.go_to(_whole(step, 0, 10**9))),
             "restart": lambda: self._ask(session.restart()),
             "undo": lambda: self._ask(session.undo()),
+            "redo": lambda: self._ask(session.redo()),
             "set": self._set,
             "save": self._save,
             "mode": lambda mode: self.mouse.set_mode(_word(mode, MODES)),
@@ -178,16 +179,16 @@ class RequestHandler:
         self.scene.mark_size(None)
         if placed is None:
             return
-        mode, ball = placed
+        mode, balls = placed
         if mode == "size":
             if dragging is not None and self.mouse.drag_mm > 0:
                 self._ask(self.session.release(self.mouse.drag_mm))
         elif mode in SIDES:
-            self._ask(self.session.add_click("inside" if mode == "inside" else "outside", ball, self.object_id))
+            self._ask(self.session.add_click("inside" if mode == "inside" else "outside", balls, self.object_id))
         elif mode == "start":
-            self._ask(self.session.start_from((ball,)))
+            self._ask(self.session.start_from(balls))
         else:
-            self._ask(self.session.edit_ball("add" if mode == "add" else "remove", ball, self.object_id))
+            self._ask(self.session.edit_ball("add" if mode == "add" else "remove", balls[0], self.object_id))
 
     def _color(self, name: Any) -> None:
         self.color = _word(name, COLORS)

@@ -1,0 +1,122 @@
+"""A run that has ended and is corrected: each click as `accelsurf refine` makes it, at once and near the click."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of
+from accelsurf.report.preview_content import marks_of
+from accelsurf.segmentation.api import result_of
+from accelsurf.segmentation.clicked_voxels import on_image
+from accelsurf.segmentation.corrected_surface import counted_from
+from accelsurf.segmentation.ensemble import overall_stop
+from accelsurf.segmentation.refine import kept_state
+from accelsurf.segmentation.refiner import Change, Refiner
+from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.run import Run
+from accelsurf.settings.refinements import Refinement
+from accelsurf.viewer.core.frame import Frame, SurfaceFrame
+from accelsurf.viewer.core.saving import repeating
+
+#: Voxels around an object that a frame has.
+AROUND = 2
+
+
+class CorrectedRun:
+    """A run that has ended, as it is after its corrections.
+
+    Parameters
+    ----------
+    run : Run
+        It has ended, and makes no step while this is in use.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        result = dataclasses.replace(result_of(run), config=repeating(run), state=kept_state(run))
+        self._refiner = Refiner(result)
+        #: Where each object has been inside, on the grid of the region of interest; looked for once.
+        self._boxes = [_box_of_inside(one.psi < 0, one.corner) for one in self._refiner.surfaces]
+
+    @property
+    def made(self) -> tuple[Refinement, ...]:
+        """The corrections so far, in order."""
+        return self._refiner.config.refine
+
+    @property
+    def stop(self) -> Stop:
+        """Why the last correction of each object ended."""
+        stops = [one.stop for one in self._refiner.surfaces]
+        return overall_stop(stops) if self._run.has_ids else stops[0]
+
+    @property
+    def histories(self) -> tuple[tuple[StepRecord, ...], ...]:
+        """The records of each object, of the run and of its corrections."""
+        return tuple(tuple(one.history) for one in self._refiner.surfaces)
+
+    def apply(self, refinement: Refinement, on_step: Callable[[int], None]) -> tuple[Change, ...]:
+        """Make a correction; ``on_step`` is called with the number of each of its steps.
+
+        Raises
+        ------
+        UsageError, InputError
+            As of `accelsurf.segmentation.refiner.Refiner.apply`; nothing is changed then.
+        """
+        changes = self._refiner.apply(refinement, on_step=lambda record, own: on_step(record.step))
+        for place, one in enumerate(self._refiner.surfaces):
+            for change in changes:
+                if change.voxels:  # of an object that gained, or of others that lost there
+                    self._boxes[place] = _around(self._boxes[place], change.box)
+        return changes
+
+    def undo(self) -> None:
+        """Take back the last correction."""
+        self._refiner.undo()
+
+    def result(self) -> Result:
+        """The corrected result; its settings repeat run and corrections."""
+        return self._refiner.result()
+
+    def frame(self) -> Frame:
+        """What is drawn: of each object a copy of the box in which it is."""
+        prepared, surfaces = self._run.prepared, []
+        for one, box in zip(self._refiner.surfaces, self._boxes, strict=True):
+            record, corner = one.history[-1], one.corner
+            part = None if box is None else _within(counted_from(box, corner), one.psi.shape)
+            psi = one.psi[:0, :0, :0].copy() if part is None or not one.inside else one.psi[part].copy()
+            z, y, x = corner if part is None else (a + b for a, b in zip(corner, corner_of(part), strict=True))
+            grid, shape = self._run.grid, one.psi.shape
+            surfaces.append(
+                SurfaceFrame(one.id, record, grid, psi, (z, y, x), 1, corner, shape, {}, prepared.first)
+            )
+        clicks = on_image(self._refiner.clicks, prepared.first, prepared.volumes[0].geometry.shape)
+        marks = () if clicks is None else marks_of(clicks.clicks, self._run.geometry.spacing)
+        return Frame(tuple(surfaces), marks)
+
+
+def _box_of_inside(inside: NDArray[np.bool_], corner: Corner) -> Box | None:
+    """The box around what is inside, on the grid of the region of interest."""
+    box = bounding_box(inside)
+    return None if box is None else counted_from(box, (-corner[0], -corner[1], -corner[2]))
+
+
+def _around(box: Box | None, other: Box) -> Box:
+    """The smallest box that holds two."""
+    if box is None:
+        return other
+    low = [min(a.start, b.start) for a, b in zip(box, other, strict=True)]
+    high = [max(a.stop, b.stop) for a, b in zip(box, other, strict=True)]
+    return box_at((low[0], low[1], low[2]), [b - a for a, b in zip(low, high, strict=True)])
+
+
+def _within(box: Box, shape: tuple[int, ...]) -> Box:
+    """A box with some voxels around it, as far as an array goes."""
+    z, y, x = (
+        slice(max(s.start - AROUND, 0), max(min(s.stop + AROUND, n), 0)) for s, n in zip(box, shape, strict=True)
+    )
+    return z, y, x

@@ -1,0 +1,94 @@
+"""The corrections of a session: made after the run's end, and made again when it has gone on and ends once more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from accelsurf.errors import AccelsurfError
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.run import Run
+from accelsurf.settings.refinements import Refinement
+from accelsurf.viewer.core.corrected_run import CorrectedRun
+from accelsurf.viewer.core.frame import Frame, histories_of_run
+
+
+class Corrections:
+    """The corrections of a session.
+
+    Parameters
+    ----------
+    wanted : tuple of Refinement
+        Those of its configuration, to be made when the run ends.
+
+    Attributes
+    ----------
+    wanted : tuple of Refinement
+        Made after the run's end; while it goes on, to be made then.
+    progress : callable
+        Called with a line while one is being made.
+    """
+
+    def __init__(self, wanted: tuple[Refinement, ...]) -> None:
+        self.wanted = wanted
+        self.progress: Callable[[str], None] = lambda message: None
+        self._corrected: CorrectedRun | None = None
+
+    def correct(self, run: Run, refinement: Refinement, said: str) -> str:
+        """Make a correction of a run that has ended; returns a line that says what it did.
+
+        Raises
+        ------
+        UsageError, InputError
+            When it cannot be made; nothing is changed then.
+        """
+        self.progress(f"{said}: correcting")
+        corrected = self._corrected or CorrectedRun(run)
+        changes = corrected.apply(refinement, lambda step: self.progress(f"{said}: correcting, step {step}"))
+        self._corrected, self.wanted = corrected, corrected.made
+        moved, seconds = sum(one.voxels for one in changes), sum(one.seconds for one in changes)
+        return f"{said}: " + (f"moved {moved} voxels in {seconds:.2f} s" if moved else "nothing changed")
+
+    def correct_again(self, run: Run) -> str:
+        """Make those that are wanted of a run that has ended; the first that does not fit ends them. Returns a line."""
+        wanted, self.wanted, line = self.wanted, (), ""
+        for number, refinement in enumerate(wanted, 1):
+            said = f"correction {number} of {len(wanted)}"
+            try:
+                line = self.correct(run, refinement, said)
+            except AccelsurfError as error:
+                return f"{said} cannot be made again: {error.message}"
+        return line
+
+    def go_to(self, run: Run, wanted: tuple[Refinement, ...]) -> bool:
+        """Make one more than there are, or take back the last; False where it takes another run to have them."""
+        now = self.wanted
+        if self._corrected is not None and len(now) == len(wanted) + 1 and now[:-1] == wanted:
+            self._corrected.undo()
+        elif run.stop is not None and len(wanted) == len(now) + 1 and wanted[:-1] == now:
+            self.correct(run, wanted[-1], "made again")
+        else:
+            return False
+        self.wanted = wanted
+        return True
+
+    def leave(self) -> None:
+        """The run goes on: what was corrected is made again when it ends."""
+        self._corrected = None
+
+    # -- what there is now --------------------------------------------------------------------------------
+
+    def stop(self, run: Run) -> Stop | None:
+        """Why the run, or the last correction, ended; None while it goes on."""
+        return run.stop if self._corrected is None else self._corrected.stop
+
+    def result(self) -> Result | None:
+        """The corrected result; None where no correction was made."""
+        return None if self._corrected is None else self._corrected.result()
+
+    def picture(self, run: Run, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
+        """What is drawn, see `Frame.of_run`, and each object's records up to it."""
+        if self._corrected is not None:
+            return self._corrected.frame(), self._corrected.histories
+        records = [step.record for step in run.current()]
+        return Frame.of_run(run, records, max_voxels), histories_of_run(run, records)
