@@ -8,6 +8,7 @@ labels towards its own side alone, and only in the piece that is connected to it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
+from accelsurf.energies.seeded.contest import Part
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.energies.seeded.proposal import Order
 from accelsurf.grid.boxes import Box, bounding_box
@@ -26,6 +28,8 @@ from accelsurf.kernels.arrival import Tissue
 CLICKED = {"inside": -3.0, "outside": 3.0}
 #: F is the balance plus this part of the likelihood; of the first click's, this part is taken by the level of its size.
 LIKELIHOOD, LEVEL = 0.5, 0.5
+#: What the answer, the paths and the walks count after 1, 2, ... clicks: the more clicks, the less has to be learned.
+WEIGHTS = ((1.0, 0.0, 0.0), (1.0, 1.0, 2.0), (0.5, 1.0, 2.0))
 #: The first click's field is moved by so much at most, so that it has the size.
 MAX_OFFSET = 0.5
 
@@ -101,7 +105,7 @@ def first_answer(
     none = np.full_like(inside, np.inf)
     force = np.asarray(force, np.float32)
     answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,))
-    return replace(answer, inside=_inside(answer))
+    return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
 
 
 def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times, Tissue]) -> Answer:
@@ -146,14 +150,31 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
         force=force,
         clicks=(*answer.clicks, click),
     )
-    return replace(answer, inside=_inside(answer))
+    return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
 
 
-def answered(answer: Answer, clicks: Clicks) -> tuple[Image, Mask, Image, Image]:
-    """F, the start, and the times from inside and from outside on the whole grid."""
+def answered(answer: Answer, parts: Sequence[Part], clicks: Clicks) -> tuple[Image, Mask, Image, Image]:
+    """F, the start, and the times from inside and from outside on the whole grid.
+
+    Parameters
+    ----------
+    answer : Answer
+    parts : sequence of Part
+        The contests of `accelsurf.energies.seeded.contest`, by paths and by walks.
+    clicks : Clicks
+    """
+    box = answer.box
+    for part in parts:
+        box = _both(box, part.box)
+    own = Part(answer.box, np.clip(answer.force, -1.0, 1.0))
+    weights = WEIGHTS[min(len(clicks), len(WEIGHTS)) - 1]
+    mixed = sum(
+        (np.float32(w / sum(weights)) * part.on(box) for w, part in zip(weights, (own, *parts), strict=True)),
+        np.zeros([s.stop - s.start for s in box], np.float32),
+    )
     force, start = np.ones(clicks.shape, np.float32), np.zeros(clicks.shape, np.bool_)
     times_in, times_out = np.full(clicks.shape, np.inf, np.float32), np.zeros(clicks.shape, np.float32)
-    force[answer.box], start[answer.box] = answer.force, answer.inside
+    force[box], start[box] = mixed, _connected(mixed, box, clicks.clicks)
     times_in[answer.box], times_out[answer.box] = answer.times_in, answer.times_out
     for click in clicks.clicks:
         force[click.box][click.mask] = CLICKED[click.side]
@@ -161,17 +182,17 @@ def answered(answer: Answer, clicks: Clicks) -> tuple[Image, Mask, Image, Image]
     return force, start, times_in, times_out
 
 
-def _inside(answer: Answer) -> Mask:
-    """Where F < 0, connected to inside clicks, and its holes where no outside click lies."""
-    grows = answer.force < 0
-    clicked = {side: np.zeros(grows.shape, np.bool_) for side in CLICKED}
-    for click in answer.clicks:
-        clicked[click.side] |= _clicked_in(click, answer.box)
-    grows = (grows | clicked["inside"]) & ~clicked["outside"]
-    labels, _ = ndimage.label(grows)
-    own = np.unique(labels[clicked["inside"]])
-    connected = np.isin(labels, own[own > 0])
-    return np.asarray(ndimage.binary_fill_holes(connected) & ~clicked["outside"])
+def _connected(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
+    """Where F < 0 on a box, connected to inside clicks, and its holes where no outside click lies."""
+    clicked = {side: np.zeros(force.shape, np.bool_) for side in CLICKED}
+    for click in clicks:
+        clicked[click.side] |= _clicked_in(click, box)
+    grows = ((force < 0) | clicked["inside"]) & ~clicked["outside"]
+    labels, count = ndimage.label(grows)
+    kept = np.zeros(count + 1, np.bool_)
+    kept[labels[clicked["inside"]]] = True
+    kept[0] = False
+    return np.asarray(ndimage.binary_fill_holes(kept[labels]) & ~clicked["outside"])
 
 
 def _box_of(field: Field, where: NDArray[np.bool_]) -> Box:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from accelsurf.energies.seeded.answers import Answer, answered, first_answer, with_click
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
 from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of
+from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.proposal import FARTHEST, Prior, Proposal, by_evidence, of_size, prior_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
@@ -122,7 +123,8 @@ def seeded_model(
         marched = pool.map(lambda click: later_times(smooth, spacing, field, click, answer), left)
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
-    force, start, times_in, times_out = answered(answer, clicks)
+    parts = contest(images, spacing, clicks, allowed)
+    force, start, times_in, times_out = answered(answer, parts, clicks)
     return SeededModel(force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, answer, tuple(smooth))
 
 

@@ -1,0 +1,235 @@
+"""What the clicks say without a model: each voxel to the side that it is nearer to, on a box around the clicks.
+
+Two contests, each -1 at inside clicks and 1 at outside ones: by the shortest paths, where a change of the values is
+what costs (Criminisi et al. 2008), and by random walks (Grady 2006). The first finds edges that leak little, the second
+closes gaps smoothly. The box reaches some depths around the inside clicks, a depth being twice a click's radius: so
+a person clicks. Its faces count as outside, but for those close to an inside click.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, robust
+from accelsurf.grid.boxes import Box, corner_of, shared
+from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.kernels.paths import shortest_paths
+from accelsurf.kernels.walker import walk
+
+#: The box reaches so many depths around the inside clicks.
+PATHS_REACH, WALKS_REACH = 2.0, 4.0
+#: Larger boxes are coarsened to so many voxels.
+PATHS_MOST, WALKS_MOST = 1_000_000, 120_000
+#: A change of values by one spread is as long as so many voxels.
+CHANGE = 64.0
+#: Smoothing for the paths, of the smallest spacing.
+SMOOTHING = 0.5
+#: A link of the walks weighs exp(-SHARPNESS (change of values)^2 / (all values' standard deviation)).
+SHARPNESS = 10.0
+#: The walks end at this residual, or after so many iterations.
+TOLERANCE, MOST_ITERATIONS = 1e-2, 500
+#: Values are cut at so many spreads from the median of the inside clicks.
+WINDOW = 10.0
+#: A spread is at least this part of the median change between neighbours, and this part of the range.
+LEAST_CHANGE, LEAST_RANGE = 0.5, 1e-3
+
+
+class Around(NamedTuple):
+    """A box around the clicks, coarsened.
+
+    ``values`` (channels, nz, ny, nx) float32, 0 at the median of the inside clicks, in their spread; ``seeds`` float32,
+    -1 inside, 1 outside, 0 open; ``spacing`` (3,), of the smallest; ``steps`` of the coarsening.
+    """
+
+    box: Box
+    steps: tuple[int, int, int]
+    values: NDArray[np.float32]
+    seeds: NDArray[np.float32]
+    spacing: NDArray[np.float64]
+
+
+class Part(NamedTuple):
+    """Values on a box of the grid; beyond it they are 1."""
+
+    box: Box
+    values: Image
+
+    def on(self, box: Box) -> Image:
+        """The same on another box."""
+        shape = [s.stop - s.start for s in box]
+        mine, theirs = shared(corner_of(self.box), self.values.shape, corner_of(box), shape)
+        out = np.ones(shape, np.float32)
+        out[theirs] = self.values[mine]
+        return out
+
+
+def contest(images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None) -> tuple[Part, Part]:
+    """Both contests, by paths and by walks, from -1 inside to 1 outside.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+        The channels.
+    spacing : (hz, hy, hx)
+        mm.
+    clicks : Clicks
+        Of one object; at least one inside.
+    allowed : ndarray (nz, ny, nx) of bool, optional
+        Elsewhere all is outside.
+    """
+    return (
+        _by_paths(around(images, spacing, clicks, allowed, (PATHS_REACH, PATHS_MOST))),
+        _by_walks(around(images, spacing, clicks, allowed, (WALKS_REACH, WALKS_MOST))),
+    )
+
+
+def _by_paths(part: Around) -> Part:
+    widths = [SMOOTHING / h if n > 1 else 0.0 for h, n in zip(part.spacing, part.seeds.shape, strict=True)]
+    smooth = np.stack([ndimage.gaussian_filter(values, widths) for values in part.values])
+    inside, outside = (shortest_paths(part.seeds == side, smooth, part.spacing, CHANGE) for side in (-1, 1))
+    both = np.where(np.isfinite(outside), inside + outside, 1.0)
+    balance = np.where(np.isfinite(outside), inside - outside, -1.0) / np.maximum(both, 1e-6)
+    return _on_grid(part, balance.astype(np.float32))
+
+
+def _by_walks(part: Around) -> Part:
+    found = part.seeds.astype(np.float64)
+    spread = max(float(np.sqrt(sum(values.var() for values in part.values))), 1e-6)
+    walk(found, part.seeds != 0, part.values, part.spacing, SHARPNESS / spread, TOLERANCE, MOST_ITERATIONS)
+    return _on_grid(part, found.astype(np.float32))
+
+
+def around(
+    images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None, extent: tuple[float, int]
+) -> Around:
+    """Cut the box out, coarsen it, scale the values, and mark what is inside and outside.
+
+    Parameters
+    ----------
+    extent : (reach, most)
+        Depths around the inside clicks, and voxels above which the box is coarsened.
+    """
+    box, margin = box_around(clicks, spacing, extent[0])
+    steps = coarsening(box, spacing, extent[1])
+    inside = [click for click in clicks.clicks if click.side == "inside"]
+    values = np.stack([block_means(_scaled(image, box, inside), steps) for image in images])
+    marks = {side: np.zeros([s.stop - s.start for s in box], np.bool_) for side in ("inside", "outside")}
+    if allowed is not None:
+        marks["outside"] |= ~allowed[box]
+    for click in clicks.clicks:
+        place = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(click.box, box, strict=True))
+        marks[click.side][place] |= click.mask
+    held = {side: _any_of_block(mask, steps) for side, mask in marks.items()}
+    seeds = held["outside"].astype(np.float32) - held["inside"]
+    for axis, end in outer_faces(inside, spacing, box, margin):
+        face: list[slice] = [slice(None)] * 3
+        face[axis] = slice(0, 1) if end == 0 else slice(-1, None)
+        layer = tuple(face)
+        seeds[layer] = np.where(seeds[layer] == 0, 1.0, seeds[layer])
+    relative = np.array(spacing) * steps
+    return Around(box, steps, values, seeds, relative / relative.min())
+
+
+def radius_of(click: Click, spacing: Spacing, flat: bool) -> float:
+    """Radius (mm) of the ball, of a flat image the disk, that has as many voxels as a click."""
+    count = float(np.count_nonzero(click.mask))
+    if flat:
+        return float(np.sqrt(count * spacing[1] * spacing[2] / np.pi))
+    return float((count * np.prod(spacing) * 3.0 / (4.0 * np.pi)) ** (1.0 / 3.0))
+
+
+def box_around(clicks: Clicks, spacing: Spacing, reach: float) -> tuple[Box, float]:
+    """The box that reaches so many depths around the inside clicks, and one around the others; and the margin (mm)."""
+    flat = clicks.shape[0] == 1
+    radii = [radius_of(click, spacing, flat) for click in clicks.clicks]
+    margin = reach * 2.0 * max(r for r, click in zip(radii, clicks.clicks, strict=True) if click.side == "inside")
+    low, high = list(clicks.shape), [0, 0, 0]
+    for radius, click in zip(radii, clicks.clicks, strict=True):
+        # From the click's voxels, not from its centre: a stroke is long.
+        width = margin - radius if click.side == "inside" else radius
+        for axis in range(3):
+            more = int(np.ceil(width / spacing[axis]))
+            low[axis] = min(low[axis], max(click.box[axis].start - more, 0))
+            high[axis] = max(high[axis], min(click.box[axis].stop + more, clicks.shape[axis]))
+    return (slice(low[0], high[0]), slice(low[1], high[1]), slice(low[2], high[2])), margin
+
+
+def outer_faces(inside: Sequence[Click], spacing: Spacing, box: Box, margin: float) -> list[tuple[int, int]]:
+    """Faces (axis, end 0 or 1) that count as outside: half the margin from all inside clicks, or the farthest one."""
+    far = {}
+    for axis, end in itertools.product(range(3), range(2)):
+        if box[axis].stop - box[axis].start == 1:
+            continue
+        middles = [(click.box[axis].start + click.box[axis].stop - 1) / 2 for click in inside]
+        at = box[axis].start if end == 0 else box[axis].stop - 1
+        far[axis, end] = min(abs(middle - at) for middle in middles) * spacing[axis]
+    outer = [face for face, mm in far.items() if mm >= 0.5 * margin]
+    return outer or [max(far, key=lambda face: far[face])] if far else []
+
+
+def coarsening(box: Box, spacing: Spacing, most: int) -> tuple[int, int, int]:
+    """Whole steps by which a box is coarsened to at most so many voxels, the finest axis first.
+
+    Examples
+    --------
+    >>> coarsening((slice(0, 40), slice(0, 40), slice(0, 40)), (3.0, 1.0, 1.0), 20000)
+    (1, 2, 2)
+    """
+    counts, steps = [s.stop - s.start for s in box], [1, 1, 1]
+    while np.prod([-(-n // step) for n, step in zip(counts, steps, strict=True)]) > most:
+        axis = min((i for i in range(3) if steps[i] < counts[i]), key=lambda i: (steps[i] * spacing[i], -i))
+        steps[axis] += 1
+    return steps[0], steps[1], steps[2]
+
+
+def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np.float32]:
+    """Means of blocks; those at the far ends may be smaller.
+
+    Examples
+    --------
+    >>> block_means(np.array([[[1, 3, 5]]], np.float32), (1, 1, 2)).tolist()
+    [[[2.0, 5.0]]]
+    """
+    for axis, step in enumerate(steps):
+        if step > 1:
+            first = np.arange(0, values.shape[axis], step)
+            counts = np.diff(np.append(first, values.shape[axis])).astype(np.float32)
+            values = np.add.reduceat(values, first, axis) / np.expand_dims(counts, [i for i in range(3) if i != axis])
+    return np.ascontiguousarray(values, np.float32)
+
+
+def _any_of_block(mask: Mask, steps: Sequence[int]) -> Mask:
+    for axis, step in enumerate(steps):
+        if step > 1:
+            mask = np.logical_or.reduceat(mask, np.arange(0, mask.shape[axis], step), axis)
+    return mask
+
+
+def _on_grid(part: Around, values: Image) -> Part:
+    """Linearly between the centres of the blocks."""
+    counts = [s.stop - s.start for s in part.box]
+    for axis, (step, count) in enumerate(zip(part.steps, counts, strict=True)):
+        if step > 1:
+            at = (np.arange(count) - 0.5 * (step - 1)) / step
+            below = np.clip(np.floor(at).astype(int), 0, values.shape[axis] - 1)
+            above = np.minimum(below + 1, values.shape[axis] - 1)
+            share = np.expand_dims(np.clip(at - below, 0, 1), [i for i in range(3) if i != axis]).astype(np.float32)
+            lower, upper = np.take(values, below, axis), np.take(values, above, axis)
+            values = (lower + share * (upper - lower)).astype(np.float32)
+    return Part(part.box, values)
+
+
+def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
+    """A channel on a box, 0 at the median of the inside clicks and in units of their spread, cut at both ends."""
+    part = image[box]
+    middle, spread = robust(np.concatenate([image[click.box][click.mask] for click in inside]))
+    changes = [np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3) if part.shape[axis] > 1]
+    least = LEAST_CHANGE * float(np.median(np.concatenate(changes))) if changes else 0.0
+    spread = max(spread, least, LEAST_RANGE * float(np.ptp(part)), 1e-20)
+    return np.clip((part - np.float32(middle)) / np.float32(spread), -WINDOW, WINDOW)
