@@ -368,10 +368,10 @@ def test_closest_points_are_the_same_bytes_wherever_they_stand():
 
 def guessed(dense, grid, band, inner, first, count):
     guesses, beside = np.full((3, count + 1), np.float32(-77)), np.full(count + 1, True)
-    near, guess = np.empty(6, np.int64), np.empty(3)
+    scratch = np.empty(6, np.int64), np.empty(3), np.empty(6, np.float32)
     offset = np.empty(guesses.shape[1], np.float32)
     guide = inner, np.zeros(band.cells.size, np.float32)
-    march.guess_feet(first, count, dense, grid, band, guide, (near, guess), (guesses, beside, offset))
+    march.guess_feet(first, count, dense, grid, band, guide, scratch, (guesses, beside, offset))
     assert not offset[:count].any()
     assert (guesses[:, count] == -77).all() and beside[count]
     return guesses[:, :count].T, beside[:count]
