@@ -15,7 +15,8 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.closest import FOUND, LIMITED, OFFSET, closest_points, crossing_point, feet_memory
 from accelsurf.kernels.foot_checks import is_between_signs, is_near_volume
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
-from accelsurf.kernels.ridge import MIN_GAIN, MIN_LENGTH, beyond_ridge
+from accelsurf.kernels.guesses import guess_feet, guess_memory
+from accelsurf.kernels.ridge import MIN_GAIN
 from accelsurf.kernels.stages import Stage
 
 #: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
@@ -24,89 +25,6 @@ OPEN, FROZEN, EDGE = 0, 1, 2
 MARGIN = 1.0
 #: A cell enters when it is at most this much beyond the band, voxels, by its neighbour's tangent plane.
 SLACK = 0.1
-
-
-@kernel
-def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
-    """Foot at -psi grad psi/|grad psi|^2, by central differences, one-sided towards the front at a ridge."""
-    centre = psi[cell]
-    g2 = 0.0
-    for axis in range(3):
-        h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
-        a, b = near[2 * axis], near[2 * axis + 1]
-        if a >= 0 and b >= 0:
-            g = (psi[b] - psi[a]) / (2.0 * h)
-        elif b >= 0:
-            g = (psi[b] - centre) / h
-        elif a >= 0:
-            g = (centre - psi[a]) / h
-        else:
-            g = 0.0
-        foot[axis] = g
-        g2 += g * g
-    if g2 < 0.5:
-        g2 = 0.0
-        for axis in range(3):
-            h = grid.hz if axis == 0 else (grid.hy if axis == 1 else grid.hx)
-            a, b = near[2 * axis], near[2 * axis + 1]
-            down = abs(centre) - abs(psi[a]) if a >= 0 else 0.0
-            up = abs(centre) - abs(psi[b]) if b >= 0 else 0.0
-            g = 0.0
-            if down > 0.0 or up > 0.0:
-                g = down / h if down >= up else -up / h
-            foot[axis] = g if centre >= 0.0 else -g
-            g2 += g * g
-    if g2 < 1e-6:
-        return False
-    for axis in range(3):
-        foot[axis] *= -centre / g2
-    return True
-
-
-@kernel
-def guess_feet(first, count, dense, grid, band, guide, scratch, out):
-    """First guesses of ``count`` feet from slot ``first`` on.
-
-    ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,), around (6,)); ``out`` = (guesses (3, m),
-    rows z, y, x, 0 where there is none; beside (m,) bool; offset (m,) float32). ``beside`` marks the cells with a
-    neighbour on the other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where
-    |psi| was above ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where
-    there is a residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
-    """
-    psi = dense.psi
-    inner, residue = guide
-    near, guess, around = scratch
-    guesses, beside, offset = out
-    plane = grid.ny * grid.nx
-    shortest = MIN_LENGTH * min(grid.hz, min(grid.hy, grid.hx))
-    for i in range(count):
-        s = first + i
-        cell = band.cells[s]
-        iz, iy, ix = unravel(cell, grid)
-        value = psi[cell]
-        # Beyond the border as in the cell.
-        a, b = psi[cell - plane if iz > 0 else cell], psi[cell + plane if iz < grid.nz - 1 else cell]
-        c, d = psi[cell - grid.nx if iy > 0 else cell], psi[cell + grid.nx if iy < grid.ny - 1 else cell]
-        e, f = psi[cell - 1 if ix > 0 else cell], psi[cell + 1 if ix < grid.nx - 1 else cell]
-        around[0], around[1], around[2], around[3], around[4], around[5] = a, b, c, d, e, f
-        inside = value < 0.0
-        crossed = ((a < 0.0) ^ inside) | ((b < 0.0) ^ inside) | ((c < 0.0) ^ inside)
-        beside[i] = crossed | ((d < 0.0) ^ inside) | ((e < 0.0) ^ inside) | ((f < 0.0) ^ inside)
-        offset[i] = residue[s]
-        ratio = value / band.psi[s] if abs(band.psi[s]) > (inner if residue[s] == 0.0 else shortest) else 0.0
-        for axis in range(3):
-            guess[axis] = ratio * band.to_closest[s, axis]
-        if residue[s] != 0.0 and ratio != 0.0:
-            other = beyond_ridge(s, (iz, iy, ix), dense.slot, grid, band, (value, around), guess)
-            if other >= 0:
-                offset[i] = residue[other]
-        unknown = guess[0] == 0.0 and guess[1] == 0.0 and guess[2] == 0.0
-        # Beyond the border psi is only continued, at the band's edge from where it is no distance.
-        if unknown or not is_near_volume(grid, iz, iy, ix, guess, 0.0):
-            neighbours(cell, iz, iy, ix, grid, near)
-            if not first_guess(psi, grid, cell, iz, iy, ix, near, guess):
-                guess[0], guess[1], guess[2] = 0.0, 0.0, 0.0
-        guesses[0, i], guesses[1, i], guesses[2, i] = guess[0], guess[1], guess[2]
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
@@ -121,9 +39,9 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     psi = dense.psi
     near = np.empty(6, np.int64)
     guess = np.empty(3)
-    around = np.empty(6, np.float32)
     plane = np.empty(3)
     w = np.empty(24)
+    scratch = near, guess, guess_memory()
     memory, feet, status = feet_memory()
     inner, residue, limited = guide
     offset = memory[OFFSET : OFFSET + BATCH]
@@ -131,7 +49,7 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     beside = np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
-        guess_feet(first, count, dense, grid, band, (inner, residue), (near, guess, around), (feet, beside, offset))
+        guess_feet(first, count, dense, grid, band, (inner, residue), scratch, (feet, beside, offset))
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
         for i in range(count):
             s = first + i

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import step_of
+from accelsurf.kernels.foot_checks import is_near_volume
+from accelsurf.kernels.grid import BATCH, step_of, unravel
 
 #: A cell takes another foot, of a neighbour or beyond a ridge, when that is closer by this many voxels.
 MIN_GAIN = 0.02
@@ -16,54 +17,81 @@ MIN_LENGTH = 0.1
 
 
 @kernel
-def beside(side, cell, at, grid):
-    """Raveled neighbour number ``side`` of a cell at index ``at`` = (z, y, x), -1 beyond the border."""
-    iz, iy, ix = at
-    if side < 2:
-        p, n, stride = iz, grid.nz, grid.ny * grid.nx
-    elif side < 4:
-        p, n, stride = iy, grid.ny, grid.nx
-    else:
-        p, n, stride = ix, grid.nx, 1
-    step = 1 if side & 1 else -1
-    return cell + step * stride if 0 <= p + step < n else -1
+def towards_ridge(value, towards, back, least):
+    """Whether a ridge may have come across a cell of psi = ``value`` from the neighbour ``towards``, of psi: 1 or 0.
+
+    ``value`` and ``towards``, and ``back`` on the opposite side, count away from the surface; ``least`` is the smallest
+    spacing. Where psi rises along the axis none has: most cells need no more than this.
+    """
+    passed = np.float32(PASSED) * least
+    return np.int32((towards <= value) & (back - passed <= value) & (towards >= np.float32(0.0)))
 
 
 @kernel
-def beyond_ridge(s, at, slot, grid, band, now, guess):
-    """Move the ``guess`` of slot ``s`` to the surface beyond a ridge, where that has come closer.
+def sides_beyond(value, least, around):
+    """The sides of a cell of psi = ``value`` beyond which a ridge may lie, a bit each; ``around`` = psi at them."""
+    a, b, c, d, e, f = around
+    sign = np.float32(-1.0) if value < np.float32(0.0) else np.float32(1.0)
+    value, a, b, c, d, e, f = sign * value, sign * a, sign * b, sign * c, sign * d, sign * e, sign * f
+    sides = towards_ridge(value, a, b, least) | (towards_ridge(value, b, a, least) << np.int32(1))
+    sides |= (towards_ridge(value, c, d, least) << np.int32(2)) | (towards_ridge(value, d, c, least) << np.int32(3))
+    return sides | (towards_ridge(value, e, f, least) << np.int32(4)) | (towards_ridge(value, f, e, least) << np.int32(5))
 
-    ``now`` = (psi of the cell at index ``at`` = (z, y, x), psi of its six neighbours (6,)).
+
+@kernel
+def beyond_ridges(first, slot, grid, band, residue, count, memory, out):
+    """Move guesses of ``count`` feet from slot ``first`` on to the surface beyond a ridge, where that has come closer.
+
     A neighbour is beyond a ridge when its foot lay the other way (``band``: when psi was a distance); its
     tangent plane, moved as psi has changed there, tells how far that surface is. In a thin plate the neighbour's foot
-    itself is too far off sideways to tell. Returns the slot of the neighbour, -1 where the guess stays.
+    itself is too far off sideways to tell. ``memory`` and ``out`` as in `guesses.guess_feet`: the guess comes with the
+    neighbour's residue.
     """
-    h = min(grid.hz, min(grid.hy, grid.hx))
+    # The first rows are psi at the cell and at its sides.
+    rows, alone, sides = memory
+    guesses, _, offset = out
     foot, old = band.to_closest, band.psi
-    value, around = now
-    least = np.sqrt(guess[0] * guess[0] + guess[1] * guess[1] + guess[2] * guess[2]) - MIN_GAIN * h
-    inside = value < 0.0
-    # So that psi counts away from the surface on either side of it.
-    sign = -1.0 if inside else 1.0
-    own = sign * value
-    found, scale = -1, 0.0
+    h = min(grid.hz, min(grid.hy, grid.hx))
+    moved, strides = np.empty(3), np.zeros(33, np.int64)
     for side in range(6):
-        # Where psi rises along the axis no ridge has come across the cell: most cells need no more than this.
-        towards, back = sign * around[side], sign * around[side ^ 1]
-        if max(towards, back - PASSED * h) > own or towards < 0.0:
+        stride = grid.ny * grid.nx if side < 2 else (grid.nx if side < 4 else 1)
+        strides[1 << side] = stride if side & 1 else -stride
+    for i in range(count):
+        left = sides[i]
+        if left == 0:
             continue
-        near = beside(side, band.cells[s], at, grid)
-        other = slot[near] if near >= 0 else -1
-        if other < 0 or (old[other] < 0.0) != inside or abs(old[other]) < MIN_LENGTH * h:
-            continue
-        if foot[other, 0] * foot[s, 0] + foot[other, 1] * foot[s, 1] + foot[other, 2] * foot[s, 2] >= 0.0:
-            continue
-        oz, oy, ox = step_of(side, grid)
-        along = (oz * foot[other, 0] + oy * foot[other, 1] + ox * foot[other, 2]) / abs(old[other])
-        d = towards + along
-        if 0.0 < d < least:
-            least, found, scale = d, other, d / abs(old[other])
-    if found >= 0:
-        for axis in range(3):
-            guess[axis] = scale * foot[found, axis]
-    return found
+        s = first + i
+        cell = band.cells[s]
+        own = foot[s]
+        inside = rows[i] < 0.0
+        # So that psi counts away from the surface on either side of it.
+        sign = -1.0 if inside else 1.0
+        z, y, x = guesses[0, i], guesses[1, i], guesses[2, i]
+        least = np.sqrt(z * z + y * y + x * x) - MIN_GAIN * h
+        found, scale = -1, 0.0
+        while left != 0:
+            bit = left & -left
+            left ^= bit
+            other = slot[cell + strides[bit]]
+            if other < 0:
+                continue
+            # Nearly always this ends it.
+            if foot[other, 0] * own[0] + foot[other, 1] * own[1] + foot[other, 2] * own[2] >= 0.0:
+                continue
+            if (old[other] < 0.0) != inside or abs(old[other]) < MIN_LENGTH * h:
+                continue
+            side = 0
+            while bit >> side != 1:
+                side += 1
+            oz, oy, ox = step_of(side, grid)
+            along = (oz * foot[other, 0] + oy * foot[other, 1] + ox * foot[other, 2]) / abs(old[other])
+            d = sign * rows[(1 + side) * BATCH + i] + along
+            if 0.0 < d < least:
+                least, found, scale = d, other, d / abs(old[other])
+        if found >= 0:
+            for axis in range(3):
+                moved[axis] = scale * foot[found, axis]
+                guesses[axis, i] = moved[axis]
+            offset[i] = residue[found]
+            iz, iy, ix = unravel(cell, grid)
+            alone[i] = not is_near_volume(grid, iz, iy, ix, moved, 0.0)

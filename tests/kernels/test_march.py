@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from accelsurf.kernels import closest, march
 from accelsurf.kernels.grid import Band, neighbours, unravel, voxels_along
+from accelsurf.kernels.guesses import first_guess, guess_feet, guess_memory
 from accelsurf.levelset import Workers
 from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference
@@ -131,7 +132,7 @@ def test_first_guess_and_crossings_of_a_plane_are_exact(direction, spacing):
     for cell in np.ndindex(*shape):
         raveled, near = around(grid, cell)
         guess, crossing = np.empty(3), np.empty(3)
-        assert march.first_guess(psi.ravel(), grid, raveled, *cell, near, guess)
+        assert first_guess(psi.ravel(), grid, raveled, *cell, near, guess)
         np.testing.assert_allclose(guess, -psi[cell] * n, atol=1e-9)
         bound = closest.crossing_point(psi.ravel(), grid, raveled, *cell, near, crossing)
         assert (bound >= 0) == front[cell]
@@ -158,10 +159,10 @@ def test_first_guess_points_to_the_front_on_a_ridge():
     for sign in (1, -1):
         raveled, near = around(grid, (2, 3, 4))
         guess = np.empty(3)
-        assert march.first_guess(sign * psi.ravel(), grid, raveled, 2, 3, 4, near, guess)
+        assert first_guess(sign * psi.ravel(), grid, raveled, 2, 3, 4, near, guess)
         np.testing.assert_allclose(np.abs(guess), (0, 0, 2.5))
     flat = np.full(psi.size, 2.0)
-    assert not march.first_guess(flat, grid, raveled, 2, 3, 4, near, guess)
+    assert not first_guess(flat, grid, raveled, 2, 3, 4, near, guess)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.6, 1.0, 0.8)])
@@ -178,7 +179,7 @@ def test_closest_point_as_by_brute_force(spacing):
     feet = np.empty((len(front), 3))
     for foot, cell in zip(feet, front, strict=True):
         raveled, near = around(grid, tuple(cell))
-        assert march.first_guess(psi.ravel(), grid, raveled, *cell, near, foot)
+        assert first_guess(psi.ravel(), grid, raveled, *cell, near, foot)
     cells = np.ravel_multi_index(front.T, shape)
     for first in range(0, len(cells), closest.BATCH):
         some = slice(first, first + closest.BATCH)
@@ -218,7 +219,7 @@ def start_feet(psi, grid):
     for cell in np.argwhere(near_front):
         raveled, near = around(grid, tuple(cell))
         foot = np.empty(3)
-        if march.first_guess(psi.ravel(), grid, raveled, *cell, near, foot):
+        if first_guess(psi.ravel(), grid, raveled, *cell, near, foot):
             cells.append(cell)
             feet.append(foot)
     return np.array(cells), np.array(feet, np.float32)
@@ -368,11 +369,14 @@ def test_closest_points_are_the_same_bytes_wherever_they_stand():
 
 def guessed(dense, grid, band, inner, first, count):
     guesses, beside = np.full((3, count + 1), np.float32(-77)), np.full(count + 1, True)
-    near, guess = np.empty(6, np.int64), np.empty(3)
-    offset = np.empty(guesses.shape[1], np.float32)
     guide = inner, np.zeros(band.cells.size, np.float32)
-    march.guess_feet(first, count, dense, grid, band, guide, (near, guess), (guesses, beside, offset))
-    assert not offset[:count].any()
+    for at in range(0, count, closest.BATCH):
+        some = min(closest.BATCH, count - at)
+        scratch = np.empty(6, np.int64), np.empty(3), guess_memory()
+        out = np.full((3, some + 1), np.float32(-77)), np.full(some + 1, True), np.ones(some + 1, np.float32)
+        guess_feet(first + at, some, dense, grid, band, guide, scratch, out)
+        assert not out[2][:some].any()
+        guesses[:, at : at + some + 1], beside[at : at + some + 1] = out[0], out[1]
     assert (guesses[:, count] == -77).all() and beside[count]
     return guesses[:, :count].T, beside[:count]
 
@@ -405,7 +409,7 @@ def test_guesses_are_the_first_guess_or_the_old_foot_drawn_out(shape):
                 np.testing.assert_allclose(got[i], want, rtol=3 * EPS, atol=1e-30)
                 continue
             beyond += 1
-        if not march.first_guess(dense.psi, grid, s, *cell, near, want):
+        if not first_guess(dense.psi, grid, s, *cell, near, want):
             want[:] = 0
             none += 1
         np.testing.assert_allclose(got[i], want, rtol=3 * EPS, atol=1e-30)

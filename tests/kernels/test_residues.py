@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import residues
-from accelsurf.kernels.grid import neighbours
+from accelsurf.kernels.guesses import guess_feet, guess_memory
 from accelsurf.kernels.interpolate import value_and_gradient
 from accelsurf.kernels.limited import MAX_CHANGE, limited_value_and_gradient
-from accelsurf.kernels.ridge import beyond_ridge
 from tests.support import reference
 
 SPACING = (1.5, 1.0, 0.8)
@@ -104,12 +103,14 @@ def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
     dense, band = reference.whole_band((np.abs(along) - 1).reshape(shape), foot)
     band.psi[:] = np.abs(along) - 1
     cell = np.ravel_multi_index((4, 4, 4), shape)
-    neighbours(cell, 4, 4, 4, grid, near)
+    guesses, beside, offset = np.empty((3, 1), np.float32), np.empty(1, np.bool_), np.empty(1, np.float32)
+    residue = np.linspace(0.001, 0.002, along.size, dtype=np.float32)
     for shift, moves in ((0.0, False), (0.05, False), (-0.2, True), (-0.4, True)):
         dense.psi[:] = np.abs(along - shift) - 1
-        guess = -abs(-1 - along[cell] + shift) * normal
-        before = guess.copy()
-        now = dense.psi[cell], dense.psi[near]
-        other = beyond_ridge(cell, (4, 4, 4), dense.slot, grid, band, now, guess)
-        assert (other >= 0) == moves
-        np.testing.assert_allclose(guess, (1 + shift - along[cell]) * normal if moves else before, atol=1e-6)
+        # Psi of the cell has followed the surface that was the closest.
+        dense.psi[cell] = -abs(-1 - along[cell] + shift)
+        scratch = near, np.empty(3), guess_memory()
+        guess_feet(cell, 1, dense, grid, band, (np.inf, residue), scratch, (guesses, beside, offset))
+        assert (offset[0] != residue[cell]) == moves
+        want = 1 + shift - along[cell] if moves else -abs(-1 - along[cell] + shift)
+        np.testing.assert_allclose(guesses[:, 0], want * normal, atol=1e-6)
