@@ -12,13 +12,13 @@ import argparse
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from accelsurf import io
 from accelsurf.analysis.metrics import dice
@@ -34,6 +34,7 @@ PICTURES = {
     "nuclei_look.png": "tutorial-nucleus-look", "nucleus": "tutorial-nucleus",
     "nucleus refined": "tutorial-nucleus-refined",
 }  # fmt: skip
+COLOURS = 128
 #: Folder of a run -> scan, and label of the reference.
 REFERENCES = {
     "liver": ("ct_abdomen_hires", 5), "ventricle": ("mri_brain256", 4), "nucleus": ("fluo_nuclei1136", 10)
@@ -78,7 +79,9 @@ def keep(page: Path, work: Path, words: list[str]) -> None:
     name = f"{made} refined" if words[1] == "refine" and made == words[2] else made
     if name in PICTURES:
         found = work / made if made.endswith(".png") else next((work / made).glob("*_preview.png"))
-        shutil.copyfile(found, ROOT / "docs" / "images" / f"{PICTURES[name]}.png")
+        # As a palette: a quarter of the size.
+        drawn = Image.open(found).convert("RGB").quantize(COLOURS)
+        drawn.save(ROOT / "docs" / "images" / f"{PICTURES[name]}.png", optimize=True)
     if made in REFERENCES:
         scan, label = REFERENCES[made]
         truth = io.read_labels(Path(os.environ["ACCELSURF_VOLUMES"]) / f"{scan}_ref.nii.gz").array == label
