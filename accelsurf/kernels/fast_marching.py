@@ -23,7 +23,8 @@ from accelsurf.kernels.eikonal import (
 )
 from accelsurf.kernels.foot_checks import is_near_volume
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
-from accelsurf.kernels.march import MARGIN, accept_foot, guess_feet
+from accelsurf.kernels.guesses import guess_feet, guess_memory
+from accelsurf.kernels.march import MARGIN, accept_foot
 from accelsurf.kernels.residues import known_point
 from accelsurf.kernels.stages import Stage
 
@@ -57,7 +58,7 @@ def find_front_feet(start, stop, dense, grid, band, guide, on, foot):
     """
     psi = dense.psi
     near, guess, plane, w = np.empty(6, np.int64), np.empty(3), np.empty(3), np.empty(24)
-    around = np.empty(6, np.float32)
+    scratch = near, guess, guess_memory()
     memory, feet, status = feet_memory()
     inner, residue, limited = guide
     offset = memory[OFFSET : OFFSET + BATCH]
@@ -69,7 +70,7 @@ def find_front_feet(start, stop, dense, grid, band, guide, on, foot):
             s = on[first + i]
             at[i] = band.cells[s]
             out = feet[:, i : i + 1], beside[i : i + 1], offset[i : i + 1]
-            guess_feet(s, 1, dense, grid, band, (inner, residue), (near, guess, around), out)
+            guess_feet(s, 1, dense, grid, band, (inner, residue), scratch, out)
         closest_points(count, psi, grid, at, memory, w)
         for i in range(count):
             s, cell = on[first + i], at[i]
