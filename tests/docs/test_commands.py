@@ -15,7 +15,9 @@ from accelsurf.grid.volume import Volume
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 
 ROOT = Path(__file__).parents[2]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "tutorial").glob("*.md")))
+PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial" / "first-scan.md")
+#: Its commands are about public scans, which are not here.
+ON_SCANS = ROOT / "docs" / "tutorial" / "by-clicks.md"
 #: A file that a page tells the reader to write.
 FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
@@ -70,6 +72,16 @@ def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys)
         printed += capsys.readouterr().out
     if "tutorial" in page.parts:
         check_figures(page.read_text(encoding="utf-8"), printed)
+
+
+def test_commands_on_public_scans_lack_nothing_but_the_scans(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    typed = [words for words in commands(ON_SCANS) if words[0] == "accelsurf"]
+    assert {words[1] for words in typed} == {"look", "segment", "refine"}
+    for words in typed:
+        assert cli.execute(words[1:]) == 3, shlex.join(words)
+        missing = f"{words[2]}: there is no such file" if words[1] != "refine" else f"{words[2]}: "
+        assert missing in capsys.readouterr().err, shlex.join(words)
 
 
 def check_figures(text, printed):
