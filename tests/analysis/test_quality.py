@@ -132,6 +132,25 @@ def test_the_report_has_probability_place_and_rests_as_values():
     assert any("rested at step 4 at 3 ml" in note and "to 7.2 ml" in note for note in described["notes"])
 
 
+def test_a_rest_is_noted_where_the_object_has_grown_since():
+    z, y, x = coordinates()
+    mask = (z**2 + y**2 + x**2 < 12**2).astype(np.uint8)
+    history = [step_record(0, volume_mm3=1e-6), step_record(9, volume_mm3=5e-6, area_mm2=1800.0)]
+    for size, noted in ((4e-6, True), (4.8e-6, False), (6e-6, False)):
+        rest = RestNote(4, size, 9, (1.0, 2.0, 3.0))
+        found = assess(mask, mask.astype(np.float32), Geometry(SHAPE, SPACING), history, DONE, rests=[rest])
+        assert any(note.startswith("rest: ") for note in found.notes) == noted
+        assert not noted or "at 4000 um3, then" in found.notes[0]
+
+
+def test_what_is_too_small_to_be_judged_is_in_doubt():
+    mask = np.zeros(SHAPE, bool)
+    mask[20, 22, 24] = True
+    found = look(mask, mask * 1.0, [step_record(0, volume_mm3=1.2), step_record(9, volume_mm3=1.2)])
+    assert found.next_click is None
+    assert [words for words in found.warnings if "cannot be judged, at 1.2 mm3; try a larger --inside" in words]
+
+
 def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     z, y, x = coordinates()
     r = np.sqrt(z**2 + y**2 + x**2)
