@@ -34,7 +34,7 @@ PICTURES = {
     "nuclei_look.png": "tutorial-nucleus-look", "nucleus": "tutorial-nucleus",
     "nucleus refined": "tutorial-nucleus-refined",
 }  # fmt: skip
-COLOURS = 128
+COLOURS = 256
 #: Folder of a run -> scan, and label of the reference.
 REFERENCES = {
     "liver": ("ct_abdomen_hires", 5), "ventricle": ("mri_brain256", 4), "nucleus": ("fluo_nuclei1136", 10)
@@ -80,7 +80,7 @@ def keep(page: Path, work: Path, words: list[str]) -> None:
     if name in PICTURES:
         found = work / made if made.endswith(".png") else next((work / made).glob("*_preview.png"))
         # As a palette: a quarter of the size.
-        drawn = Image.open(found).convert("RGB").quantize(COLOURS)
+        drawn = Image.open(found).convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
         drawn.save(ROOT / "docs" / "images" / f"{PICTURES[name]}.png", optimize=True)
     if made in REFERENCES:
         scan, label = REFERENCES[made]

@@ -117,7 +117,8 @@ def folder_of_a_reader():
     y, x = np.indices((160, 200))
     io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
-    assert cli.execute(["segment", "scan.nii.gz", "-o", "out", "--max-steps", "2", "--quiet"]) == 0
+    first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
+    assert cli.execute(first.split()) == 0
     Path("out/run.toml").write_text("max_steps = 2\n")
 
 
