@@ -68,10 +68,9 @@ class CorrectedRun:
             As of `accelsurf.segmentation.refiner.Refiner.apply`; nothing is changed then.
         """
         changes = self._refiner.apply(refinement, on_step=lambda record, own: on_step(record.step))
-        for place, one in enumerate(self._refiner.surfaces):
-            for change in changes:
-                if change.voxels:  # of an object that gained, or of others that lost there
-                    self._boxes[place] = _around(self._boxes[place], change.box)
+        for change in changes:
+            if change.voxels:  # the object gained or lost, and others lost there
+                self._boxes = [_around(box, change.box) for box in self._boxes]
         return changes
 
     def undo(self) -> None:

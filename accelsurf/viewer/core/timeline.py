@@ -231,8 +231,7 @@ class Timeline:
         UsageError
             When a setting is not valid; nothing is changed then.
         """
-        run, step = self.run, self.step_number
-        edits = self._edits_so_far()
+        run, step, edits = self.run, self.step_number, self._edits_so_far()
         run.check(Edit(step=step, **settings))
         altered = edits_with(run.config, edits, step, settings)
         if altered != edits:
@@ -281,8 +280,8 @@ class Timeline:
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
         if object_id is None and self.run.has_ids:
             clicks["object"] = nearest_object(self.run, where[0])
-        said = f"{side}: {where[0]}" + (f" and {len(where) - 1} more" if len(where) > 1 else "")
-        said += "" if clicks["object"] is None else f", object {clicks['object']}"
+        whose = "" if clicks["object"] is None else f", object {clicks['object']}"
+        said = f"{side}: {where[0]}{f' and {len(where) - 1} more' if len(where) > 1 else ''}{whose}"
         if self.run.stop is not None and not all(reason in FINAL_REASONS for reason in self._reasons()):
             (refinement,) = RunConfig(refine=[clicks]).refine
             before = self._now()
