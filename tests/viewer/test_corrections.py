@@ -15,28 +15,33 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from tests.support.steering import at, views
 
-SHAPE, SPACING = (20, 26, 48), (1.5, 1.0, 1.0)
+SHAPE, SPACING = (12, 16, 34), (1.5, 1.0, 1.0)
 #: A click in the left ball, one in the right ball, a stroke that is cut off on the left.
-FIRST, OTHER, STROKE = "ball:14,13,15,3", "ball:34,13,15,2", ("ball:20,10,15,1.5", "ball:20,13,15,1.5")
+FIRST, OTHER, STROKE = "ball:9,8,9,2", "ball:25,8,9,1.5", ("ball:13,6,9,1", "ball:13,8,9,1")
 
 
 def scan():
     """Two bright balls of one brightness, in noise."""
     z, y, x = np.indices(SHAPE) * np.array(SPACING)[:, None, None, None]
-    balls = (z - 15) ** 2 + (y - 13) ** 2 + np.minimum(abs(x - 14), abs(x - 34)) ** 2 < 7**2
+    balls = (z - 9) ** 2 + (y - 8) ** 2 + np.minimum(abs(x - 9), abs(x - 25)) ** 2 < 5**2
     image = 100.0 * balls + np.random.default_rng(0).normal(0, 8, SHAPE)
     return Volume.from_array(image.astype(np.float32), SPACING)
 
 
 CONFIGS = {
     "seeded": RunConfig(inside=FIRST, levels=1, threads=1),
-    "chan-vese": RunConfig(start="ball:14,13,15,5", levels=1, threads=1, keep_state="yes"),
+    "chan-vese": RunConfig(start="ball:9,8,9,3", levels=1, threads=1, keep_state="yes"),
 }
 
 
 @pytest.fixture(scope="module")
 def image():
     return scan()
+
+
+def untimed(result):
+    """The records of a run and its corrections without their seconds."""
+    return [record._replace(seconds=0.0) for record in result.history]
 
 
 def ended(session):
@@ -48,7 +53,6 @@ def ended(session):
 
 @pytest.mark.parametrize("energy", CONFIGS)
 def test_command_python_session_and_configuration_make_the_same_bytes(energy, image, tmp_path):
-    config = CONFIGS[energy]
     io.write(image, tmp_path / "scan.nii.gz")
     volume = io.read(tmp_path / "scan.nii.gz")
 
@@ -57,19 +61,20 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
         return "ball:" + ",".join(f"{v:.6g}" for v in (*volume.geometry.index_to_world((z / 1.5, y, x)), r))
 
     # Each in the words of its own: options, arguments, commands of a session.
-    given = [f"--inside={here(FIRST)}"] if energy == "seeded" else [f"--start={here('ball:14,13,15,5')}", "--keep-state=yes"]
+    start = here("ball:9,8,9,3")
+    given = [f"--inside={here(FIRST)}"] if energy == "seeded" else [f"--start={start}", "--keep-state=yes"]
     one, two = tmp_path / "one", tmp_path / "two"
     assert command(["segment", str(volume.source), "-o", str(one), "--levels=1", "--threads=1", *given]) == 0
     assert command(["refine", str(one), "-o", str(two), f"--inside={here(OTHER)}"]) == 0
     assert command(["refine", str(two), *(f"--outside={here(ball)}" for ball in STROKE)]) == 0
 
-    keys = {"inside": here(FIRST)} if energy == "seeded" else {"start": here("ball:14,13,15,5")}
+    keys = {"inside": here(FIRST)} if energy == "seeded" else {"start": start}
     run = accelsurf.segment(volume, config=RunConfig(**keys, levels=1, threads=1, keep_state="yes"))
     refiner = Refiner(run)
     refiner.apply(*refinements_of({"inside": here(OTHER)}))
     refiner.apply(*refinements_of({"outside": [here(ball) for ball in STROKE]}))
     result = refiner.result()
-    assert (result.labels != run.labels).sum() > 100
+    assert (result.labels != run.labels).sum() > 50
 
     with Session(volume, RunConfig(**keys, levels=1, threads=1), name="scan") as session:
         ended(session)
@@ -78,14 +83,15 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
         assert len(session.status.refinements) == session.status.undoable == 2 and session.status.edits == ()
         session.save(tmp_path / "saved").result(60)
     again = accelsurf.segment(volume, config=RunConfig.from_toml(tmp_path / "saved/run.toml"))
-    assert command(["segment", str(volume.source), "-o", str(tmp_path / "three"), f"--config={tmp_path}/saved/run.toml"]) == 0
+    three = ["segment", str(volume.source), "-o", str(tmp_path / "three"), f"--config={tmp_path}/saved/run.toml"]
+    assert command(three) == 0
 
     wanted = (two / "scan_seg.nii.gz").read_bytes()
     for folder in ("saved", "three"):
         assert (tmp_path / folder / "scan_seg.nii.gz").read_bytes() == wanted
         assert (tmp_path / folder / "scan_surface.ply").read_bytes() == (two / "scan_surface.ply").read_bytes()
     assert np.array_equal(io.read(two / "scan_seg.nii.gz").array, result.labels)
-    assert again.psi.tobytes() == result.psi.tobytes() and again.history == result.history
+    assert again.psi.tobytes() == result.psi.tobytes() and untimed(again) == untimed(result)
 
 
 def test_undo_and_redo_of_corrections_bring_back_every_byte(image):
@@ -104,7 +110,7 @@ def test_undo_and_redo_of_corrections_bring_back_every_byte(image):
             session.redo().result(60)
             assert psi_shown(session).tobytes() == shown[wanted].tobytes()
         session.undo().result(60)
-        session.add_click("outside", "point:14,13,25.5").result(60)  # a new change: nothing is left to be redone
+        session.add_click("outside", "point:9,8,16.5").result(60)  # a new change: nothing is left to be redone
         assert session.status.redoable == 0
         with pytest.raises(UsageError, match="no undone change"):
             session.redo().result(60)
@@ -126,7 +132,7 @@ def psi_shown(session):
 def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
     with Session(image, CONFIGS["seeded"], name="x") as session:
         at(session, 6)
-        session.add_click("outside", "point:14,13,25.5").result(60)
+        session.add_click("outside", "point:9,8,16.5").result(60)
         assert len(session.status.edits) == 1 and session.status.refinements == ()  # the run had not ended
         ended(session)
         session.add_click("inside", OTHER).result(60)
@@ -141,7 +147,7 @@ def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
         saved = io.read(next(tmp_path.glob("x_seg.*"))).array
     again = accelsurf.segment(image, config=RunConfig.from_toml(toml))
     assert np.array_equal(again.labels, saved) and len(again.config.refine) == 1 and len(again.config.edit) == 2
-    assert again.labels[10, 13, 34] == 1
+    assert again.labels[6, 8, 25] == 1
     with Session(image, RunConfig.from_toml(toml)) as session:  # a session from it corrects at the end too
         ended(session)
         assert len(session.status.refinements) == 1
@@ -173,7 +179,8 @@ def test_clicks_and_progress_are_shown(image):
         done.result()
         assert any("correcting" in message for message in seen)
         view = views(session)[-1]
-        assert [(mark.side, mark.place) for mark in view.frame.clicks] == [("inside", (10, 13, 14)), ("inside", (10, 13, 34))]
+        marks = [(mark.side, mark.place) for mark in view.frame.clicks]
+        assert marks == [("inside", (6, 8, 9)), ("inside", (6, 8, 25))]
         assert view.histories[0][-1].volume_mm3 == view.frame.volume_mm3
         session.undo().result(60)
         assert len(views(session)[-1].frame.clicks) == 1
@@ -181,14 +188,14 @@ def test_clicks_and_progress_are_shown(image):
 
 def test_of_several_objects_the_named_one_or_the_nearest_is_corrected(image, tmp_path):
     balls = tmp_path / "balls.csv"
-    balls.write_text("id,x,y,z,r\n3,14,13,15,4\n7,34,13,15,4\n")
+    balls.write_text("id,x,y,z,r\n3,9,8,9,3\n7,25,8,9,3\n")
     config = RunConfig(objects=str(balls), levels=1, threads=1, keep_state="yes")
     before = accelsurf.segment_objects(image, config=config)
-    after = refine(before, outside="ball:38,13,15,1.5", object=7)
+    after = refine(before, outside="ball:28,8,9,1", object=7)
     with Session(image, config, name="x") as session:
         ended(session)
         for named in (7, None):
-            session.add_click("outside", "ball:38,13,15,1.5", named).result(60)
+            session.add_click("outside", "ball:28,8,9,1", named).result(60)
             assert session.status.refinements[-1].object == 7
             session.save(tmp_path, ["labels", "run"], overwrite=True).result(60)
             saved = io.read(next(tmp_path.glob("x_seg.*"))).array
