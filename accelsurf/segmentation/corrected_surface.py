@@ -12,7 +12,7 @@ from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, shared
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.segmentation.preprocessing import PreprocessedInput
-from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_start import AROUND
 from accelsurf.settings.run_config import RunConfig
 
@@ -29,6 +29,14 @@ class CorrectedSurface(NamedTuple):
     inside: int
     history: list[StepRecord]
     stop: Stop
+
+
+def surface_of(one: SegmentedObject, region: Box) -> CorrectedSurface:
+    """The surface of an object of a result on the grid of its region of interest, as a copy."""
+    box = tuple(slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(one.box, region, strict=True))
+    psi = np.array(one.psi[counted_from((box[0], box[1], box[2]), corner_of(one.box))], np.float32, order="C")
+    z, y, x = (s.start - r.start for s, r in zip(box, region, strict=True))
+    return CorrectedSurface(one.id, (z, y, x), psi, count_inside(psi), one.history, one.stop)
 
 
 def frozen_settings(result: Result) -> RunConfig:

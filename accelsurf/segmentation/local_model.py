@@ -122,9 +122,9 @@ class LocalModel:
         passes = None if self._passes is None else self._passes[box]
         field, corner = field_of(images, self.spacing, passes), corner_of(box)
         here = dataclasses.replace(
-            answer, box=counted_from(answer.box, corner), clicks=tuple(_moved(c, corner) for c in answer.clicks)
+            answer, box=counted_from(answer.box, corner), clicks=tuple(_click_counted_from(c, corner) for c in answer.clicks)
         )
-        own = _moved(click, corner)
+        own = _click_counted_from(click, corner)
         marched = later_times(images, self.spacing, field, own, here)
         if _is_near_border(np.isfinite(marched[0]).reshape(field.shape), box, self.state.clicks.shape):
             return None
@@ -198,7 +198,7 @@ def _placed(values: NDArray, own: Box, box: Box, beyond: float) -> NDArray:
     return out
 
 
-def _moved(click: Click, corner: tuple[int, int, int]) -> Click:
+def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:
     return click._replace(box=counted_from(click.box, corner))
 
 

@@ -87,10 +87,10 @@ def with_refinements(result: Result, on_step: OnObjectStep | None = None) -> Res
 
 def state_of(run: Run) -> RunState | None:
     """What a finished run leaves to be refined from; None where the settings say so."""
-    return None if run.config.keep_state == "no" else kept_state(run)
+    return None if run.config.keep_state == "no" else state_at_end(run)
 
 
-def kept_state(run: Run) -> RunState:
+def state_at_end(run: Run) -> RunState:
     """The same whatever the settings say, as for a run that stays in memory."""
     contexts = {one.id: one.context for one in run.objects}
     return RunState(run.prepared, contexts, run.energy_given, run.clicks)

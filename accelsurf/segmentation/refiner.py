@@ -29,6 +29,7 @@ from accelsurf.segmentation.corrected_surface import (
     on_box,
     part_of_image,
     stop_of_whole,
+    surface_of,
     wrong_part,
 )
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, measures_of
@@ -114,22 +115,12 @@ class Refiner:
         self._images = state.prepared.images
         self._shape, self._spacing = state.prepared.geometry.shape, state.prepared.geometry.spacing
         self._reach = window_reach(self._settings, state.prepared.geometry)
-        self._surfaces = [self._surface_of(one) for one in result.objects]
+        self._surfaces = [surface_of(one, state.prepared.box) for one in result.objects]
         self._regional = RegionTotals(self._images, self._surfaces[0].psi, state.totals)
         self._clicks = state.clicks or Clicks((), self._shape)
         self._models = local_models(state, self._settings, [one.id for one in self._surfaces])
         self._undo: list[_Correction] = []
         self._seconds = 0.0
-
-    def _surface_of(self, one: SegmentedObject) -> CorrectedSurface:
-        """The surface of an object on the grid of the region of interest."""
-        roi = self._state.prepared.box
-        box = tuple(slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(one.box, roi, strict=True))
-        part = tuple(slice(s.start - o.start, s.stop - o.start) for s, o in zip(box, one.box, strict=True))
-        psi = np.array(one.psi[part], np.float32, order="C")
-        z, y, x = (s.start - r.start for s, r in zip(box, roi, strict=True))
-        inside = int(np.count_nonzero(psi < 0))
-        return CorrectedSurface(one.id, (z, y, x), psi, inside, one.history, one.stop)
 
     @property
     def surfaces(self) -> tuple[CorrectedSurface, ...]:

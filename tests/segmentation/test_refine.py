@@ -8,10 +8,14 @@ import pytest
 
 import accelsurf
 from accelsurf.analysis.surface_mesh import extract
+from accelsurf.energies.seeded import seeded_model
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import box_at
+from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.levelset import Workers
+from accelsurf.segmentation.corrected_surface import CorrectedSurface
 from accelsurf.segmentation.local_evolution import measures_of
+from accelsurf.segmentation.local_model import LocalModel, LocalState, ModelChange, basin_of
 from accelsurf.segmentation.near_region import rim_width
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
@@ -336,3 +340,51 @@ def test_the_mesh_of_the_result_is_that_of_its_psi(result):
     assert fresh.vertices.tobytes() == after.surface.vertices.tobytes()
     assert dataclasses.replace(after).stop == after.stop
     assert box_at((0, 0, 0), SHAPE) == after.objects[0].box
+
+
+def test_the_model_on_a_box_is_the_model_of_all_clicks(image):
+    """Click by click on boxes: F and the model's object are those of the whole image, to the last byte."""
+    before = first_run(image, "seeded")
+    context = before.state.contexts[1]
+    clicks, voxel = context.clicks, np.ones((1, 1, 1), bool)
+    local = LocalModel(LocalState.of(context.seeded_model()), before.state.prepared.images, SPACING, None)
+    whole = box_at((0, 0, 0), SHAPE)
+    places = ("outside", (12, 14, 20)), ("inside", (12, 14, 48)), ("outside", (12, 14, 40)), ("inside", (6, 14, 14))
+    for side, at in places:
+        click = Click(side, box_at(at, (1, 1, 1)), voxel)
+        clicks = clicks.with_more([click])
+        change = local.add(click)
+        model = seeded_model(before.state.prepared.images, SPACING, clicks)
+        assert local.field_on(whole).tobytes() == model.field.tobytes()
+        part = model.start[local.state.box]
+        assert np.array_equal(part, local.state.start) and part.sum() == model.start.sum()
+        previous = local.state
+        local.undo(change)
+        local.add(click)
+        assert np.array_equal(local.state.field, previous.field)
+
+
+def test_what_an_outside_click_cuts_off_is_won_by_it():
+    """A leak through a neck: the click is in the neck, and the model's object loses all that lies behind it."""
+    field, start = np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)
+    state = LocalState(Clicks((), SHAPE), None, (), box_at((0, 0, 0), SHAPE), field, start)
+    leak = np.zeros(SHAPE, bool)
+    leak[8:18, 8:20, 22:60] = True
+    local = LocalModel(state, [], SPACING, None)
+    click = Click("outside", box_at((12, 14, 21), (1, 1, 1)), np.ones((1, 1, 1), bool))
+    one = CorrectedSurface(1, (0, 0, 0), np.where(leak, -1.0, 1.0).astype(np.float32), int(leak.sum()), [], None)
+    won = basin_of(click, ModelChange(state.box, leak, state), local, one)
+    found = np.zeros(SHAPE, bool)
+    found[won.box] = won.mask
+    assert found[leak].all() and found.sum() == leak.sum() + 1
+
+
+@pytest.mark.parametrize("side", ["inside", "outside"])
+def test_clicks_of_one_side_move_the_surface_to_that_side_alone(image, side):
+    """Even where the energy pulls everywhere: the start is far from where the energy would have it."""
+    before = first_run(image, "threshold:50,", max_steps=1)
+    click = f"ball:{world(12, 14, 21)},2" if side == "inside" else f"ball:{world(12, 14, 17)},1.5"
+    after = refine(before, **{side: click}, near=20)
+    was, now = before.labels > 0, after.labels > 0
+    gained, lost = int((now & ~was).sum()), int((was & ~now).sum())
+    assert (gained > 0, lost > 0) == (side == "inside", side == "outside")

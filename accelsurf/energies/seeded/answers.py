@@ -127,7 +127,9 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     times_in = np.minimum(answer.times_in, times) if is_inside else answer.times_in
     clicked = answer.times_clicked if is_inside else np.minimum(answer.times_clicked, times)
     far = _is_far(field, answer.box, times_in, answer.last)
-    out = np.minimum(from_beyond(field.on_box(answer.box), answer.tissue, far), clicked)
+    # An outside click leaves the surroundings where they were: their times need no march again.
+    beyond = from_beyond(field.on_box(answer.box), answer.tissue, far) if is_inside else answer.times_out
+    out = np.minimum(beyond, clicked)
     near = answer.inside & ~far
     total = balance(times_in, out) - LIKELIHOOD * log_ratio(field.images_on(answer.box), near, ~(near | far))
     if is_inside:

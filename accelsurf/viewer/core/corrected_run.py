@@ -15,7 +15,7 @@ from accelsurf.segmentation.api import result_of
 from accelsurf.segmentation.clicked_voxels import on_image
 from accelsurf.segmentation.corrected_surface import counted_from
 from accelsurf.segmentation.ensemble import overall_stop
-from accelsurf.segmentation.refine import kept_state
+from accelsurf.segmentation.refine import state_at_end
 from accelsurf.segmentation.refiner import Change, Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
@@ -38,7 +38,7 @@ class CorrectedRun:
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        result = dataclasses.replace(result_of(run), config=repeating(run), state=kept_state(run))
+        result = dataclasses.replace(result_of(run), config=repeating(run), state=state_at_end(run))
         self._refiner = Refiner(result)
         #: Where each object has been inside, on the grid of the region of interest; looked for once.
         self._boxes = [_box_of_inside(one.psi < 0, one.corner) for one in self._refiner.surfaces]
@@ -68,10 +68,9 @@ class CorrectedRun:
             As of `accelsurf.segmentation.refiner.Refiner.apply`; nothing is changed then.
         """
         changes = self._refiner.apply(refinement, on_step=lambda record, own: on_step(record.step))
-        for place, one in enumerate(self._refiner.surfaces):
-            for change in changes:
-                if change.voxels:  # of an object that gained, or of others that lost there
-                    self._boxes[place] = _around(self._boxes[place], change.box)
+        for change in changes:
+            if change.voxels:  # the object gained or lost, and others lost there
+                self._boxes = [_around(box, change.box) for box in self._boxes]
         return changes
 
     def undo(self) -> None:

@@ -187,8 +187,8 @@ class Timeline:
 
     def _restore(self, step: int) -> None:
         """Restore the state before the edits of a step: from the last checkpoint before it, steps are made again."""
-        run = self.run
         self.corrections.leave()
+        run = self.run
         present = self._present if step == self.step_number else None
         checkpoint = present or self.checkpoints.nearest(step, self._present.level)
         if checkpoint is None:
@@ -231,8 +231,7 @@ class Timeline:
         UsageError
             When a setting is not valid; nothing is changed then.
         """
-        run, step = self.run, self.step_number
-        edits = self._edits_so_far()
+        run, step, edits = self.run, self.step_number, self._edits_so_far()
         run.check(Edit(step=step, **settings))
         altered = edits_with(run.config, edits, step, settings)
         if altered != edits:
@@ -281,12 +280,11 @@ class Timeline:
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
         if object_id is None and self.run.has_ids:
             clicks["object"] = nearest_object(self.run, where[0])
-        said = f"{side}: {where[0]}" + (f" and {len(where) - 1} more" if len(where) > 1 else "")
-        said += "" if clicks["object"] is None else f", object {clicks['object']}"
+        whose = "" if clicks["object"] is None else f", object {clicks['object']}"
+        said = f"{side}: {where[0]}{f' and {len(where) - 1} more' if len(where) > 1 else ''}{whose}"
         if self.run.stop is not None and not all(reason in FINAL_REASONS for reason in self._reasons()):
             (refinement,) = RunConfig(refine=[clicks]).refine
-            before = self._now()
-            self._message = self.corrections.correct(self.run, refinement, said)
+            before, self._message = self._now(), self.corrections.correct(self.run, refinement, said)
             return self.log.add(before)
         (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
         self._replace_edits((*self._edits_so_far(), edit))
@@ -354,10 +352,10 @@ class Timeline:
 
     def _go_back_to(self, moment: Moment) -> None:
         """Go to the settings and corrections of a moment; a correction alone is made, or taken back, at once."""
-        run, (config, step, wanted) = self.run, moment
-        if config == run.config and self.corrections.go_to(run, wanted):
+        run, config, step = self.run, moment.config, moment.step
+        if config == run.config and self.corrections.go_to(run, moment.refinements):
             return
-        self.corrections.wanted = wanted
+        self.corrections.wanted = moment.refinements
         self.pause()
         checkpoint = self.checkpoints.nearest(min(step, self.step_number), self._present.level)
         if config.at(-1) != run.config.at(-1) or checkpoint is None:
@@ -395,8 +393,8 @@ class Timeline:
     ) -> list[Path]:
         """Write files, see `saving.save`; those written before may be replaced."""
         self.run.apply_edits()
-        replaceable = None if overwrite else self._written
-        written = saving.save(self.run, folder, name, source, what, replaceable, self.corrections.result())
+        known, corrected = None if overwrite else self._written, self.corrections.result()
+        written = saving.save(self.run, folder, name, source, what, known, corrected)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written
