@@ -29,7 +29,7 @@ CLICKED = {"inside": -3.0, "outside": 3.0}
 #: F is the balance plus this part of the likelihood; of the first click's, this part is taken by the level of its size.
 LIKELIHOOD, LEVEL = 0.5, 0.5
 #: What the answer, the paths and the walks count after 1, 2, ... clicks: the more clicks, the less has to be learned.
-WEIGHTS = ((1.0, 0.0, 0.0), (1.0, 1.0, 2.0), (0.5, 1.0, 2.0))
+WEIGHTS = ((1.0, 0.0, 0.0), (1.5, 1.0, 2.0), (1.0, 1.0, 2.0), (0.75, 1.0, 2.0), (0.6, 1.0, 2.0), (0.5, 1.0, 2.0))
 #: The first click's field is moved by so much at most, so that it has the size.
 MAX_OFFSET = 0.5
 
@@ -162,18 +162,17 @@ def answered(answer: Answer, parts: Sequence[Part], clicks: Clicks) -> tuple[Ima
     ----------
     answer : Answer
     parts : sequence of Part
-        The contests of `accelsurf.energies.seeded.contest`, by paths and by walks.
+        The contests of `accelsurf.energies.seeded.contest`, by paths and by walks; none after one click.
     clicks : Clicks
     """
     box = answer.box
     for part in parts:
         box = _both(box, part.box)
-    own = Part(answer.box, np.clip(answer.force, -1.0, 1.0))
-    weights = WEIGHTS[min(len(clicks), len(WEIGHTS)) - 1]
-    mixed = sum(
-        (np.float32(w / sum(weights)) * part.on(box) for w, part in zip(weights, (own, *parts), strict=True)),
-        np.zeros([s.stop - s.start for s in box], np.float32),
-    )
+    own = Part(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
+    weights = WEIGHTS[min(len(clicks), len(WEIGHTS)) - 1] if parts else (1.0,)
+    mixed = np.zeros([s.stop - s.start for s in box], np.float32)
+    for weight, part in zip(weights, (own, *parts), strict=True):
+        mixed += np.float32(weight / sum(weights)) * part.on(box)
     force, start = np.ones(clicks.shape, np.float32), np.zeros(clicks.shape, np.bool_)
     times_in, times_out = np.full(clicks.shape, np.inf, np.float32), np.zeros(clicks.shape, np.float32)
     force[box], start[box] = mixed, _connected(mixed, box, clicks.clicks)

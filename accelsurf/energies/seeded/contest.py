@@ -31,7 +31,7 @@ CHANGE = 64.0
 #: Smoothing for the paths, of the smallest spacing.
 SMOOTHING = 0.5
 #: A link of the walks weighs exp(-SHARPNESS (change of values)^2 / (all values' standard deviation)).
-SHARPNESS = 10.0
+SHARPNESS = 30.0
 #: The walks end at this residual, or after so many iterations.
 TOLERANCE, MOST_ITERATIONS = 1e-2, 500
 #: Values are cut at so many spreads from the median of the inside clicks.
@@ -102,7 +102,8 @@ def _by_walks(part: Around) -> Part:
     found = part.seeds.astype(np.float64)
     spread = max(float(np.sqrt(sum(values.var() for values in part.values))), 1e-6)
     walk(found, part.seeds != 0, part.values, part.spacing, SHARPNESS / spread, TOLERANCE, MOST_ITERATIONS)
-    return _on_grid(part, found.astype(np.float32))
+    # Before it has converged it may lie beyond the values at the seeds.
+    return _on_grid(part, np.clip(found, -1.0, 1.0).astype(np.float32))
 
 
 def around(
@@ -200,8 +201,9 @@ def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np
         if step > 1:
             first = np.arange(0, values.shape[axis], step)
             counts = np.diff(np.append(first, values.shape[axis])).astype(np.float32)
-            values = np.add.reduceat(values, first, axis) / np.expand_dims(counts, [i for i in range(3) if i != axis])
-    return np.ascontiguousarray(values, np.float32)
+            along = np.expand_dims(counts, [i for i in range(3) if i != axis])
+            values = (np.add.reduceat(values, first, axis) / along).astype(np.float32)
+    return np.ascontiguousarray(values)
 
 
 def _any_of_block(mask: Mask, steps: Sequence[int]) -> Mask:

@@ -123,7 +123,7 @@ def seeded_model(
         marched = pool.map(lambda click: later_times(smooth, spacing, field, click, answer), left)
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
-    parts = contest(images, spacing, clicks, allowed)
+    parts = contest(images, spacing, clicks, allowed) if len(clicks) > 1 else ()
     force, start, times_in, times_out = answered(answer, parts, clicks)
     return SeededModel(force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, answer, tuple(smooth))
 
