@@ -125,7 +125,7 @@ def neighbour_slots(start, stop, slot, grid, cells, on, across, out):
 
 @kernel(stage=Stage.DIFFUSION)
 def rows_of_slots(start, stop, row_of, table, out):
-    """The rows (m, k) uint32, into ``out``, of the slots in ``table`` (m, k); ``row_of`` (n,) uint32 has them by slot."""
+    """The rows (m, k) uint32, into ``out``, of the slots in ``table`` (m, k); ``row_of`` (n,) has them by slot."""
     for row in range(start, stop):
         for k in range(np.uint64(table.shape[1])):
             out[row, k] = row_of[np.uint32(table[row, k])]
