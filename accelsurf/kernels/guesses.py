@@ -8,8 +8,8 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BATCH, neighbours, unravel
 from accelsurf.kernels.ridge import MIN_LENGTH, beyond_ridges, sides_beyond
 
-#: Rows of the memory of `guess_feet`, `BATCH` long each: psi at the cell and around it (-z, +z, -y, +y, -x, +x); the old
-#: psi; the old foot; the residue; the index z, y, x.
+#: Rows of the memory of `guess_feet`, `BATCH` long each: psi at the cell and around it (-z, +z, -y, +y, -x, +x);
+#: the old psi; the old foot; the residue; the index z, y, x.
 PSI, OLD, OLD_FOOT, RESIDUE, PLACE = (np.uint64(row * BATCH) for row in (0, 7, 8, 11, 12))
 NEXT = np.uint64(BATCH)
 ROWS = 15
@@ -87,7 +87,10 @@ def guess_feet(first, count, dense, grid, band, guide, scratch, out):
 
 @kernel
 def gather_around(first, count, psi, grid, band, residue, rows):
-    """Fill ``rows`` with what is known of ``count`` cells from slot ``first`` on; beyond the border psi as in the cell."""
+    """Fill ``rows`` with what is known of ``count`` cells from slot ``first`` on.
+
+    Beyond the border psi is as in the cell.
+    """
     plane, row = grid.ny * grid.nx, grid.nx
     for n in range(count):
         s = first + n

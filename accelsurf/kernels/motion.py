@@ -124,8 +124,16 @@ def neighbour_slots(start, stop, slot, grid, cells, on, across, out):
 
 
 @kernel(stage=Stage.DIFFUSION)
+def rows_of_slots(start, stop, row_of, table, out):
+    """The rows (m, k) uint32, into ``out``, of the slots in ``table`` (m, k); ``row_of`` (n,) has them by slot."""
+    for row in range(start, stop):
+        for k in range(np.uint64(table.shape[1])):
+            out[row, k] = row_of[np.uint32(table[row, k])]
+
+
+@kernel(stage=Stage.DIFFUSION)
 def diffusion_stage(start, stop, on, table, grid, stages, weights, out):
-    """A stage of Runge-Kutta-Legendre at the cells ``on``: mu old + mu' Lap old + nu older.
+    """A stage of Runge-Kutta-Legendre at the cells ``on``, slots or rows: mu old + mu' Lap old + nu older.
 
     ``weights`` = (mu, mu', nu); ``table`` (m, 6) from `neighbour_slots`; ``stages`` = (old (n,), older (n,)).
     Lap is the 7-point Laplacian of an extended field, the surface Laplacian since

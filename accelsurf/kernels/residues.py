@@ -119,14 +119,41 @@ def distant_residues(start, stop, slot, grid, band, motion, out):
 
 
 @kernel(stage=Stage.BAND)
+def mark_below(start, stop, slot, grid, cells, flipped, marked):
+    """Mark in ``marked`` (n,) bool the slots whose cube of eight voxels upwards has one of the ``flipped`` (n,) slots.
+
+    A cube that begins at no slot has no mark: `drop_residues` looks at its voxels.
+    """
+    for s in range(start, stop):
+        if not flipped[s]:
+            continue
+        iz, iy, ix = unravel(cells[s], grid)
+        for az in range(max(iz - 1, 0), iz + 1):
+            for ay in range(max(iy - 1, 0), iy + 1):
+                for ax in range(max(ix - 1, 0), ix + 1):
+                    other = slot[(az * grid.ny + ay) * grid.nx + ax]
+                    if other >= 0:
+                        marked[other] = True
+
+
+@kernel(stage=Stage.BAND)
 def drop_residues(start, stop, slot, grid, band, flipped, out):
-    """Set to 0 the residues in ``out`` (n,) of the cells whose foot is beside one of the ``flipped`` (n,) slots."""
+    """Set to 0 the residues in ``out`` (n,) of the cells whose foot is beside a flipped slot.
+
+    ``flipped`` = ((n,) bool, `mark_below`'s marks (n,) bool).
+    """
+    is_flipped, marked = flipped
     for s in range(start, stop):
         if out[s] == 0.0:
             continue
         pz, py, px = known_point(s, grid, band, (band.to_closest, 0.0))
+        first = slot[corner(0, grid, pz, py, px)] if pz >= 0.0 and py >= 0.0 and px >= 0.0 else -1
+        if first >= 0:
+            if marked[first]:
+                out[s] = 0.0
+            continue
         for i in range(8):
             other = slot[corner(i, grid, pz, py, px)]
-            if other >= 0 and flipped[other]:
+            if other >= 0 and is_flipped[other]:
                 out[s] = 0.0
                 break

@@ -35,7 +35,8 @@ def sides_beyond(value, least, around):
     value, a, b, c, d, e, f = sign * value, sign * a, sign * b, sign * c, sign * d, sign * e, sign * f
     sides = towards_ridge(value, a, b, least) | (towards_ridge(value, b, a, least) << np.int32(1))
     sides |= (towards_ridge(value, c, d, least) << np.int32(2)) | (towards_ridge(value, d, c, least) << np.int32(3))
-    return sides | (towards_ridge(value, e, f, least) << np.int32(4)) | (towards_ridge(value, f, e, least) << np.int32(5))
+    sides |= (towards_ridge(value, e, f, least) << np.int32(4)) | (towards_ridge(value, f, e, least) << np.int32(5))
+    return sides
 
 
 @kernel

@@ -23,8 +23,8 @@ CLOSEST_POINT, FAST_MARCHING = "closest-point", "fast-marching"
 class ExtensionTable(NamedTuple):
     """Where cells off the front read the front's values, see `kernels.band.outward_table`.
 
-    ``front`` (n,) bool; ``off`` (m,) int32 slots that are extended to; ``slots`` (m, 8) int32 and ``shares`` (m, 8)
-    float32 of the cells that they read.
+    ``front`` (n,) bool; ``off`` (m,) uint32 slots that are extended to; ``slots`` (m, 8) uint32 and ``shares`` (m, 8)
+    float32 of the cells that they read. Unsigned: a kernel tests a signed index for being negative.
     """
 
     front: np.ndarray
@@ -39,8 +39,8 @@ class ExtensionTable(NamedTuple):
 
 def extension_table(surface: LevelSet, front: np.ndarray, off: np.ndarray) -> ExtensionTable:
     """Return the table by which the slots ``off`` (m,) read the cells of ``front`` (n,)."""
-    off = off.astype(np.int32)
-    table = np.empty((off.size, 8), np.int32), np.empty((off.size, 8), np.float32)
+    off = off.astype(np.uint32)
+    table = np.empty((off.size, 8), np.uint32), np.empty((off.size, 8), np.float32)
     surface.workers.parallel(
         band_kernels.outward_table, off.size, surface.dense.slot, surface.grid, surface.band, front, off, table
     )
@@ -87,8 +87,8 @@ def quadratic_extension(
     surface: LevelSet, front: np.ndarray, off: np.ndarray, component: int = -1
 ) -> QuadraticExtension:
     """Return the table by which the slots ``off`` (m,) read the cells of ``front`` (n,), see `turned` of the result."""
-    off = off.astype(np.int32)
-    table = np.empty((off.size, 10), np.int32), np.empty((off.size, 10), np.float32), np.empty(off.size, np.int8)
+    off = off.astype(np.uint32)
+    table = np.empty((off.size, 10), np.uint32), np.empty((off.size, 10), np.float32), np.empty(off.size, np.int8)
     where = surface.dense.slot, surface.grid, surface.band
     surface.workers.parallel(band_kernels.quadratic_table, off.size, *where, front, off, component, table)
     return QuadraticExtension(front, off, *table)

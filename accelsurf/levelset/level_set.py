@@ -276,9 +276,10 @@ class LevelSet:
             components.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED, held, flipped
         )
         if inside + outside:
-            self.workers.parallel(
-                residues.drop_residues, self.size, self.dense.slot, self.grid, self.band, flipped, self._residues
-            )
+            marked, here = np.zeros(self.size, np.bool_), (self.dense.slot, self.grid)
+            self.workers.serial(residues.mark_below, 0, self.size, *here, self.band.cells, flipped, marked)
+            dropped = (flipped, marked), self._residues
+            self.workers.parallel(residues.drop_residues, self.size, *here, self.band, *dropped)
         return int(inside + outside)
 
     def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:

@@ -234,3 +234,16 @@ def test_automatic_diffusion_follows_the_speed():
         moved(flow, surface, force, limits=StepLimits(dt_max=0.01))
         rates.append(moved(flow, surface, force, limits=StepLimits(dt_max=0.01))[0].diffusion)
     assert rates[1] == pytest.approx(2 * rates[0], rel=1e-3) and rates[0] > 0
+
+
+def test_what_the_limiter_takes_is_no_work_of_the_noise():
+    """Speeds that are clipped, without noise: counted as smoothing alone, and the rest of the account is as before."""
+    surface = sphere(24, r=7.0)
+    rng = np.random.default_rng(4)
+    flow = ConstantDensity()
+    moved(flow, surface, 0.01)
+    flow.beta[rng.integers(0, surface.size, 40)] *= np.float32(1000.0)
+    plan, _ = moved(flow, surface, 0.01, limits=StepLimits(percentile=50.0))
+    assert plan.clipped > 0
+    assert plan.energy_rates.noise == 0.0
+    assert plan.energy_rates.smoothing > 0.0

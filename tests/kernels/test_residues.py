@@ -84,14 +84,26 @@ def test_residues_are_the_interpolant_at_the_points_that_are_known(shape):
     np.testing.assert_array_equal(out[far], np.where(own[nearest], out[nearest], 0)[far])
 
 
-def test_residues_beside_what_is_removed_are_dropped():
-    shape = (5, 6, 7)
-    dense, band = reference.whole_band(np.ones(shape), np.zeros((210, 3)))
+@pytest.mark.parametrize("holes", [(), [(1, 2, 3)], [(1, 2, 3), (2, 2, 3), (4, 5, 5)]])
+def test_residues_beside_what_is_removed_are_dropped(holes):
+    """By the eight voxels around each foot, also where the first of them is not in the band, and at the border."""
+    rng, shape = np.random.default_rng(3), (5, 6, 7)
+    foot = rng.uniform(-1.5, 1.5, (210, 3))
+    dense, band = reference.whole_band(np.ones(shape), foot)
     grid, out, flipped = reference.grid_of(shape, (1, 1, 1)), np.ones(210, np.float32), np.zeros(210, bool)
-    flipped[np.ravel_multi_index((2, 3, 4), shape)] = True
-    residues.drop_residues(0, 210, dense.slot, grid, band, flipped, out)
-    dropped = np.argwhere(out.reshape(shape) == 0)
-    np.testing.assert_array_equal(dropped, [(z, y, x) for z in (1, 2) for y in (2, 3) for x in (3, 4)])
+    flipped[np.ravel_multi_index((2, 3, 4), shape)] = flipped[0] = flipped[-1] = True
+    for hole in holes:
+        dense.slot[np.ravel_multi_index(hole, shape)] = -1
+    marked = np.zeros(210, bool)
+    for start, stop in ((0, 100), (100, 210)):
+        residues.mark_below(start, stop, dense.slot, grid, band.cells, flipped, marked)
+    residues.drop_residues(0, 210, dense.slot, grid, band, (flipped, marked), out)
+    place = np.argwhere(np.ones(shape, bool)) + band.to_closest.astype(float)
+    corners = np.floor(place).astype(int)[:, None] + np.array(list(np.ndindex(2, 2, 2)))
+    slots = dense.slot.reshape(shape)[tuple(np.moveaxis(np.clip(corners, 0, np.array(shape) - 1), 2, 0))]
+    want = ((slots >= 0) & flipped[slots]).any(axis=1)
+    assert 3 < want.sum() < 210
+    np.testing.assert_array_equal(out == 0, want)
 
 
 def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
