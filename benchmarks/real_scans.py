@@ -70,7 +70,7 @@ CASES: dict[str, Case] = {
     "spleen": Case(_CT, labels=(1,), clicks=3),
     "aorta": Case(_CT, labels=(52,), clicks=3),
     "nucleus": Case("fluo_nuclei1136", labels=(17,), clicks=3),
-    "nuclei, each": Case("fluo_nuclei1136", "--preset nuclei", table=True),
+    "nuclei, each": Case("fluo_nuclei1136", "--energy seeded --presmooth 1vox", table=True),
     "brain, ball and preset": Case(_BRAIN, "--start ball:126,110,130,30vox --preset mr-brain"),
     "brain, ball": Case(_BRAIN, "--start ball:126,110,130,30vox"),
     "oblique brain, preset": Case(_OBLIQUE, "--start center --preset mr-brain"),
