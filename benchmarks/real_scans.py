@@ -121,6 +121,9 @@ def write_row(name: str, row: dict[str, Any]) -> None:
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"cases": {}}
     if "peers" not in row and "peers" in facts["cases"].get(name, {}):
         row["peers"] = facts["cases"][name]["peers"]
+    if "peers" not in row and name in facts.get("peers", {}).get("cases", {}):
+        # Of a search before the rows were made again; its date is beside it.
+        row["peers"] = facts["peers"]["cases"][name]
     facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
     facts["cases"] = {key: {**facts["cases"], name: row}[key] for key in CASES if key in {**facts["cases"], name: row}}
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
