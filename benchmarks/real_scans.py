@@ -70,7 +70,7 @@ CASES: dict[str, Case] = {
     "spleen": Case(_CT, labels=(1,), clicks=3),
     "aorta": Case(_CT, labels=(52,), clicks=3),
     "nucleus": Case("fluo_nuclei1136", labels=(17,), clicks=3),
-    "nuclei, each": Case("fluo_nuclei1136", "--preset nuclei", table=True),
+    "nuclei, each": Case("fluo_nuclei1136", "--energy seeded --presmooth 1vox", table=True),
     "brain, ball and preset": Case(_BRAIN, "--start ball:126,110,130,30vox --preset mr-brain"),
     "brain, ball": Case(_BRAIN, "--start ball:126,110,130,30vox"),
     "oblique brain, preset": Case(_OBLIQUE, "--start center --preset mr-brain"),
@@ -121,6 +121,9 @@ def write_row(name: str, row: dict[str, Any]) -> None:
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"cases": {}}
     if "peers" not in row and "peers" in facts["cases"].get(name, {}):
         row["peers"] = facts["cases"][name]["peers"]
+    if "peers" not in row and name in facts.get("peers", {}).get("cases", {}):
+        # Of a search before the rows were made again; its date is beside it.
+        row["peers"] = facts["peers"]["cases"][name]
     facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
     facts["cases"] = {key: {**facts["cases"], name: row}[key] for key in CASES if key in {**facts["cases"], name: row}}
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
