@@ -1,8 +1,9 @@
-"""What the defaults give: `accelsurf segment INPUT --start ball:... -o DIR`, nothing else, on all phantoms and scans.
+"""What the defaults give, on all phantoms and some scans: clicks, and a ball as start, with no other option.
 
-The phantoms are those of `accelsurf synth`, without noise and with noise of 0.3 and 1 of their contrast, and as the
-recipe has it. The ball is put in by a rule, not by hand: half as deep as the object at its deepest voxel, at least
-2 voxels. One call makes the table of docs/explanation/defaults.md and docs/explanation/defaults.json beside it.
+`accelsurf segment INPUT --inside ball:...`, corrected by two clicks of the simulated person (`benchmarks/typed.py`),
+and `accelsurf segment INPUT --start ball:...` with the same ball. The phantoms are those of `accelsurf synth`, without
+noise and with noise of 0.3 and 1 of their contrast, and as the recipe has it. One call makes the table of
+docs/explanation/defaults.md and docs/explanation/defaults.json beside it; rows that are not run again stay.
 """
 
 from __future__ import annotations
@@ -10,35 +11,39 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms import recipes
 from accelsurf.report.environment import versions
+from benchmarks import typed
+from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, FACTS = ROOT / "docs" / "explanation" / "defaults.md", ROOT / "docs" / "explanation" / "defaults.json"
 #: Noise in parts of the contrast; None is the recipe's own.
 NOISE = (0.0, 0.3, 1.0, None)
-#: Scans: file, ball in voxels, and whether there is a reference (all of its labels above 0).
-SCANS = {
-    "T1 brain": ("mri_brain256", "ball:126,110,130,30vox", True),
-    "T1 brain, oblique": ("mri_brain_oblique", "ball:71,89,71,30vox", True),
-    "T2 cord": ("mri_cord_iso", "ball:30.3,27,25.0,2.5vox", True),
-    "CT of a head phantom": ("ct_phantom_oblique", "ball:83,108,7,8vox", False),
+#: Scans: file, labels of the object (all above 0 unless given), and whether there is a reference; else the ball.
+SCANS: dict[str, tuple[str, tuple[int, ...], str]] = {
+    "T1 brain": ("mri_brain256", (), ""),
+    "T1 brain, oblique": ("mri_brain_oblique", (), ""),
+    "T2 cord": ("mri_cord_iso", (), ""),
+    "CT of a head phantom": ("ct_phantom_oblique", (), "ball:83,108,7,8vox"),
 }
-COLUMNS = ("input", "noise", "Dice", "HD95 voxels", "volume", "steps", "stop", "grids", "presmooth", "warnings")
+#: Clicks of a run.
+CLICKS = 3
+COLUMNS = (
+    "input", "noise", "click: Dice", "HD95 voxels", "volume", "good", "2 clicks", "3 clicks", "start: Dice",
+    "HD95 voxels", "volume", "steps", "stop", "grids", "warnings",
+)  # fmt: skip
 
 
 def main() -> None:
@@ -75,7 +80,7 @@ def phantom(name: str, threads: int) -> list[dict[str, Any]]:
         with tempfile.TemporaryDirectory() as folder:
             source = Path(folder) / f"{name}.nii.gz"
             io.write(made.image, source)
-            row = run(source, ball_in(made.truth), made.truth, threads)
+            row = run(source, made.truth, "", threads)
         rows.append({"input": name, "noise": amount / abs(recipe.contrast), "exact_mm3": made.volume_mm3, **row})
         print(json.dumps(rows[-1]), flush=True)
     return rows
@@ -87,43 +92,39 @@ def scan(name: str, threads: int) -> list[dict[str, Any]]:
     if not folder:
         print(f"{name}: left out, ACCELSURF_VOLUMES is not set", file=sys.stderr)
         return []
-    stem, ball, known = SCANS[name]
+    stem, labels, ball = SCANS[name]
     truth = None
-    if known:
+    if not ball:
         truth = io.read_labels(Path(folder) / f"{stem}_ref.nii.gz")
-        truth = truth.with_array((truth.array > 0).astype(np.uint8))
-    row = {"input": name, "noise": None, **run(Path(folder) / f"{stem}.nii.gz", ball, truth, threads)}
+        inside = np.isin(truth.array, labels) if labels else truth.array > 0
+        truth = truth.with_array(inside.astype(np.uint8))
+    row = {"input": name, "noise": None, **run(Path(folder).resolve() / f"{stem}.nii.gz", truth, ball, threads)}
     print(json.dumps(row), flush=True)
     return [row]
 
 
-def ball_in(truth: Volume) -> str:
-    """A ball half as deep as the object is, around the voxel where it is deepest, as `--start` takes it."""
-    padded = np.pad(truth.array > 0, [(1, 1) if n > 1 else (0, 0) for n in truth.array.shape])
-    depth = ndimage.distance_transform_edt(padded, sampling=truth.geometry.spacing)
-    index = np.array(np.unravel_index(depth.argmax(), depth.shape)) - [n > 1 for n in truth.array.shape]
-    x, y, z = truth.geometry.index_to_world(index.astype(float))
-    radius = max(0.5 * float(depth.max()), 2.0 * min(truth.geometry.steps))
-    return f"ball:{x:.2f},{y:.2f},{z:.2f},{radius:.2f}"
-
-
-def run(source: Path, ball: str, truth: Volume | None, threads: int) -> dict[str, Any]:
-    """One run of the command, and what it reached."""
-    with tempfile.TemporaryDirectory() as folder:
-        typed = [sys.executable, "-m", "accelsurf", "segment", str(source), "--start", ball, "-o", folder]
-        began = time.perf_counter()
-        done = subprocess.run([*typed, "--threads", str(threads), "--quiet"], capture_output=True, text=True)
-        row: dict[str, Any] = {"start": ball, "exit_code": done.returncode, "seconds": time.perf_counter() - began}
-        if done.returncode:
-            return row | {"error": done.stderr.strip()}
-        name = source.name.removesuffix(".nii.gz")
-        report = json.loads((Path(folder) / f"{name}_report.json").read_text())
-        labels = io.read_labels(Path(folder) / f"{name}_seg.nii.gz")
-    row |= {key: report[key] for key in ("stop", "resolved_settings", "quality", "volume_mm3")}
+def run(source: Path, truth: Volume | None, ball: str, threads: int) -> dict[str, Any]:
+    """Runs from clicks and from a start; the ball is that of the first click unless given."""
     if truth is not None:
-        row["metrics"] = metrics.evaluate(labels, truth).to_dict()
-        row["hd95_voxels"] = row["metrics"]["hd95_mm"] / min(labels.geometry.steps)
-    return row
+        first = next_click(truth.array > 0, None, truth.geometry)
+        assert first is not None  # phantoms and references are not empty
+        # As a start it is as large as a start can be seen: two voxels at least.
+        radius = max(first.radius, 2.0 * min(truth.geometry.steps))
+        ball = typed.text_of(first._replace(radius=radius), truth.geometry)
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "out"
+        clicked = [] if truth is None else typed.play(source, target, truth, clicks=CLICKS, threads=threads)
+        words = ["segment", str(source), "--start", ball, "-o", str(target), "--threads", str(threads)]
+        row: dict[str, Any] = {"start": ball} | typed.call([*words, "--overwrite", "--quiet"], Path(folder))
+        if "error" not in row:
+            name = source.name.removesuffix(".nii.gz")
+            row |= typed.facts_of(target, name)
+            if truth is not None:
+                found = io.read_labels(target / f"{name}_seg.nii.gz")
+                row["metrics"] = metrics.evaluate(found, truth).to_dict()
+    if truth is not None:
+        row["finest_mm"] = min(truth.geometry.steps)
+    return {"clicks": clicked, **row}
 
 
 def text_of(rows: Any) -> str:
@@ -131,19 +132,33 @@ def text_of(rows: Any) -> str:
     lines = head_of(COLUMNS)
     for row in rows:
         noise = "" if row["noise"] is None else f"{row['noise']:g}"
+        first, *later = [*row["clicks"], {}, {}, {}][:CLICKS]
+        cells = [row["input"], noise, *found_of(first, row)]
+        good = first.get("quality", {}).get("probability")
+        cells.append("" if good is None else f"{good:.0%}")
+        cells += [found_of(one, row)[0] for one in later]
+        cells += found_of(row, row)
         if "error" in row:
-            lines.append(f"| {row['input']} | {noise} | {row['error'].splitlines()[0]} |" + " |" * (len(COLUMNS) - 3))
-            continue
-        found, stop, resolved = row.get("metrics"), row["stop"], row["resolved_settings"]
-        cells = [row["input"], noise]
-        cells += [f"{found['dice']:.3f}", f"{row['hd95_voxels']:.1f}"] if found else ["no reference", ""]
-        # Of the surface against the object itself: Dice has the voxels that it passes through as inside or outside.
-        exact = row.get("exact_mm3")
-        cells.append(f"{row['volume_mm3'] / exact - 1:+.1%}" if exact else "")
-        words = ", ".join(text.split(":")[0] for text in row["quality"]["warnings"])
-        cells += [str(stop["steps"]), stop["reason"], str(resolved["levels"]), f"{resolved['presmooth_mm']:g}", words]
+            cells += [""] * 4
+        else:
+            words = ", ".join(text.split(":")[0] for text in row["quality"]["warnings"])
+            cells += [str(row["stop"]["steps"]), row["stop"]["reason"], str(row["levels"]), words]
         lines.append(row_of(cells))
     return "\n".join([*lines, ""])
+
+
+def found_of(one: dict[str, Any], row: dict[str, Any]) -> list[str]:
+    """Dice, distance and volume of a run of a row; the volume is the surface's, against that of the object itself.
+
+    Dice has the voxels that the surface passes through as inside or outside.
+    """
+    if "error" in one:
+        return [f"exit {one['exit_code']}", "", ""]
+    if "metrics" not in one:
+        return ["no reference" if one else "", "", ""]
+    exact, found = row.get("exact_mm3"), one["metrics"]
+    volume = f"{one['volume_mm3'] / exact - 1:+.1%}" if exact else ""
+    return [f"{found['dice']:.3f}", f"{found['hd95_mm'] / row['finest_mm']:.1f}", volume]
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Real scans: our commands against their references, best global thresholds, and other programs from the same start.
+"""Real scans by commands that a person could type: clicks, or starts; against their references and the best thresholds.
 
-One call makes the table of docs/explanation/real-scans.md, the JSON beside it, and pictures. The volumes are public
+One call makes the tables of docs/explanation/real-scans.md, the JSON beside it, and pictures. The volumes are public
 (that page names their sources); the folder that ACCELSURF_VOLUMES names holds them. Rows that are not run again are
 kept from the JSON.
 """
@@ -11,10 +11,8 @@ import argparse
 import json
 import os
 import shlex
-import subprocess
 import sys
-import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +23,10 @@ from accelsurf import io
 from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
-from accelsurf.report.environment import peak_rss_mb, versions
+from accelsurf.report.environment import versions
 from accelsurf.segmentation.object_grid import ROOM
+from benchmarks import typed
+from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
 from benchmarks.peers.objects import compare_on_objects, mean_dice
 from benchmarks.peers.scans import best_window, compare_peers
@@ -39,55 +39,57 @@ PAGE, FACTS = ROOT / "docs" / "explanation" / "real-scans.md", ROOT / "docs" / "
 class Case:
     """An object in a scan: ``options`` of `accelsurf segment`; the reference's ``labels``, all above 0 unless given.
 
-    With ``balls`` each label of the reference is an object, started from a ball of so many mm on its centroid.
+    With ``clicks`` the simulated person adds so many. With ``table`` each label of the reference is an object, with a
+    click in it from a table.
     """
 
     image: str
-    options: str
+    options: str = ""
     labels: tuple[int, ...] = ()
-    wanted: float | None = None
+    clicks: int = 0
     reference: bool = True
-    balls: float | None = None
+    table: bool = False
 
 
-_LIVER = "--start ball:163,318,19,12vox --start ball:151,313,0,12vox --start ball:155,277,19,12vox"
+_BRAIN, _OBLIQUE, _CT = "mri_brain256", "mri_brain_oblique", "ct_abdomen_hires"
+_VENTRICLES = "--start ball:144,100,115,4vox --start ball:109,97,117,4vox"
+_LIVER = "--inside ball:163,318,19,8vox --inside ball:151,313,0,8vox --inside ball:155,277,19,8vox"
 _CORD = " ".join(
     f"--start ball:{place},2.5vox"
     for place in ("31.8,5,24.8", "30.8,16,24.7", "30.3,27,25.0", "30.3,38,25.3", "30.3,49,25.6")
 )
-_WHITE = "threshold:half:110, + 2*local-region:R=15"
-_NUCLEI = "local-region:R=2.5 + 0.02*threshold:half:25,"
 _BONES = (32, 33, 69, 70, *range(97, 104), *range(109, 116))
+#: By the simulated person's clicks, and then from places chosen on the scan by eye.
 CASES: dict[str, Case] = {
-    "brain": Case("mri_brain256", "--start ball:126,110,130,30vox --preset mr-brain", wanted=0.96),
-    "brain, defaults": Case("mri_brain256", "--start ball:126,110,130,30vox"),
-    "oblique brain": Case("mri_brain_oblique", "--start center --preset mr-brain"),
-    "oblique brain, defaults": Case("mri_brain_oblique", "--start center"),
-    "white matter": Case(
-        "mri_brain_oblique",
-        f"--start ball:55,90,85,6vox --start ball:88,90,85,6vox --energy '{_WHITE}' --levels 1", (2,), 0.90,
-    ),
-    "ventricles": Case(
-        "mri_brain256", "--start ball:144,100,115,4vox --start ball:109,97,117,4vox --preset mr-ventricle", (4, 43)
-    ),
-    "cord": Case("mri_cord_iso", f"{_CORD} --preset mr-cord", wanted=0.85),
-    "liver": Case("ct_abdomen_hires", f"{_LIVER.replace('--start', '--inside')} --preset ct-organ", (5,), 0.88),
-    "liver, window by hand": Case(
-        "ct_abdomen_hires", f"{_LIVER} --energy threshold:65,130 --presmooth 3 --smoothness 3", (5,), 0.88
-    ),
-    "spleen": Case("ct_abdomen_hires", "--inside ball:372,311,9,12vox --preset ct-organ", (1,)),
-    "aorta": Case("ct_abdomen_hires", "--start ball:263,299,11,7vox --preset ct-vessel", (52,)),
-    "bones": Case("ct_abdomen_hires", "--preset ct-bone", _BONES),
-    "nuclei, each": Case(
-        "fluo_nuclei1136", f"--energy '{_NUCLEI}' --presmooth 0.2 --smoothness 0.006", wanted=0.65, balls=0.8
-    ),
+    "brain": Case(_BRAIN, clicks=3),
+    "oblique brain": Case(_OBLIQUE, clicks=3),
+    "white matter": Case(_OBLIQUE, labels=(2,), clicks=3),
+    "ventricles": Case(_BRAIN, labels=(4, 43), clicks=3),
+    "cord": Case("mri_cord_iso", clicks=3),
+    "liver": Case(_CT, labels=(5,), clicks=3),
+    "spleen": Case(_CT, labels=(1,), clicks=3),
+    "aorta": Case(_CT, labels=(52,), clicks=3),
+    "nucleus": Case("fluo_nuclei1136", labels=(17,), clicks=3),
+    "nuclei, each": Case("fluo_nuclei1136", "--preset nuclei", table=True),
+    "brain, ball and preset": Case(_BRAIN, "--start ball:126,110,130,30vox --preset mr-brain"),
+    "brain, ball": Case(_BRAIN, "--start ball:126,110,130,30vox"),
+    "oblique brain, preset": Case(_OBLIQUE, "--start center --preset mr-brain"),
+    "oblique brain, no option": Case(_OBLIQUE, "--start center"),
+    "ventricles, balls and preset": Case(_BRAIN, f"{_VENTRICLES} --preset mr-ventricle", (4, 43)),
+    "cord, balls and preset": Case("mri_cord_iso", f"{_CORD} --preset mr-cord"),
+    "liver, three clicks by eye": Case(_CT, f"{_LIVER} --preset ct-organ", (5,)),
+    "spleen, a click by eye": Case(_CT, "--inside ball:372,311,9,8vox --preset ct-organ", (1,)),
+    "aorta, ball and preset": Case(_CT, "--start ball:263,299,11,7vox --preset ct-vessel", (52,)),
+    "bones": Case(_CT, "--preset ct-bone", _BONES),
     "head phantom": Case("ct_phantom_oblique", "--preset ct-bone", reference=False),
 }
 #: Folder of the pictures that the page shows, and the colours of each.
 PICTURES, COLOURS = ROOT / "docs" / "images", 96
-COLUMNS = (
-    "object", "wanted", "Dice", "HD95 mm", "mean mm", "best threshold", "best other program", "steps", "s", "stop",
-)
+CLICKED = (
+    "object", "1 click", "2 clicks", "3 clicks", "HD95 mm", "mean mm", "best threshold", "good", "s first", "s later",
+    "stop",
+)  # fmt: skip
+STARTED = ("object", "Dice", "HD95 mm", "mean mm", "best threshold", "other program", "steps", "s", "stop")
 
 
 def main() -> None:
@@ -111,7 +113,7 @@ def main() -> None:
         if options.note:
             row["note"] = options.note
         write_row(name, row)
-        print(json.dumps({key: value for key, value in row.items() if key not in ("peers", "quality")}), flush=True)
+        print(_clicked(name, row) if CASES[name].clicks else _started(name, row), flush=True)
 
 
 def write_row(name: str, row: dict[str, Any]) -> None:
@@ -128,60 +130,56 @@ def write_row(name: str, row: dict[str, Any]) -> None:
 def run(name: str, case: Case, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Run a case as a user does, and measure what it wrote."""
     source, target = folder / f"{case.image}.nii.gz", options.output / slug(name)
-    if case.balls is not None:
-        table = options.output / f"{slug(name)}.csv"
-        case = replace(case, options=f"--objects {table.name} {case.options}")
-        seeds(io.read_labels(folder / f"{case.image}_ref.nii.gz"), case.balls, table)
-    typed = shlex.split(case.options)
-    row: dict[str, Any] = {"command": f"accelsurf segment {source.name} -o {target.name} {case.options}"}
-    call = [sys.executable, "-m", "accelsurf", "segment", str(source), "-o", str(target), *typed]
-    began = time.perf_counter()
-    done = subprocess.run(
-        [*call, "--threads", str(options.threads), "--overwrite", "--quiet"], capture_output=True, text=True,
-        cwd=options.output,
-    )
-    row |= {"exit_code": done.returncode, "seconds": time.perf_counter() - began, "threads": options.threads}
-    if done.returncode:
-        row["error"] = done.stderr.strip()
-        return row
-    report = json.loads((target / f"{case.image}_report.json").read_text())
-    row |= {key: report[key] for key in ("stop", "levels", "volume_mm3", "peak_rss_mb", "quality", "warnings")}
-    row["levels"] = len(report["levels"])
-    image, labels = io.read(source), io.read_labels(target / f"{case.image}_seg.nii.gz")
-    truth = None
-    if case.balls is not None:
+    words, truth = shlex.split(case.options), None
+    if case.reference:
         truth = io.read_labels(folder / f"{case.image}_ref.nii.gz")
-        row["metrics"] = each(labels, truth)
+        if not case.table:
+            inside = np.isin(truth.array, case.labels) if case.labels else truth.array > 0
+            truth = truth.with_array(inside.astype(np.uint8))
+    if case.table:
+        assert truth is not None
+        table = options.output / f"{slug(name)}.csv"
+        clicks_of(truth, table)
+        words = ["--objects", table.name, *words]
+    row: dict[str, Any] = {"threads": options.threads}
+    if case.clicks:
+        assert truth is not None
+        row["clicks"] = typed.play(source, target, truth, words, case.clicks, options.threads)
+        row["command"] = "; ".join(one["command"] for one in row["clicks"])
+        failed = [one["error"] for one in row["clicks"] if "error" in one]
+        if failed:
+            return row | {"error": failed[0]}
+    else:
+        row["command"] = shlex.join(["accelsurf", "segment", source.name, "-o", target.name, *words])
+        given = ["segment", str(source), "-o", str(target), *words, "--threads", str(options.threads)]
+        row |= typed.call([*given, "--overwrite", "--quiet"], options.output)
+        if "error" in row:
+            return row
+        row |= typed.facts_of(target, case.image)
+    image, labels = io.read(source), io.read_labels(target / f"{case.image}_seg.nii.gz")
+    if truth is not None:
+        row["metrics"] = each(labels, truth) if case.table else metrics.evaluate(labels, truth).to_dict()
         window = best_window(image.as_float32(), truth.array > 0)
         row["best_threshold"] = window._asdict()
-        if options.peers > 0:
+        starts = tuple(word for i, word in enumerate(words) if words[i - 1] == "--start")
+        if options.peers > 0 and case.table:
             begun = object_starts.read(str(table), image.geometry, ROOM)
             row["peers"] = compare_on_objects(image, truth.array, begun, window, options.peers)
-            row["peers"]["threads"] = options.threads
-    else:
-        row["mesh_beyond_labels_voxels"] = mesh_beyond_labels(target / f"{case.image}_surface.ply", labels)
-    if case.reference and case.balls is None:
-        truth = io.read_labels(folder / f"{case.image}_ref.nii.gz")
-        inside = np.isin(truth.array, case.labels) if case.labels else truth.array > 0
-        truth = truth.with_array(inside.astype(np.uint8))
-        row["metrics"] = metrics.evaluate(labels, truth).to_dict()
-        window = best_window(image.as_float32(), truth.array > 0)
-        row["best_threshold"] = window._asdict()
-        if options.peers > 0:
-            starts = tuple(word for i, word in enumerate(typed) if typed[i - 1] == "--start")
+        elif options.peers > 0 and starts:
             row["peers"] = compare_peers(image, truth.array > 0, starts, window, options.peers)
-            row["peers"]["threads"] = options.threads
     picture(PICTURES / f"real-{target.name}.png", name, image, labels, truth)
-    row["memory_of_study_mb"] = peak_rss_mb()
     return row
 
 
-def seeds(truth: Volume, radius: float, path: Path) -> None:
-    """A table for --objects: a ball of ``radius`` mm on the centroid of each label."""
-    ids = [int(own) for own in np.unique(truth.array) if own > 0]
-    places = truth.geometry.index_to_world(np.array(ndimage.center_of_mass(truth.array > 0, truth.array, ids)))
-    rows = [f"{own},{x:.4f},{y:.4f},{z:.4f},{radius:g}" for own, (x, y, z) in zip(ids, places, strict=True)]
-    path.write_text("\n".join(["id,x,y,z,r", *rows, ""]))
+def clicks_of(truth: Volume, path: Path) -> None:
+    """A table for --objects: the first click of the simulated person in each label."""
+    rows = ["id,x,y,z,r,side"]
+    for own in (int(one) for one in np.unique(truth.array) if one > 0):
+        click = next_click(truth.array == own, None, truth.geometry)
+        assert click is not None
+        kind, _, numbers = typed.text_of(click, truth.geometry).partition(":")
+        rows.append(f"{own},{numbers}{',' if kind == 'point' else ''},inside")
+    path.write_text("\n".join([*rows, ""]))
 
 
 def each(labels: Volume, truth: Volume) -> dict[str, Any]:
@@ -196,35 +194,56 @@ def each(labels: Volume, truth: Volume) -> dict[str, Any]:
 
 
 def text_of(cases: dict[str, dict[str, Any]]) -> str:
-    """The table and the commands, as Markdown."""
-    lines = head_of(COLUMNS)
-    for name, row in cases.items():
-        if "error" in row:
-            lines.append(f"| {name} | | {row['error'].splitlines()[0]} |" + " |" * (len(COLUMNS) - 3))
-            continue
-        found, best = row.get("metrics"), max((row.get("peers") or {}).get("best", {}).items(), key=_dice, default=None)
-        wanted, stop = CASES[name].wanted, row["stop"]
-        cells = [name, f"{wanted:.2f}" if wanted else ""]
-        keys = (("dice", ".3f"), ("hd95_mm", ".1f"), ("mean_surface_distance_mm", ".2f"))
-        cells += [format(found[key], form) for key, form in keys] if found else ["no reference", "", ""]
-        cells.append(f"{row['best_threshold']['dice']:.3f}" if found else "")
-        cells.append(f"{best[1]['dice']:.3f} in {best[1]['seconds']:.1f} s ({best[0]})" if best else "")
-        levels = f" on {row['levels']} grids" if row["levels"] > 1 else ""
-        cells += [f"{stop['steps']}{levels}", f"{row['seconds']:.0f}", stop["reason"]]
-        lines.append(row_of(cells))
-    commands = [f"    {row['command']}" for row in cases.values()]
+    """The tables, the commands and the pictures, as Markdown."""
+    clicked = {name: row for name, row in cases.items() if CASES[name].clicks}
+    started = {name: row for name, row in cases.items() if name not in clicked}
+    lines = ["### By clicks alone", "", *head_of(CLICKED), *(row_of(_clicked(*one)) for one in clicked.items()), ""]
+    lines += ["### From a start, a preset, or clicks by eye", "", *head_of(STARTED)]
+    lines += [*(row_of(_started(*one)) for one in started.items()), "", "### Commands", ""]
+    for row in cases.values():
+        lines += [f"    {one['command']}" for one in row.get("clicks", [row])]
     shown = [name for name, row in cases.items() if "error" not in row]
     pictures = [f"![{name}](../images/real-{slug(name)}.png)" for name in shown]
-    return "\n".join([*lines, "", *commands, "", *pictures, ""])
+    return "\n".join([*lines, "", "### Pictures", "", *pictures, ""])
+
+
+def _clicked(name: str, row: dict[str, Any]) -> list[str]:
+    """Cells of a row from clicks: distances are those after the last one, the probability that after the first."""
+    rows = row["clicks"]
+    found = [f"{one['metrics']['dice']:.3f}" if "metrics" in one else f"exit {one['exit_code']}" for one in rows]
+    cells = [name, *(found + [""] * 3)[:3]]
+    if "error" in row:
+        return cells + [""] * (len(CLICKED) - len(cells))
+    last, good = rows[-1]["metrics"], (rows[0]["quality"] or {}).get("probability")
+    cells += [f"{last['hd95_mm']:.1f}", f"{last['mean_surface_distance_mm']:.2f}"]
+    cells += [f"{row['best_threshold']['dice']:.3f}", "" if good is None else f"{good:.0%}"]
+    later = float(np.median([one["seconds"] for one in rows[1:]])) if rows[1:] else None
+    cells += [f"{rows[0]['seconds']:.0f}", "" if later is None else f"{later:.0f}", rows[0]["stop"]["reason"]]
+    return cells
+
+
+def _started(name: str, row: dict[str, Any]) -> list[str]:
+    """Cells of a row from a start."""
+    if "error" in row:
+        return [name, f"exit {row['exit_code']}"] + [""] * (len(STARTED) - 2)
+    found, stop = row.get("metrics"), row["stop"]
+    cells = [name]
+    keys = (("dice", ".3f"), ("hd95_mm", ".1f"), ("mean_surface_distance_mm", ".2f"))
+    cells += [format(found[key], form) for key, form in keys] if found else ["no reference", "", ""]
+    cells.append(f"{row['best_threshold']['dice']:.3f}" if found else "")
+    other = max((row.get("peers") or {}).get("best", {}).items(), key=_dice, default=None)
+    cells.append(f"{other[1]['dice']:.3f} ({other[0]})" if other else "")
+    levels = f" on {row['levels']} grids" if row["levels"] > 1 else ""
+    return [*cells, f"{stop['steps']}{levels}", f"{row['seconds']:.0f}", stop["reason"]]
+
+
+def _dice(item: tuple[str, dict[str, Any]]) -> float:
+    return float(item[1]["dice"])
 
 
 def slug(name: str) -> str:
     """A case's name as part of a file's."""
     return name.replace(", ", "_").replace(" ", "_")
-
-
-def _dice(item: tuple[str, dict[str, Any]]) -> float:
-    return float(item[1]["dice"])
 
 
 def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume | None) -> None:
@@ -261,19 +280,6 @@ def picture(path: Path, title: str, image: Volume, labels: Volume, truth: Volume
     drawn = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3])
     drawn.quantize(COLOURS).save(path, optimize=True)
     pyplot.close(figure)
-
-
-def mesh_beyond_labels(path: Path, labels: Volume) -> float:
-    """Largest distance, in voxels, of a vertex outside the box of the labelled voxels (their outer faces).
-
-    Below 0.5: a surface between an inside and an outside voxel centre lies less than one voxel from the former.
-    """
-    import pyvista
-
-    index = labels.geometry.world_to_index(np.asarray(pyvista.read(path).points, dtype=np.float64))
-    where = np.argwhere(labels.array > 0)
-    low, high = where.min(axis=0) - 0.5, where.max(axis=0) + 0.5
-    return float(max((low - index).max(), (index - high).max(), 0.0))
 
 
 if __name__ == "__main__":

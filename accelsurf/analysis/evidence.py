@@ -193,17 +193,33 @@ def _near_click(
     return np.asarray(np.exp(-0.5 * (away / radius) ** 2))
 
 
+def _deepest(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[int, int, int]:
+    """The voxel farthest from the surface, the first of several; the border is none."""
+    # The nearest voxels outside, and the distances to them plane by plane: all distances at once take four times that.
+    nearest = ndimage.distance_transform_edt(
+        np.pad(inside, 1, mode="edge"), sampling=spacing, return_distances=False, return_indices=True
+    )
+    most, place = -1.0, (0, 0, 0)
+    y, x = (np.arange(1, n + 1) for n in inside.shape[1:])
+    for k in range(inside.shape[0]):
+        at = nearest[:, k + 1, 1:-1, 1:-1]
+        offsets = (at[0] - (k + 1)) * spacing[0], (at[1] - y[:, None]) * spacing[1], (at[2] - x) * spacing[2]
+        depth = np.sqrt(offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2)
+        found = int(np.argmax(depth))
+        if depth.flat[found] > most:
+            most, place = float(depth.flat[found]), (k, found // len(x), found % len(x))
+    return place
+
+
 def _drift(
     inside: NDArray[np.bool_], values: NDArray[np.float32], spacing: Sequence[float], spread: float, floor: float
 ) -> float:
     """Largest difference of the medians of shells around the deepest point, in units of the object's spread."""
-    depth = ndimage.distance_transform_edt(np.pad(inside, 1, mode="edge"), sampling=spacing)[1:-1, 1:-1, 1:-1]
+    middle = _deepest(inside, spacing)
     core = ndimage.binary_erosion(inside, border_value=1)
     core = core if core.sum() > 20 else inside
-    middle = np.unravel_index(int(np.argmax(depth)), depth.shape)
-    cells = np.argwhere(core)
-    away = ((cells - np.array(middle)) * np.asarray(spacing)) ** 2
-    order = np.argsort(away.sum(axis=1), kind="stable")
-    own = values[core][order]
+    z, y, x = (((np.arange(n) - m) * h) ** 2 for n, m, h in zip(inside.shape, middle, spacing, strict=True))
+    away = np.concatenate([(z[k] + y[:, None] + x)[plane] for k, plane in enumerate(core)])
+    own = values[core][np.argsort(away, kind="stable")]
     shells = [float(np.median(shell)) for shell in np.array_split(own, 4) if shell.size]
     return float(np.ptp(shells)) / max(spread, floor)

@@ -16,6 +16,7 @@ from accelsurf.analysis.edges import no_edge_fraction
 from accelsurf.analysis.necks import parts_beyond_necks
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.geometry import Geometry
+from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord, Stop
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
 #: has 1.2 % beyond the bounds.
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
+#: A rest is noted where the object has grown to so many times its size since.
+MIN_BURST = 1.1
 #: What counts for an object without clicks as its volume over theirs.
 USUAL_BEYOND = 20.0
 
@@ -170,7 +173,7 @@ def assess(
         notes=(),
     )
     measured = measured._replace(probability=good_result.probability(features(measured, stop.reason, last)))
-    return measured._replace(warnings=tuple(_warnings(measured, stop)), notes=tuple(_notes(measured, last)))
+    return measured._replace(warnings=tuple(_warnings(measured, stop, last)), notes=tuple(_notes(measured, last)))
 
 
 def features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
@@ -214,7 +217,7 @@ def _point(place: Sequence[float]) -> str:
     return ",".join(f"{value:.1f}" for value in place)
 
 
-def _warnings(found: Quality, stop: Stop) -> list[str]:
+def _warnings(found: Quality, stop: Stop, last: float) -> list[str]:
     warnings = []
     there = "" if found.next_click is None else _point(found.next_click)
     if found.leaked:
@@ -223,6 +226,9 @@ def _warnings(found: Quality, stop: Stop) -> list[str]:
         click = f"look at {there} first and try --inside point:{there}, or --outside if it is not the object"
         sure = f"{found.probability:.0%} likely to be good"
         warnings.append(f"doubt: probably not right ({_why(found)}; {sure}); {click}")
+    if found.next_click is None and stop.reason not in ("vanished", "filled"):
+        size = volume_text(last)
+        warnings.append(f"doubt: its surface cannot be judged, at {size}; try a larger --inside ball:X,Y,Z,R")
     if abs(found.late_growth) > MAX_GROWTH and stop.reason not in ("converged", "rested", "leaked"):
         change = f"the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps"
         warnings.append(f"growth: {change}; try --stop-at-rest, or a larger --max-steps")
@@ -252,10 +258,11 @@ def _why(found: Quality) -> str:
 def _notes(found: Quality, last: float) -> list[str]:
     notes = []
     for rest in found.rests:
-        notes.append(
-            f"rest: rested at step {rest.step} at {rest.volume_mm3 / 1000:.4g} ml, then broke through near "
-            f"{_point(rest.place)}, to {last / 1000:.4g} ml in the end; try --stop-at-rest"
-        )
+        if last > MIN_BURST * rest.volume_mm3:
+            notes.append(
+                f"rest: rested at step {rest.step} at {volume_text(rest.volume_mm3)}, then broke through near "
+                f"{_point(rest.place)}, to {volume_text(last)} in the end; try --stop-at-rest"
+            )
     if found.unlike_learned is not None and found.unlike_learned > MAX_UNLIKE:
         notes.append(
             f"values: {found.unlike_learned:.0%} of the object is unlike what it was learned from: it may have leaked, "

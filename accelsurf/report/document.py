@@ -172,8 +172,10 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     """Return the part of the report about the quality of an object; None for several, which have their own."""
     if quality is None:
         return None
-    rests = [rest._asdict() for rest in quality.rests]
-    return {**quality._asdict(), "rests": rests, "warnings": list(quality.warnings), "notes": list(quality.notes)}
+    rests = [{**rest._asdict(), "place": list(rest.place)} for rest in quality.rests]
+    place = None if quality.next_click is None else list(quality.next_click)
+    lists = {"rests": rests, "warnings": list(quality.warnings), "notes": list(quality.notes)}
+    return {**quality._asdict(), "next_click": place, **lists}
 
 
 def describe_objects(result: Result) -> list[dict[str, Any]]:

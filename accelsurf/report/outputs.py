@@ -30,6 +30,7 @@ from accelsurf.settings.file_formats import (
     mesh_formats,
 )
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
     from accelsurf.analysis.contours import Contours
@@ -255,19 +256,6 @@ def outcome_title(name: str, result: Result) -> str:
     """Return the heading of a picture: how the run ended, and how large the object is."""
     size = volume_text(result.volume_mm3) if result.enclosed_mm2 is None else f"{result.enclosed_mm2:.4g} mm2"
     return f"{name}: {size}, {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
-
-
-def volume_text(mm3: float) -> str:
-    """Return a volume in the unit that people use for its size.
-
-    Examples
-    --------
-    >>> volume_text(1.5234e6), volume_text(12.3), volume_text(4.2e-7)
-    ('1523 ml', '12.3 mm3', '420 um3')
-    """
-    if mm3 >= 1000:
-        return f"{mm3 / 1000:.4g} ml" if mm3 < 1e7 else f"{mm3 / 1e6:.4g} l"
-    return f"{mm3:.4g} mm3" if mm3 >= 0.01 or mm3 <= 0 else f"{mm3 * 1e9:.4g} um3"
 
 
 def preview_content(result: Result, title: str, reference: Any = None) -> PreviewContent:

@@ -65,3 +65,16 @@ def did_you_mean(given: Any, names: Iterable[str]) -> str:
     """
     name = nearest(given, names)
     return f"did you mean {name}? " if name else ""
+
+
+def volume_text(mm3: float) -> str:
+    """Return a volume in the unit that people use for its size.
+
+    Examples
+    --------
+    >>> volume_text(1.5234e6), volume_text(12.3), volume_text(4.2e-7)
+    ('1523 ml', '12.3 mm3', '420 um3')
+    """
+    if mm3 >= 1000:
+        return f"{mm3 / 1000:.4g} ml" if mm3 < 1e7 else f"{mm3 / 1e6:.4g} l"
+    return f"{mm3:.4g} mm3" if mm3 >= 0.01 or mm3 <= 0 else f"{mm3 * 1e9:.4g} um3"

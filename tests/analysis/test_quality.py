@@ -12,6 +12,7 @@ from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
+from accelsurf.initialization import starts
 from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.api import segment
 from tests.support.records import step_record
@@ -131,6 +132,25 @@ def test_the_report_has_probability_place_and_rests_as_values():
     assert any("rested at step 4 at 3 ml" in note and "to 7.2 ml" in note for note in described["notes"])
 
 
+def test_a_rest_is_noted_where_the_object_has_grown_since():
+    z, y, x = coordinates()
+    mask = (z**2 + y**2 + x**2 < 12**2).astype(np.uint8)
+    history = [step_record(0, volume_mm3=1e-6), step_record(9, volume_mm3=5e-6, area_mm2=1800.0)]
+    for size, noted in ((4e-6, True), (4.8e-6, False), (6e-6, False)):
+        rest = RestNote(4, size, 9, (1.0, 2.0, 3.0))
+        found = assess(mask, mask.astype(np.float32), Geometry(SHAPE, SPACING), history, DONE, rests=[rest])
+        assert any(note.startswith("rest: ") for note in found.notes) == noted
+        assert not noted or "at 4000 um3, then" in found.notes[0]
+
+
+def test_what_is_too_small_to_be_judged_is_in_doubt():
+    mask = np.zeros(SHAPE, bool)
+    mask[20, 22, 24] = True
+    found = look(mask, mask * 1.0, [step_record(0, volume_mm3=1.2), step_record(9, volume_mm3=1.2)])
+    assert found.next_click is None
+    assert [words for words in found.warnings if "cannot be judged, at 1.2 mm3; try a larger --inside" in words]
+
+
 def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     z, y, x = coordinates()
     r = np.sqrt(z**2 + y**2 + x**2)
@@ -197,24 +217,31 @@ def test_a_leak_into_tissue_like_the_object_is_told_by_its_values():
     muscle = ((x - 8) ** 2 + y**2 + z**2 < 11**2) & ~organ
     scan = -900.0 + 990 * organ + 960 * muscle + np.random.default_rng(1).normal(0, 8, SHAPE)
     start = "ball:15,21.5,19.5,6vox"
-    leaked = segment(scan, spacing=SPACING, start=start, energy="likelihood:update=no")
+    leaked = segment(scan, spacing=SPACING, start=start, energy="likelihood:model=histogram,update=no")
     assert leaked.labels[muscle].mean() > 0.8 and leaked.quality.unlike_learned > 0.2
     assert leaked.stop.reason == "converged" and leaked.quality.no_edge_fraction < 0.1  # nothing else tells
     assert any(words.startswith("values: ") and "leaked" in words for words in leaked.quality.notes)
-    held = segment(scan, spacing=SPACING, start=start, preset="ct-organ")
+    held = segment(scan, spacing=SPACING, start=start, energy="threshold:learned,learned")
     assert held.labels[muscle].mean() < 0.15 and held.quality.unlike_learned < 0.05
     assert not any(words.startswith("values: ") for words in held.quality.notes)
     # What was not learned cannot be unlike.
     assert segment(scan, spacing=SPACING, start=start, max_steps=5).quality.unlike_learned is None
 
 
-def test_learned_values_are_those_before_presmoothing():
+def test_learned_values_are_those_of_the_image_that_is_evolved():
     z, y, x = coordinates()
     scan = 100.0 * (z**2 + y**2 + x**2 < 12**2) + np.random.default_rng(1).normal(0, 10, SHAPE)
     words = {"spacing": SPACING, "start": "ball:23.5,21.5,19.5,6vox", "max_steps": 1}
     words["energy"] = "threshold:learned,learned"
-    bounds = [segment(scan, presmooth=sigma, **words).terms[0] for sigma in (0, "1vox")]
-    assert [term["HI"] - term["LO"] for term in bounds] == pytest.approx([50, 50], rel=0.06)
+    for sigma in (0.0, 0.8):
+        term = segment(scan, presmooth=sigma, **words).terms[0]
+        volume = Volume(scan.astype(np.float32), Geometry(SHAPE, SPACING))
+        evolved = gaussian_mm(volume.array, SPACING, sigma) if sigma else volume.array
+        ball = evolved[starts.build((words["start"],), volume, volume.array) < 0]
+        deviation = 1.4826 * np.median(np.abs(ball - np.median(ball)))
+        assert term["HI"] - term["LO"] == pytest.approx(5 * deviation, rel=1e-3)
+        assert 0.5 * (term["HI"] + term["LO"]) == pytest.approx(100, abs=1)
+        assert (deviation > 9) == (sigma == 0)
     half = segment(scan, **{**words, "energy": "threshold:half:20,"}).terms[0]["LO"]
     assert half == pytest.approx(60, abs=0.5)
 
@@ -227,7 +254,7 @@ def test_it_takes_less_memory_than_the_solver():
     inside = (ax[:, None, None] ** 2 + ax[:, None] ** 2 + ax**2 < 70**2).astype(np.uint8)
     image = inside.astype(np.float32)
     tracemalloc.start()
-    assess(inside, image, (1.0, 1.0, 1.0), [], DONE, (0.5, 1.5))
+    assess(inside, image, Geometry(inside.shape, (1.0, 1.0, 1.0)), [], DONE, (0.5, 1.5))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 16 * inside.size

@@ -15,7 +15,9 @@ from accelsurf.grid.volume import Volume
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 
 ROOT = Path(__file__).parents[2]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "tutorial").glob("*.md")))
+PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial" / "first-scan.md")
+#: Its commands are about public scans, which are not here.
+ON_SCANS = ROOT / "docs" / "tutorial" / "by-clicks.md"
 #: A file that a page tells the reader to write.
 FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
@@ -72,6 +74,16 @@ def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys)
         check_figures(page.read_text(encoding="utf-8"), printed)
 
 
+def test_commands_on_public_scans_lack_nothing_but_the_scans(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    typed = [words for words in commands(ON_SCANS) if words[0] == "accelsurf"]
+    assert {words[1] for words in typed} == {"look", "segment", "refine"}
+    for words in typed:
+        assert cli.execute(words[1:]) == 3, shlex.join(words)
+        missing = f"{words[2]}: there is no such file" if words[1] != "refine" else f"{words[2]}: "
+        assert missing in capsys.readouterr().err, shlex.join(words)
+
+
 def check_figures(text, printed):
     """What the tutorial says that its commands give is what they have printed."""
     for figure in (SUMMARY, TABLE, METRIC):
@@ -105,7 +117,8 @@ def folder_of_a_reader():
     y, x = np.indices((160, 200))
     io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
-    assert cli.execute(["segment", "scan.nii.gz", "-o", "out", "--max-steps", "2", "--quiet"]) == 0
+    first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
+    assert cli.execute(first.split()) == 0
     Path("out/run.toml").write_text("max_steps = 2\n")
 
 

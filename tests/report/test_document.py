@@ -41,7 +41,12 @@ def finished(**changes):
         resolved_settings={"presmooth_mm": 0.5},
         has_ids=False,
         given=(),
-        quality=Quality(0.25, 0.5, 0.125, 1, 2.0, 0.01, None, False, ("border: 25% of it",)),
+        quality=Quality(
+            probability=0.75, next_click=(1.0, 2.0, 3.0), next_doubt=0.5, border_fraction=0.25, contrast=0.5,
+            no_edge_fraction=0.125, evidence=0.5, clicked=0.0, beyond_clicks=None, inside_like=0.25, drift=0.1,
+            compactness=0.9, parts_beyond_necks=1, growth=2.0, late_growth=0.01, unlike_learned=None, leaked=False,
+            rests=(), warnings=(), notes=("border: 25% of it",),
+        ),
     )
     return SimpleNamespace(**{**values, **changes})
 
@@ -70,7 +75,9 @@ def test_every_key_is_there_with_and_without_a_result():
     assert flowable["mass"]["first"] == flowable["mass"]["last"] == 3.0 and flowable["mass"]["correction"] == 0.001
     assert "clamped" in flowable["mass"]["cure"]
     assert full["stop"] == {"reason": "converged", "steps": 2, "time": 0.2, "message": "it moved no more"}
-    assert full["seconds"] == {"load": 0.5, "start": 0.1, "evolve": 2.0, "mesh": None, "write": None, "total": 3.0}
+    assert full["seconds"] == {
+        **{"load": 0.5, "start": 0.1, "evolve": 2.0, "refine": None, "mesh": None, "write": None, "total": 3.0}
+    }
     assert full["warnings"] == ["from the run", "from outside"]
     assert (full["seed"], full["threads"]) == (4, 2)
     assert full["input"]["size"] == [3, 4, 5] and full["input"]["sha256"] == "abc"

@@ -16,9 +16,9 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.report import canvas, preview
 from accelsurf.report.axes import ticks
 from accelsurf.report.grey_window import GreyWindow, window_of
-from accelsurf.report.outputs import volume_text
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.report.slice_views import click_views, main_views, shown_ranges, whole_ranges
+from accelsurf.settings.wording import volume_text
 from tests.support.records import step_record
 from tests.support.shapes import ball_on_grid
 

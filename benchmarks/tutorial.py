@@ -1,0 +1,96 @@
+"""Run the commands of the tutorials, and make their pictures and figures again.
+
+    python -m benchmarks.tutorial [PAGE ...] [-o FOLDER]
+
+Public scans lie in the folder that ACCELSURF_VOLUMES names (docs/explanation/real-scans.md). After each command the
+pictures that it makes go to docs/images; on by-clicks.md also the Dice of each result, between comments that name it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from accelsurf import io
+from accelsurf.analysis.metrics import dice
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = ("first-scan", "by-clicks")
+#: Folder of a run, or file of `look` -> picture.
+PICTURES = {
+    "look.png": "tutorial-look", "ring": "tutorial-click", "cut": "tutorial-refine", "ring.png": "tutorial-scene",
+    "first": "tutorial-first",
+    "both": "tutorial-objects", "liver_look.png": "tutorial-liver-look", "liver": "tutorial-liver",
+    "brain_look.png": "tutorial-ventricle-look", "ventricle": "tutorial-ventricle",
+    "nuclei_look.png": "tutorial-nucleus-look", "nucleus": "tutorial-nucleus",
+    "nucleus refined": "tutorial-nucleus-refined",
+}  # fmt: skip
+COLOURS = 256
+#: Folder of a run -> scan, and label of the reference.
+REFERENCES = {
+    "liver": ("ct_abdomen_hires", 5), "ventricle": ("mri_brain256", 4), "nucleus": ("fluo_nuclei1136", 10)
+}  # fmt: skip
+CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
+FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pages", nargs="*", help="first-scan, by-clicks")
+    parser.add_argument("-o", "--output", type=Path, help="where the commands run; kept if given")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        for page in options.pages or PAGES:
+            work = (options.output or Path(folder)).resolve() / page
+            work.mkdir(parents=True)
+            play(ROOT / "docs" / "tutorial" / f"{page}.md", work)
+
+
+def play(page: Path, work: Path) -> None:
+    """Run the commands of a page in a folder."""
+    text, scans = page.read_text(encoding="utf-8"), os.environ.get("ACCELSURF_VOLUMES")
+    for name, content in FILE.findall(text):
+        (work / name).write_text(content)
+    for line in (line for block in CONSOLE.findall(text) for line in block.splitlines()):
+        words = shlex.split(line.removeprefix("$ "))
+        for word in words:
+            if word.endswith(".nii.gz") and "/" not in word and not (work / word).exists():
+                if not scans:
+                    sys.exit(f"{word}: ACCELSURF_VOLUMES is not set: name the folder with the scans")
+                (work / word).symlink_to((Path(scans) / word).resolve())
+        print(line, flush=True)
+        subprocess.run([sys.executable, "-m", *words], cwd=work, check=True)
+        if words[1] in ("segment", "refine", "look", "movie"):
+            keep(page, work, words)
+
+
+def keep(page: Path, work: Path, words: list[str]) -> None:
+    """Keep the picture that a command made, and the Dice of its result."""
+    made = words[words.index("-o") + 1] if "-o" in words else words[2]
+    name = f"{made} refined" if words[1] == "refine" and made == words[2] else made
+    if name in PICTURES:
+        found = work / made if made.endswith(".png") else next((work / made).glob("*_preview.png"))
+        # As a palette: a quarter of the size.
+        drawn = Image.open(found).convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
+        drawn.save(ROOT / "docs" / "images" / f"{PICTURES[name]}.png", optimize=True)
+    if made in REFERENCES:
+        scan, label = REFERENCES[made]
+        truth = io.read_labels(Path(os.environ["ACCELSURF_VOLUMES"]) / f"{scan}_ref.nii.gz").array == label
+        value = dice(np.asarray(io.read_labels(work / made / f"{scan}_seg.nii.gz").array > 0), truth)
+        begin = f"<!-- tutorial {name} -->"
+        text = page.read_text(encoding="utf-8")
+        page.write_text(re.sub(f"{re.escape(begin)}[^<]*<", f"{begin}{value:.3f}<", text), encoding="utf-8")
+        print(f"{name}: Dice {value:.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
