@@ -121,9 +121,8 @@ class LocalModel:
         images = [np.ascontiguousarray(image[box]) for image in self.state.images]
         passes = None if self._passes is None else self._passes[box]
         field, corner = field_of(images, self.spacing, passes), corner_of(box)
-        here = dataclasses.replace(
-            answer, box=counted_from(answer.box, corner), clicks=tuple(_click_counted_from(c, corner) for c in answer.clicks)
-        )
+        clicks = tuple(_click_counted_from(one, corner) for one in answer.clicks)
+        here = dataclasses.replace(answer, box=counted_from(answer.box, corner), clicks=clicks)
         own = _click_counted_from(click, corner)
         marched = later_times(images, self.spacing, field, own, here)
         if _is_near_border(np.isfinite(marched[0]).reshape(field.shape), box, self.state.clicks.shape):
