@@ -28,8 +28,10 @@ from accelsurf.kernels.arrival import Tissue
 CLICKED = {"inside": -3.0, "outside": 3.0}
 #: F is the balance plus this part of the likelihood; of the first click's, this part is taken by the level of its size.
 LIKELIHOOD, LEVEL = 0.5, 0.5
-#: What the answer, the paths and the walks count after 1, 2, ... clicks: the more clicks, the less has to be learned.
-WEIGHTS = ((1.0, 0.0, 0.0), (1.5, 1.0, 2.0), (1.0, 1.0, 2.0), (0.75, 1.0, 2.0), (0.6, 1.0, 2.0), (0.5, 1.0, 2.0))
+#: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
+#: less has to be learned. After a stated size it is better, and counts more.
+OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (6.0, 6.0, 3.0, 1.5, 1.0)
+PATHS, WALKS = 1.0, 2.0
 #: The first click's field is moved by so much at most, so that it has the size.
 MAX_OFFSET = 0.5
 
@@ -153,7 +155,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
 
 
-def answered(answer: Answer, parts: Sequence[Part], clicks: Clicks) -> tuple[Image, Mask, Image, Image]:
+def answered(answer: Answer, parts: Sequence[Part], clicks: Clicks, sized: bool) -> tuple[Image, Mask, Image, Image]:
     """F, the start, and the times from inside and from outside on the whole grid.
 
     Parameters
@@ -162,12 +164,16 @@ def answered(answer: Answer, parts: Sequence[Part], clicks: Clicks) -> tuple[Ima
     parts : sequence of Part
         The contests of `accelsurf.energies.seeded.contest`, by paths and by walks; none after one click.
     clicks : Clicks
+    sized : bool
+        Whether a size was stated.
     """
     box = answer.box
     for part in parts:
         box = _both(box, part.box)
     own = Part(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
-    weights = WEIGHTS[min(len(clicks), len(WEIGHTS)) - 1] if parts else (1.0,)
+    by_count = OWN_SIZED if sized else OWN
+    own_weight = by_count[min(len(clicks), len(by_count)) - 1]
+    weights = (own_weight, PATHS, WALKS) if parts else (own_weight,)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
