@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
-from accelsurf.energies.seeded.contest import Part
+from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.energies.seeded.proposal import Order
 from accelsurf.grid.boxes import Box, bounding_box
@@ -155,13 +155,13 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
 
 
-def answered(answer: Answer, parts: Sequence[Part], clicks: Clicks, sized: bool) -> tuple[Image, Mask, Image, Image]:
+def answered(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool) -> tuple[Image, Mask, Image, Image]:
     """F, the start, and the times from inside and from outside on the whole grid.
 
     Parameters
     ----------
     answer : Answer
-    parts : sequence of Part
+    parts : sequence of Balance
         The contests of `accelsurf.energies.seeded.contest`, by paths and by walks; none after one click.
     clicks : Clicks
     sized : bool
@@ -170,7 +170,7 @@ def answered(answer: Answer, parts: Sequence[Part], clicks: Clicks, sized: bool)
     box = answer.box
     for part in parts:
         box = _both(box, part.box)
-    own = Part(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
+    own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
     by_count = OWN_SIZED if sized else OWN
     own_weight = by_count[min(len(clicks), len(by_count)) - 1]
     weights = (own_weight, PATHS, WALKS) if parts else (own_weight,)
@@ -194,10 +194,10 @@ def _connected(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
         clicked[click.side] |= _clicked_in(click, box)
     grows = ((force < 0) | clicked["inside"]) & ~clicked["outside"]
     labels, count = ndimage.label(grows)
-    kept = np.zeros(count + 1, np.bool_)
-    kept[labels[clicked["inside"]]] = True
-    kept[0] = False
-    return np.asarray(ndimage.binary_fill_holes(kept[labels]) & ~clicked["outside"])
+    own = np.zeros(count + 1, np.bool_)
+    own[labels[clicked["inside"]]] = True
+    own[0] = False
+    return np.asarray(ndimage.binary_fill_holes(own[labels]) & ~clicked["outside"])
 
 
 def _box_of(field: Field, where: NDArray[np.bool_]) -> Box:
