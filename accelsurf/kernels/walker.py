@@ -11,7 +11,7 @@ from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.stages import Stage
 
 #: Least weight of a link between two voxels: none is cut off.
-LEAST_WEIGHT = 1e-6
+MIN_WEIGHT = 1e-6
 
 
 @kernel(stage=Stage.ENERGY)
@@ -100,7 +100,7 @@ def link(here, there, length, sharpness):
     for channel in range(len(here)):
         slope = np.float64(there[channel] - here[channel]) / length
         total += slope * slope
-    return np.exp(-sharpness * total) + LEAST_WEIGHT
+    return np.exp(-sharpness * total) + MIN_WEIGHT
 
 
 @kernel

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import spsolve
 
-from accelsurf.kernels.walker import LEAST_WEIGHT, walk
+from accelsurf.kernels.walker import MIN_WEIGHT, walk
 
 SHAPE = (4, 5, 7)
 
@@ -17,7 +17,7 @@ def by_scipy(start, fixed, values, spacing, sharpness):
         count = start.shape[axis]
         here, there = (np.take(index, part, axis).ravel() for part in (range(count - 1), range(1, count)))
         slopes = (flat[:, there] - flat[:, here]).astype(np.float64) / spacing[axis]
-        weight = np.exp(-sharpness * (slopes**2).sum(axis=0)) + LEAST_WEIGHT
+        weight = np.exp(-sharpness * (slopes**2).sum(axis=0)) + MIN_WEIGHT
         rows += [here, there]
         columns += [there, here]
         weights += [weight, weight]

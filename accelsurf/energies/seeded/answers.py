@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
-from accelsurf.energies.seeded.contest import Part
+from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.energies.seeded.proposal import Order
 from accelsurf.grid.boxes import Box, bounding_box
@@ -28,8 +28,10 @@ from accelsurf.kernels.arrival import Tissue
 CLICKED = {"inside": -3.0, "outside": 3.0}
 #: F is the balance plus this part of the likelihood; of the first click's, this part is taken by the level of its size.
 LIKELIHOOD, LEVEL = 0.5, 0.5
-#: What the answer, the paths and the walks count after 1, 2, ... clicks: the more clicks, the less has to be learned.
-WEIGHTS = ((1.0, 0.0, 0.0), (1.5, 1.0, 2.0), (1.0, 1.0, 2.0), (0.75, 1.0, 2.0), (0.6, 1.0, 2.0), (0.5, 1.0, 2.0))
+#: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
+#: less has to be learned. After a stated size it is better, and counts more.
+OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (6.0, 6.0, 3.0, 1.5, 1.0)
+PATHS, WALKS = 1.0, 2.0
 #: The first click's field is moved by so much at most, so that it has the size.
 MAX_OFFSET = 0.5
 
@@ -155,21 +157,25 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
 
 
-def answered(answer: Answer, parts: Sequence[Part], clicks: Clicks) -> tuple[Image, Mask, Image, Image]:
+def answered(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool) -> tuple[Image, Mask, Image, Image]:
     """F, the start, and the times from inside and from outside on the whole grid.
 
     Parameters
     ----------
     answer : Answer
-    parts : sequence of Part
+    parts : sequence of Balance
         The contests of `accelsurf.energies.seeded.contest`, by paths and by walks; none after one click.
     clicks : Clicks
+    sized : bool
+        Whether a size was stated.
     """
     box = answer.box
     for part in parts:
         box = _both(box, part.box)
-    own = Part(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
-    weights = WEIGHTS[min(len(clicks), len(WEIGHTS)) - 1] if parts else (1.0,)
+    own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
+    by_count = OWN_SIZED if sized else OWN
+    own_weight = by_count[min(len(clicks), len(by_count)) - 1]
+    weights = (own_weight, PATHS, WALKS) if parts else (own_weight,)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
@@ -190,10 +196,10 @@ def _connected(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
         clicked[click.side] |= _clicked_in(click, box)
     grows = ((force < 0) | clicked["inside"]) & ~clicked["outside"]
     labels, count = ndimage.label(grows)
-    kept = np.zeros(count + 1, np.bool_)
-    kept[labels[clicked["inside"]]] = True
-    kept[0] = False
-    return np.asarray(ndimage.binary_fill_holes(kept[labels]) & ~clicked["outside"])
+    own = np.zeros(count + 1, np.bool_)
+    own[labels[clicked["inside"]]] = True
+    own[0] = False
+    return np.asarray(ndimage.binary_fill_holes(own[labels]) & ~clicked["outside"])
 
 
 def _box_of(field: Field, where: NDArray[np.bool_]) -> Box:

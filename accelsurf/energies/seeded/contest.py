@@ -33,11 +33,11 @@ SMOOTHING = 0.5
 #: A link of the walks weighs exp(-SHARPNESS (change of values)^2 / (all values' standard deviation)).
 SHARPNESS = 30.0
 #: The walks end at this residual, or after so many iterations.
-TOLERANCE, MOST_ITERATIONS = 1e-2, 500
+TOLERANCE, MAX_ITERATIONS = 1e-2, 500
 #: Values are cut at so many spreads from the median of the inside clicks.
 WINDOW = 10.0
 #: A spread is at least this part of the median change between neighbours, and this part of the range.
-LEAST_CHANGE, LEAST_RANGE = 0.5, 1e-3
+MIN_CHANGE, MIN_RANGE = 0.5, 1e-3
 
 
 class Around(NamedTuple):
@@ -54,7 +54,7 @@ class Around(NamedTuple):
     spacing: NDArray[np.float64]
 
 
-class Part(NamedTuple):
+class Balance(NamedTuple):
     """Values on a box of the grid; beyond it they are 1."""
 
     box: Box
@@ -69,7 +69,7 @@ class Part(NamedTuple):
         return out
 
 
-def contest(images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None) -> tuple[Part, Part]:
+def contest(images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None) -> tuple[Balance, Balance]:
     """Both contests, by paths and by walks, from -1 inside to 1 outside.
 
     Parameters
@@ -89,7 +89,7 @@ def contest(images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: 
     )
 
 
-def _by_paths(part: Around) -> Part:
+def _by_paths(part: Around) -> Balance:
     widths = [SMOOTHING / h if n > 1 else 0.0 for h, n in zip(part.spacing, part.seeds.shape, strict=True)]
     smooth = np.stack([ndimage.gaussian_filter(values, widths) for values in part.values])
     inside, outside = (shortest_paths(part.seeds == side, smooth, part.spacing, CHANGE) for side in (-1, 1))
@@ -98,10 +98,10 @@ def _by_paths(part: Around) -> Part:
     return _on_grid(part, balance.astype(np.float32))
 
 
-def _by_walks(part: Around) -> Part:
+def _by_walks(part: Around) -> Balance:
     found = part.seeds.astype(np.float64)
     spread = max(float(np.sqrt(sum(values.var() for values in part.values))), 1e-6)
-    walk(found, part.seeds != 0, part.values, part.spacing, SHARPNESS / spread, TOLERANCE, MOST_ITERATIONS)
+    walk(found, part.seeds != 0, part.values, part.spacing, SHARPNESS / spread, TOLERANCE, MAX_ITERATIONS)
     # Before it has converged it may lie beyond the values at the seeds.
     return _on_grid(part, np.clip(found, -1.0, 1.0).astype(np.float32))
 
@@ -213,7 +213,7 @@ def _any_of_block(mask: Mask, steps: Sequence[int]) -> Mask:
     return mask
 
 
-def _on_grid(part: Around, values: Image) -> Part:
+def _on_grid(part: Around, values: Image) -> Balance:
     """Linearly between the centres of the blocks."""
     counts = [s.stop - s.start for s in part.box]
     for axis, (step, count) in enumerate(zip(part.steps, counts, strict=True)):
@@ -224,7 +224,7 @@ def _on_grid(part: Around, values: Image) -> Part:
             share = np.expand_dims(np.clip(at - below, 0, 1), [i for i in range(3) if i != axis]).astype(np.float32)
             lower, upper = np.take(values, below, axis), np.take(values, above, axis)
             values = (lower + share * (upper - lower)).astype(np.float32)
-    return Part(part.box, values)
+    return Balance(part.box, values)
 
 
 def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
@@ -232,6 +232,6 @@ def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
     part = image[box]
     middle, spread = robust(np.concatenate([image[click.box][click.mask] for click in inside]))
     changes = [np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3) if part.shape[axis] > 1]
-    least = LEAST_CHANGE * float(np.median(np.concatenate(changes))) if changes else 0.0
-    spread = max(spread, least, LEAST_RANGE * float(np.ptp(part)), 1e-20)
+    least = MIN_CHANGE * float(np.median(np.concatenate(changes))) if changes else 0.0
+    spread = max(spread, least, MIN_RANGE * float(np.ptp(part)), 1e-20)
     return np.clip((part - np.float32(middle)) / np.float32(spread), -WINDOW, WINDOW)

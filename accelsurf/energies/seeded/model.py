@@ -124,7 +124,7 @@ def seeded_model(
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
     parts = contest(images, spacing, clicks, allowed) if len(clicks) > 1 else ()
-    force, start, times_in, times_out = answered(answer, parts, clicks)
+    force, start, times_in, times_out = answered(answer, parts, clicks, size_mm3 is not None)
     return SeededModel(force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, answer, tuple(smooth))
 
 

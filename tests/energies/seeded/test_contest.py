@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.energies.seeded import contest as module
-from accelsurf.energies.seeded.contest import Part, around, box_around, contest, outer_faces, radius_of
+from accelsurf.energies.seeded.contest import Balance, around, box_around, contest, outer_faces, radius_of
 from accelsurf.grid.clicks import Clicks
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, dice, distance
 
@@ -82,6 +82,6 @@ def test_seeds_of_both_sides_in_a_block_are_none(one_ball):
 
 
 def test_a_part_on_a_larger_box_is_outside_beyond():
-    part = Part((slice(1, 2), slice(0, 1), slice(0, 2)), np.full((1, 1, 2), -0.5, np.float32))
+    part = Balance((slice(1, 2), slice(0, 1), slice(0, 2)), np.full((1, 1, 2), -0.5, np.float32))
     whole = part.on((slice(0, 2), slice(0, 1), slice(0, 3)))
     assert whole.tolist() == [[[1.0, 1.0, 1.0]], [[-0.5, -0.5, 1.0]]]
