@@ -140,21 +140,21 @@ def guess_alike(count, grid, inner, memory, out):
         high = max(max(max(a, b), max(c, d)), max(e, f))
         beside[i] = (min(low, value) < zero) & (max(high, value) >= zero)
         offset[i] = residue
-        kept = abs(old) > (inner if residue == zero else shortest)
-        ratio = value / (old if kept else one)
+        drawn = abs(old) > (inner if residue == zero else shortest)
+        ratio = value / (old if drawn else one)
         z, y, x = ratio * rows[OLD_FOOT + i], ratio * rows[OLD_FOOT + NEXT + i], ratio * rows[OLD_FOOT + two + i]
         dz, dy, dx = pz * (b - a), py * (d - c), px * (f - e)
         slope = dz * dz + dy * dy + dx * dx
         scale = -value / max(slope, half)
-        gz[i], gy[i], gx[i] = z if kept else scale * dz, y if kept else scale * dy, x if kept else scale * dx
+        gz[i], gy[i], gx[i] = z if drawn else scale * dz, y if drawn else scale * dy, x if drawn else scale * dx
         iz, iy, ix = rows[PLACE + i], rows[PLACE + NEXT + i], rows[PLACE + two + i]
         # Beyond the border psi is only continued, at the band's edge from where it is no distance.
         near = (-iz * hz <= z) & (z <= (mz - iz) * hz) & (-iy * hy <= y) & (y <= (my - iy) * hy)
         near = near & (-ix * hx <= x) & (x <= (mx - ix) * hx) & (value != zero)
         well = (iz > zero) & (iz < mz) & (iy > zero) & (iy < my) & (ix > zero) & (ix < mx) & (slope >= half)
-        alone[i] = not (near if kept else well)
+        alone[i] = not (near if drawn else well)
         wall = np.int32(iz <= zero) | (np.int32(iz >= mz) << np.int32(1)) | (np.int32(iy <= zero) << np.int32(2))
         wall |= (np.int32(iy >= my) << np.int32(3)) | (np.int32(ix <= zero) << np.int32(4))
         wall |= np.int32(ix >= mx) << np.int32(5)
         around = sides_beyond(value, least, (a, b, c, d, e, f)) & ~wall
-        sides[i] = around if kept & (residue != zero) else np.int32(0)
+        sides[i] = around if drawn & (residue != zero) else np.int32(0)
