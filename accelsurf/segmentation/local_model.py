@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.seeded import SeededModel
-from accelsurf.energies.seeded.answers import CLICKED, Answer, with_click
+from accelsurf.energies.seeded.answers import Answer, mixed_answer, with_click
 from accelsurf.energies.seeded.competition import field_of
+from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.model import BEYOND, later_times
 from accelsurf.energies.seeded.partition import partition_model
-from accelsurf.grid.boxes import Box, box_at, corner_of, shared, whole_box, widened
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, shared, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.segmentation.corrected_surface import CorrectedSurface, box_around, counted_from, on_box
+from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from
 from accelsurf.segmentation.near_region import around_clicks, automatic_near
 from accelsurf.segmentation.preprocessing import uses_model
 from accelsurf.segmentation.run_state import RunState
@@ -37,7 +38,8 @@ class LocalState(NamedTuple):
     """A model between two clicks, as a value, on a ``box`` of the grid; beyond it F is 1 and nothing is inside.
 
     ``clicks`` that it was made from and the ``answer`` to them (None of a partition), on the whole grid's indices;
-    ``images``, the channels as the model sees them, on the whole grid; ``field`` F and ``start`` on the box.
+    ``images``, the channels as the model sees them, on the whole grid; ``field`` F and ``start`` on the box; ``sized``,
+    whether a size was stated.
     """
 
     clicks: Clicks
@@ -46,13 +48,16 @@ class LocalState(NamedTuple):
     box: Box
     field: Image
     start: Mask
+    sized: bool = False
 
     @classmethod
     def of(cls, model: SeededModel) -> LocalState:
         """That of a whole model."""
         if model.answer is None:
             return cls(model.clicks, None, model.images, whole_box(model.field.shape), model.field, model.start)
-        return _answered(model.clicks, model.answer, model.images)
+        box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
+        field, start = model.field[box].copy(), model.start[box].copy()
+        return cls(model.clicks, model.answer, model.images, box, field, start, model.sized)
 
 
 class ModelChange(NamedTuple):
@@ -98,9 +103,13 @@ class LocalModel:
             whole = partition_model(self._images, self.spacing, clicks, mask=self._passes)
             self.state = LocalState.of(whole)
         else:
-            self.state = _answered(clicks, self._with_click(before.answer, click), before.images)
-        box = self.state.box
-        return ModelChange(box, self.state.start != _placed(before.start, before.box, box, False), before)
+            answer = self._with_click(before.answer, click)
+            parts = contest(self._images, self.spacing, clicks, self._passes, answer.count)
+            box, field, start = mixed_answer(answer, parts, clicks, before.sized)
+            self.state = LocalState(clicks, answer, before.images, box, field, start, before.sized)
+        box = _both(self.state.box, before.box)
+        now = _placed(self.state.start, self.state.box, box, False)
+        return ModelChange(box, now != _placed(before.start, before.box, box, False), before)
 
     def _with_click(self, answer: Answer, click: Click) -> Answer:
         """The answer to one more click, computed on a box that its march does not come near the border of."""
@@ -176,16 +185,6 @@ def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> di
     passes = None if distance is None else np.asarray(distance < 0)
     known = {id: state.models.get(id) or LocalState.of(state.contexts[id].seeded_model()) for id in ids}
     return {id: LocalModel(one, prepared.images, prepared.geometry.spacing, passes) for id, one in known.items()}
-
-
-def _answered(clicks: Clicks, answer: Answer, images: tuple[Image, ...]) -> LocalState:
-    """F and the start of an answer, with its clicks marked, on the smallest box that has both."""
-    box = _both(answer.box, box_around(clicks.clicks))
-    field = _placed(answer.force, answer.box, box, 1.0)
-    start = _placed(answer.inside, answer.box, box, False)
-    for side, mask in on_box(clicks.clicks, box):
-        field[mask], start[mask] = CLICKED[side], side == "inside"
-    return LocalState(clicks, answer, images, box, field, start)
 
 
 def _placed(values: NDArray, own: Box, box: Box, beyond: float) -> NDArray:

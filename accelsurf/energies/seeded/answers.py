@@ -157,8 +157,10 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
 
 
-def answered(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool) -> tuple[Image, Mask, Image, Image]:
-    """F, the start, and the times from inside and from outside on the whole grid.
+def mixed_answer(
+    answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool
+) -> tuple[Box, Image, Mask]:
+    """A box, and on it F and where it is inside: the learned answer and the contests, with the clicks marked.
 
     Parameters
     ----------
@@ -172,6 +174,8 @@ def answered(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bo
     box = answer.box
     for part in parts:
         box = _both(box, part.box)
+    for click in clicks.clicks:
+        box = _both(box, click.box)
     own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
     by_count = OWN_SIZED if sized else OWN
     own_weight = by_count[min(len(clicks), len(by_count)) - 1]
@@ -179,13 +183,21 @@ def answered(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bo
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
-    force, start = np.ones(clicks.shape, np.float32), np.zeros(clicks.shape, np.bool_)
-    times_in, times_out = np.full(clicks.shape, np.inf, np.float32), np.zeros(clicks.shape, np.float32)
-    force[box], start[box] = mixed, _connected(mixed, box, clicks.clicks)
-    times_in[answer.box], times_out[answer.box] = answer.times_in, answer.times_out
+    inside = _connected(mixed, box, clicks.clicks)
     for click in clicks.clicks:
-        force[click.box][click.mask] = CLICKED[click.side]
-        start[click.box][click.mask] = click.side == "inside"
+        seen = _clicked_in(click, box)
+        mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
+    return box, mixed, inside
+
+
+def on_whole_grid(
+    answer: Answer, box: Box, mixed: Image, inside: Mask, shape: tuple[int, int, int]
+) -> tuple[Image, Mask, Image, Image]:
+    """F, the start, and the times from inside and from outside on the whole grid, from those of `mixed_answer`."""
+    force, start = np.ones(shape, np.float32), np.zeros(shape, np.bool_)
+    times_in, times_out = np.full(shape, np.inf, np.float32), np.zeros(shape, np.float32)
+    force[box], start[box] = mixed, inside
+    times_in[answer.box], times_out[answer.box] = answer.times_in, answer.times_out
     return force, start, times_in, times_out
 
 

@@ -27,6 +27,9 @@ MIN_SPREAD = 3.0
 MIN_RANGE_FRACTION = 1e-3
 #: A gradient counts as 1 at so many times the median gradient around the click.
 EDGE = 6.0
+#: Tissue is even as far as this part of each shell around the click lies within so many spreads of its median; it is
+#: looked at within so many radii of the click, and smallest spacings.
+EVEN_PART, ALIKE, EVEN_REACH, MIN_EVEN_REACH = 0.85, 2.5, 12.0, 15.0
 #: Cost per mm, see `accelsurf.kernels.arrival.cost_at`.
 WEIGHTS = (0.02, 0.1, 50.0, 0.15, 2.0, 16.0)
 
@@ -87,3 +90,34 @@ def learn(images: Sequence[Image], spacing: Spacing, click: Click) -> Tissue:
         found.append((middle, max(spread, MIN_SPREAD * noise * smallest, least), EDGE * max(noise, least / smallest)))
     median, deviation, edge = (np.array(column, np.float64) for column in zip(*found, strict=True))
     return Tissue(median, deviation, edge, np.array(WEIGHTS))
+
+
+def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue: Tissue) -> float:
+    """Radius (mm) of the ball around a click's middle in which most voxels look like the click.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+    spacing : (hz, hy, hx)
+        mm.
+    click : Click
+    tissue : Tissue
+        Of the click.
+    """
+    middle = np.argwhere(click.mask).mean(axis=0) + [s.start for s in click.box]
+    own = float((0.75 / np.pi * np.count_nonzero(click.mask) * np.prod(spacing)) ** (1.0 / 3.0))
+    reach = max(EVEN_REACH * own, MIN_EVEN_REACH * min(spacing))
+    margin = [int(np.ceil(reach / h)) for h in spacing]
+    at = np.round(middle).astype(int)
+    box = tuple(slice(max(a - m, 0), min(a + m + 1, n)) for a, m, n in zip(at, margin, images[0].shape, strict=True))
+    axes = [(np.arange(s.start, s.stop) - a) * h for s, a, h in zip(box, middle, spacing, strict=True)]
+    squares = np.meshgrid(*(axis**2 for axis in axes), indexing="ij", sparse=True)
+    distance = np.sqrt(sum(squares, np.zeros(1)))
+    like = np.ones(distance.shape, np.bool_)
+    for image, median, spread in zip(images, tissue.median, tissue.spread, strict=True):
+        like &= np.abs(image[box] - median) <= ALIKE * spread
+    shell = (distance / min(spacing)).astype(np.int64).ravel()
+    counts, alike = np.bincount(shell), np.bincount(shell, like.ravel())
+    radii = np.arange(counts.size) * min(spacing)
+    ends = np.flatnonzero((counts > 0) & (alike < EVEN_PART * counts) & (radii > own))
+    return float(min(radii[ends[0]], reach) if ends.size else reach)

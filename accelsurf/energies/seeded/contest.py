@@ -22,8 +22,10 @@ from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.kernels.paths import shortest_paths
 from accelsurf.kernels.walker import walk
 
-#: The box reaches so many depths around the inside clicks.
-PATHS_REACH, WALKS_REACH = 2.0, 4.0
+#: The box reaches so many depths around the inside clicks. The depth is twice a click's radius, for people click deep
+#: inside; or, where that is more, this part of the radius of the size that the first click proposed: clicks may be
+#: small.
+PATHS_REACH, WALKS_REACH, RADIUS_PART = 2.0, 4.0, 0.6
 #: Larger boxes are coarsened to so many voxels.
 PATHS_MOST, WALKS_MOST = 1_000_000, 120_000
 #: A change of values by one spread is as long as so many voxels.
@@ -69,7 +71,9 @@ class Balance(NamedTuple):
         return out
 
 
-def contest(images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None) -> tuple[Balance, Balance]:
+def contest(
+    images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None, count: int
+) -> tuple[Balance, Balance]:
     """Both contests, by paths and by walks, from -1 inside to 1 outside.
 
     Parameters
@@ -82,10 +86,12 @@ def contest(images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: 
         Of one object; at least one inside.
     allowed : ndarray (nz, ny, nx) of bool, optional
         Elsewhere all is outside.
+    count : int
+        Voxels of the size that the first click proposed.
     """
     return (
-        _by_paths(around(images, spacing, clicks, allowed, (PATHS_REACH, PATHS_MOST))),
-        _by_walks(around(images, spacing, clicks, allowed, (WALKS_REACH, WALKS_MOST))),
+        _by_paths(around(images, spacing, clicks, allowed, (PATHS_REACH, PATHS_MOST, count))),
+        _by_walks(around(images, spacing, clicks, allowed, (WALKS_REACH, WALKS_MOST, count))),
     )
 
 
@@ -107,16 +113,16 @@ def _by_walks(part: Around) -> Balance:
 
 
 def around(
-    images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None, extent: tuple[float, int]
+    images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None, extent: tuple[float, int, int]
 ) -> Around:
     """Cut the box out, coarsen it, scale the values, and mark what is inside and outside.
 
     Parameters
     ----------
-    extent : (reach, most)
-        Depths around the inside clicks, and voxels above which the box is coarsened.
+    extent : (reach, most, count)
+        Depths around the inside clicks, voxels above which the box is coarsened, voxels of the proposed size.
     """
-    box, margin = box_around(clicks, spacing, extent[0])
+    box, margin = box_around(clicks, spacing, extent[0], extent[2])
     steps = coarsening(box, spacing, extent[1])
     inside = [click for click in clicks.clicks if click.side == "inside"]
     values = np.stack([block_means(_scaled(image, box, inside), steps) for image in images])
@@ -137,19 +143,19 @@ def around(
     return Around(box, steps, values, seeds, relative / relative.min())
 
 
-def radius_of(click: Click, spacing: Spacing, flat: bool) -> float:
-    """Radius (mm) of the ball, of a flat image the disk, that has as many voxels as a click."""
-    count = float(np.count_nonzero(click.mask))
+def radius_of(count: float, spacing: Spacing, flat: bool) -> float:
+    """Radius (mm) of the ball, of a flat image the disk, that has so many voxels."""
     if flat:
         return float(np.sqrt(count * spacing[1] * spacing[2] / np.pi))
     return float((count * np.prod(spacing) * 3.0 / (4.0 * np.pi)) ** (1.0 / 3.0))
 
 
-def box_around(clicks: Clicks, spacing: Spacing, reach: float) -> tuple[Box, float]:
+def box_around(clicks: Clicks, spacing: Spacing, reach: float, count: int) -> tuple[Box, float]:
     """The box that reaches so many depths around the inside clicks, and one around the others; and the margin (mm)."""
     flat = clicks.shape[0] == 1
-    radii = [radius_of(click, spacing, flat) for click in clicks.clicks]
-    margin = reach * 2.0 * max(r for r, click in zip(radii, clicks.clicks, strict=True) if click.side == "inside")
+    radii = [radius_of(float(np.count_nonzero(click.mask)), spacing, flat) for click in clicks.clicks]
+    widest = max(r for r, click in zip(radii, clicks.clicks, strict=True) if click.side == "inside")
+    margin = reach * max(2.0 * widest, RADIUS_PART * radius_of(count, spacing, flat))
     low, high = list(clicks.shape), [0, 0, 0]
     for radius, click in zip(radii, clicks.clicks, strict=True):
         # From the click's voxels, not from its centre: a stroke is long.

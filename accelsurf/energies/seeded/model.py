@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.answers import Answer, answered, first_answer, with_click
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
+from accelsurf.energies.seeded.answers import Answer, first_answer, mixed_answer, on_whole_grid, with_click
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, even_radius, learn
 from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of
 from accelsurf.energies.seeded.contest import contest
-from accelsurf.energies.seeded.proposal import FARTHEST, Prior, Proposal, by_evidence, of_size, prior_of
+from accelsurf.energies.seeded.proposal import Prior, Proposal, by_evidence, of_size, prior_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
@@ -55,6 +55,8 @@ class SeededModel:
         What the next click's answer is made from; None of a partition.
     images : tuple of ndarray (nz, ny, nx), float32
         The channels, smoothed.
+    sized : bool
+        Whether a size was stated.
     """
 
     field: Image
@@ -66,6 +68,7 @@ class SeededModel:
     clicks: Clicks
     answer: Answer | None
     images: tuple[Image, ...]
+    sized: bool = False
 
 
 def seeded_model(
@@ -123,9 +126,12 @@ def seeded_model(
         marched = pool.map(lambda click: later_times(smooth, spacing, field, click, answer), left)
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
-    parts = contest(images, spacing, clicks, allowed) if len(clicks) > 1 else ()
-    force, start, times_in, times_out = answered(answer, parts, clicks, size_mm3 is not None)
-    return SeededModel(force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, answer, tuple(smooth))
+    sized = size_mm3 is not None
+    parts = contest(images, spacing, clicks, allowed, answer.count) if len(clicks) > 1 else ()
+    box, mixed, inside_now = mixed_answer(answer, parts, clicks, sized)
+    force, start, times_in, times_out = on_whole_grid(answer, box, mixed, inside_now, clicks.shape)
+    area = AREA * min(spacing)
+    return SeededModel(force, start, times_in, times_out, proposal, area, clicks, answer, tuple(smooth), sized)
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
@@ -166,7 +172,8 @@ def _first(
     if field.medium.open.size and not field.medium.open[seeds].any():
         raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
     if size_mm3 is None:
-        prior = prior_of(len(seeds), open_count if boxed else None)
+        even = 4.0 / 3.0 * np.pi * even_radius(images, spacing, click, tissue) ** 3 / voxel
+        prior = prior_of(len(seeds), open_count if boxed else None, even)
         times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
         proposal = by_evidence(field.medium.values, times, order, len(seeds), prior, voxel)
     else:
@@ -180,7 +187,7 @@ def _first(
 def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
     """How many voxels a march without a size may accept."""
     most = open_count if boxed else int(MAX_PART * open_count)
-    return most if np.isinf(prior.spread) else int(min(prior.voxels * np.exp(FARTHEST * prior.spread), most))
+    return most if boxed else int(min(prior.farthest(), most))
 
 
 def later_times(

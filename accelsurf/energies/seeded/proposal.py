@@ -17,6 +17,8 @@ NEAR = 1.25
 TIMES_BALL, BALL_SPREAD = 5.5, 1.2
 #: A click of fewer voxels than these is a point, and says nothing of the size.
 MIN_BALL = 5
+#: The logarithm of how much less the even tissue around a click counts than the click's own width.
+EVEN_WEIGHT = -1.0
 #: Part of a box that is object; spread of the logarithm.
 BOX_FILLED, BOX_SPREAD = 0.4, 0.5
 #: The march ends at so many spreads above the expected volume.
@@ -60,26 +62,52 @@ def of_size(times: NDArray[np.float32], order: Order, voxel_volume: float, size_
 
 
 class Prior(NamedTuple):
-    """What is expected of the number of voxels before the image is looked at: its logarithm is normally distributed.
+    """What is expected of the number of voxels before it is looked for: its logarithm is normally distributed.
 
-    ``voxels`` is the number, ``spread`` inf where nothing is expected.
+    ``voxels`` is the number by the click's width or a box, ``spread`` inf where they say nothing; ``even`` the number
+    by the even tissue around the click, 0 where that does not count. Either may be right.
     """
 
     voxels: float
     spread: float
+    even: float = 0.0
+
+    def of(self, counts: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Its logarithm for numbers of voxels, but for a constant."""
+        by_width = -0.5 * (np.log(counts / self.voxels) / self.spread) ** 2
+        if not self.even:
+            return np.asarray(by_width)
+        by_tissue = EVEN_WEIGHT - 0.5 * (np.log(counts / self.even) / BALL_SPREAD) ** 2
+        return np.asarray(np.logaddexp(by_width, by_tissue) if np.isfinite(self.spread) else by_tissue)
+
+    def farthest(self) -> float:
+        """The number that is hardly exceeded; inf where nothing is expected."""
+        found = self.voxels * np.exp(FARTHEST * self.spread) if np.isfinite(self.spread) else 0.0
+        if self.even:
+            found = max(found, self.even * np.exp(FARTHEST * BALL_SPREAD))
+        return float(found) if found else np.inf
 
 
-def prior_of(click: int, box: int | None) -> Prior:
-    """What a click's voxels, and a box, say of the object's.
+def prior_of(click: int, box: int | None, even: float) -> Prior:
+    """What a click's voxels, the even tissue around it and a box say of the object's.
 
-    A person who clicks a ball makes it about half as wide as the object is thick there, and objects are larger than the
-    largest ball in them. A box is filled to about two fifths.
+    A person who clicks a ball deep inside makes it about half as wide as the object is thick there, or much smaller;
+    then the tissue around it tells how thick. Objects are larger than the largest ball in them. A box is filled to
+    about two fifths.
+
+    Parameters
+    ----------
+    click : int
+        Voxels of the click.
+    box : int or None
+        Voxels of the box.
+    even : float
+        Voxels of the ball of even tissue, see `accelsurf.energies.seeded.appearance.even_radius`.
     """
     if box is not None:
         return Prior(BOX_FILLED * box, BOX_SPREAD)
-    if click < MIN_BALL:
-        return Prior(float(click), np.inf)
-    return Prior(TIMES_BALL * 8.0 * click, BALL_SPREAD)
+    tissue = TIMES_BALL * max(even, float(click))
+    return Prior(TIMES_BALL * 8.0 * click, BALL_SPREAD if click >= MIN_BALL else np.inf, tissue)
 
 
 def by_evidence(
@@ -105,7 +133,7 @@ def by_evidence(
     counts = candidate_counts(first, len(order))
     if counts.size < 3:
         return Proposal(float(times[order[-1]]), len(order) * voxel_volume, 0.0)
-    score = scores(images, times, order, counts) - 0.5 * ((np.log(counts / prior.voxels)) / prior.spread) ** 2
+    score = scores(images, times, order, counts) + prior.of(counts)
     peaks = [i for i in range(len(score)) if score[i] == score[max(i - 3, 0) : i + 4].max()]
     peaks.sort(key=lambda i: (-score[i], i))
     best = counts[peaks[0]]

@@ -26,7 +26,7 @@ def on_whole(part):
 
 def test_both_find_an_even_object(one_ball):
     image, inside = one_ball
-    for part in contest([image], SPACING, clicks_of(), None):
+    for part in contest([image], SPACING, clicks_of(), None, 1):
         whole = on_whole(part)
         assert dice(whole < 0, inside) > 0.9
         assert whole.min() >= -1.0 and whole.max() <= 1.0 and np.isfinite(whole).all()
@@ -36,7 +36,7 @@ def test_a_coarsened_box_finds_it_too(one_ball, monkeypatch):
     image, inside = one_ball
     monkeypatch.setattr(module, "PATHS_MOST", 8000)
     monkeypatch.setattr(module, "WALKS_MOST", 8000)
-    for part in contest([image], SPACING, clicks_of(), None):
+    for part in contest([image], SPACING, clicks_of(), None, 1):
         assert dice(on_whole(part) < 0, inside) > 0.85
 
 
@@ -44,7 +44,7 @@ def test_an_outside_click_takes_its_surroundings(one_ball):
     image, inside = one_ball
     other = ball("outside", (13, 20, 31), 1.2)
     for before, after in zip(
-        contest([image], SPACING, clicks_of(), None), contest([image], SPACING, clicks_of(other), None), strict=True
+        contest([image], SPACING, clicks_of(), None, 1), contest([image], SPACING, clicks_of(other), None, 1), strict=True
     ):
         near = distance((13, 20, 31)) < 2
         assert on_whole(after)[near].mean() > on_whole(before)[near].mean() + 0.5
@@ -54,21 +54,24 @@ def test_what_is_not_allowed_is_outside(one_ball):
     image, _ = one_ball
     allowed = np.zeros(SHAPE, bool)
     allowed[:, :, :26] = True
-    for part in contest([image], SPACING, clicks_of(), allowed):
+    for part in contest([image], SPACING, clicks_of(), allowed, 1):
         assert not (on_whole(part)[:, :, 26:] < 0)[~clicks_of().mask("inside")[:, :, 26:]].any()
 
 
 def test_the_radius_is_that_of_the_ball():
-    assert radius_of(ball("inside", (13, 20, 24), 4.5), SPACING, False) == pytest.approx(4.5, rel=0.1)
+    count = np.count_nonzero(ball("inside", (13, 20, 24), 4.5).mask)
+    assert radius_of(count, SPACING, False) == pytest.approx(4.5, rel=0.1)
 
 
 def test_the_box_reaches_some_depths_and_near_faces_stay_open():
     shape = (60, 60, 60)
     spacing = (1.0, 1.0, 1.0)
     click = ball("inside", (30, 30, 5), 3.0, shape, spacing)
-    box, margin = box_around(Clicks((click,), shape), spacing, 2.0)
+    box, margin = box_around(Clicks((click,), shape), spacing, 2.0, 1)
     assert margin == pytest.approx(12.0, rel=0.1)
     assert box[2].start == 0 and box[0].start == pytest.approx(18, abs=1) and box[2].stop == pytest.approx(18, abs=1)
+    # A size of 12 voxels of radius: the box is that of the object, not of the click.
+    assert box_around(Clicks((click,), shape), spacing, 2.0, 7238)[1] == pytest.approx(14.4, rel=0.01)
     faces = outer_faces([click], spacing, box, margin)
     assert (2, 0) not in faces and (2, 1) in faces and (0, 0) in faces
 
@@ -77,7 +80,7 @@ def test_seeds_of_both_sides_in_a_block_are_none(one_ball):
     image, _ = one_ball
     touching = ball("outside", (13, 20, 30), 0.9)
     clicks = clicks_of(touching)
-    coarse = around([image], SPACING, clicks, None, (2.0, 200))
+    coarse = around([image], SPACING, clicks, None, (2.0, 200, 1))
     assert coarse.seeds.size <= 200 and set(np.unique(coarse.seeds)) <= {-1.0, 0.0, 1.0}
 
 
