@@ -25,7 +25,7 @@ from accelsurf.kernels.walker import walk
 #: The box reaches so many depths around the inside clicks. The depth is twice a click's radius, for people click deep
 #: inside; or, where that is more, this part of the radius of the size that the first click proposed: clicks may be
 #: small.
-PATHS_REACH, WALKS_REACH, RADIUS_PART = 2.0, 4.0, 0.6
+PATHS_REACH, WALKS_REACH, RADIUS_PART = 2.0, 4.0, 1.0
 #: Larger boxes are coarsened to so many voxels.
 PATHS_MOST, WALKS_MOST = 1_000_000, 120_000
 #: A change of values by one spread is as long as so many voxels.
