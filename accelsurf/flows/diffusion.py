@@ -110,8 +110,8 @@ class FrontRows(NamedTuple):
     """The front and the cells beside it one after the other: all stages read and write these rows alone.
 
     ``on`` (m,) and ``off`` (k,) are the slots of the rows; ``order`` (m + k,) the rows' numbers; ``neighbours`` (m, 6)
-    the rows of the 6-neighbours; ``slots`` (k, 10) the rows that the cells beside the front read, by ``shares``
-    (k, 10); ``walls`` the rows at a wall. Unsigned: a negative index would be looked for in each of them.
+    the rows of the 6-neighbours; ``slots`` (k, 10) what the rows beside the front read, by ``shares`` (k, 10);
+    ``walls`` the rows at a wall. Unsigned: a negative index would be looked for in each of them.
     """
 
     on: np.ndarray

@@ -62,18 +62,18 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
 def guess_feet(first, count, dense, grid, band, guide, scratch, out):
     """First guesses of ``count`` feet from slot ``first`` on.
 
-    ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,), `guess_memory`);
-    ``out`` = (guesses (3, m), rows z, y, x, 0 where there is none; beside (m,) bool; offset (m,) float32). ``beside``
-    marks the cells with a neighbour on the other side of the surface, ``offset`` is the residue of the part of it that
-    the guess is on. Where |psi| was above ``inner`` mm before the surface moved, centred differences would need cells
-    beyond the band; where there is a residue, they may lie across a ridge: the guess is the old foot, scaled by the
-    change of psi.
+    ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,), `guess_memory`).
+    ``out`` = (guesses (3, `BATCH`), rows z, y, x, 0 where there is none; beside (`BATCH`,) bool; offset (`BATCH`,)
+    float32), of which the first ``count`` columns count. ``beside`` marks the cells with a neighbour on the other side
+    of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above ``inner`` mm
+    before the surface moved, centred differences would need cells beyond the band; where there is a residue, they may
+    lie across a ridge: the guess is the old foot, scaled by the change of psi.
     """
     near, guess, memory = scratch
     rows, alone, _ = memory
     guesses, _, _ = out
     gather_around(first, count, dense.psi, grid, band, guide[1], rows)
-    guess_alike(count, grid, guide[0], memory, out)
+    guess_alike(grid, guide[0], memory, out)
     beyond_ridges(first, dense.slot, grid, band, guide[1], count, memory, out)
     for i in range(count):
         if alone[i]:
@@ -114,9 +114,10 @@ def gather_around(first, count, psi, grid, band, residue, rows):
 
 
 @kernel
-def guess_alike(count, grid, inner, memory, out):
+def guess_alike(grid, inner, memory, out):
     """The guesses of `guess_feet` without ridges, the same arithmetic for all cells, so that it runs in vectors.
 
+    Of all columns, whether they are used or not: what is left over from vectors may be rounded otherwise.
     ``memory`` = `guess_memory`; sets in it which cells are left to `first_guess`, at the border of the volume and where
     the gradient is small, and the `sides_beyond` which a ridge may lie.
     """
@@ -131,7 +132,7 @@ def guess_alike(count, grid, inner, memory, out):
     mz, my, mx = np.float32(grid.nz - 1), np.float32(grid.ny - 1), np.float32(grid.nx - 1)
     two, three, four = NEXT + NEXT, np.uint64(3) * NEXT, np.uint64(4) * NEXT
     five, six = np.uint64(5) * NEXT, np.uint64(6) * NEXT
-    for i in range(np.uint64(count)):
+    for i in range(np.uint64(BATCH)):
         value, old, residue = rows[PSI + i], rows[OLD + i], rows[RESIDUE + i]
         a, b = rows[PSI + NEXT + i], rows[PSI + two + i]
         c, d = rows[PSI + three + i], rows[PSI + four + i]
@@ -140,21 +141,23 @@ def guess_alike(count, grid, inner, memory, out):
         high = max(max(max(a, b), max(c, d)), max(e, f))
         beside[i] = (min(low, value) < zero) & (max(high, value) >= zero)
         offset[i] = residue
-        drawn = abs(old) > (inner if residue == zero else shortest)
-        ratio = value / (old if drawn else one)
+        is_scaled = abs(old) > (inner if residue == zero else shortest)
+        ratio = value / (old if is_scaled else one)
         z, y, x = ratio * rows[OLD_FOOT + i], ratio * rows[OLD_FOOT + NEXT + i], ratio * rows[OLD_FOOT + two + i]
+        is_scaled = is_scaled & (abs(z) + abs(y) + abs(x) > zero)
         dz, dy, dx = pz * (b - a), py * (d - c), px * (f - e)
         slope = dz * dz + dy * dy + dx * dx
         scale = -value / max(slope, half)
-        gz[i], gy[i], gx[i] = z if drawn else scale * dz, y if drawn else scale * dy, x if drawn else scale * dx
+        gz[i], gy[i] = z if is_scaled else scale * dz, y if is_scaled else scale * dy
+        gx[i] = x if is_scaled else scale * dx
         iz, iy, ix = rows[PLACE + i], rows[PLACE + NEXT + i], rows[PLACE + two + i]
         # Beyond the border psi is only continued, at the band's edge from where it is no distance.
         near = (-iz * hz <= z) & (z <= (mz - iz) * hz) & (-iy * hy <= y) & (y <= (my - iy) * hy)
-        near = near & (-ix * hx <= x) & (x <= (mx - ix) * hx) & (value != zero)
+        near = near & (-ix * hx <= x) & (x <= (mx - ix) * hx)
         well = (iz > zero) & (iz < mz) & (iy > zero) & (iy < my) & (ix > zero) & (ix < mx) & (slope >= half)
-        alone[i] = not (near if drawn else well)
+        alone[i] = not (near if is_scaled else well)
         wall = np.int32(iz <= zero) | (np.int32(iz >= mz) << np.int32(1)) | (np.int32(iy <= zero) << np.int32(2))
         wall |= (np.int32(iy >= my) << np.int32(3)) | (np.int32(ix <= zero) << np.int32(4))
         wall |= np.int32(ix >= mx) << np.int32(5)
         around = sides_beyond(value, least, (a, b, c, d, e, f)) & ~wall
-        sides[i] = around if drawn & (residue != zero) else np.int32(0)
+        sides[i] = around if is_scaled & (residue != zero) else np.int32(0)

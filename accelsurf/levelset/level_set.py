@@ -269,17 +269,16 @@ class LevelSet:
         """
         self._find_residues()
         depth = 2.0 * max(self.grid.hz, self.grid.hy, self.grid.hx)
-        peak, where = np.empty(self.size, np.bool_), (self.dense, self.grid, self.band)
-        flipped = np.zeros(self.size, np.bool_)
+        where, (peak, flipped) = (self.dense, self.grid, self.band), np.zeros((2, self.size), np.bool_)
         self.workers.parallel(components.find_peaks, self.size, *where, depth, peak)
         inside, outside, _ = self.workers.serial(
             components.small_components, *where, np.flatnonzero(peak), MAX_UNRESOLVED, held, flipped
         )
         if inside + outside:
-            marked, here = np.zeros(self.size, np.bool_), (self.dense.slot, self.grid)
+            here, marked = (self.dense.slot, self.grid), np.zeros(self.size, np.bool_)
             self.workers.serial(residues.mark_below, 0, self.size, *here, self.band.cells, flipped, marked)
-            dropped = (flipped, marked), self._residues
-            self.workers.parallel(residues.drop_residues, self.size, *here, self.band, *dropped)
+            drop, marks = residues.drop_residues, (flipped, marked)
+            self.workers.parallel(drop, self.size, *here, self.band, marks, self._residues)
         return int(inside + outside)
 
     def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import residues
+from accelsurf.kernels.grid import BATCH
 from accelsurf.kernels.guesses import guess_feet, guess_memory
 from accelsurf.kernels.interpolate import value_and_gradient
 from accelsurf.kernels.limited import MAX_CHANGE, limited_value_and_gradient
@@ -115,7 +116,7 @@ def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
     dense, band = reference.whole_band((np.abs(along) - 1).reshape(shape), foot)
     band.psi[:] = np.abs(along) - 1
     cell = np.ravel_multi_index((4, 4, 4), shape)
-    guesses, beside, offset = np.empty((3, 1), np.float32), np.empty(1, np.bool_), np.empty(1, np.float32)
+    guesses, beside, offset = np.empty((3, BATCH), np.float32), np.empty(BATCH, np.bool_), np.empty(BATCH, np.float32)
     residue = np.linspace(0.001, 0.002, along.size, dtype=np.float32)
     for shift, moves in ((0.0, False), (0.05, False), (-0.2, True), (-0.4, True)):
         dense.psi[:] = np.abs(along - shift) - 1
