@@ -104,6 +104,10 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
     def several(volume=two, given=starts, **settings: Any) -> Callable[[], Any]:
         return lambda: accelsurf.segment_objects(volume, given, **{"max_steps": 30, "threads": 1, **settings})
 
+    def clicked(**settings: Any) -> Callable[[], Any]:
+        given = {"inside": "ball:15,15,15,4vox", "outside": "ball:4,4,4,2vox", "max_steps": 40, "threads": 1}
+        return lambda: accelsurf.segment(one, **{**given, **settings})
+
     out: dict[str, Callable[[], Any]] = {}
     for flow in ("constant-density", "flowable-mass", "gradient", "sobolev", "momentum"):
         out[f"flow {flow}"] = single(flow=flow)
@@ -121,6 +125,11 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
     )
     out["energy local-region, thick slices"] = single(slab, energy="local-region:R=6", start="ball:19,17,6,4vox")
     out["energy geodesic, one slice"] = single(flat, energy="geodesic:balloon=-1", start="ball:24,23,0,6vox")
+    out["energy seeded, clicks"] = clicked()
+    out["energy seeded, size"] = clicked(size="9ml")
+    out["energy chan-vese, clicks"] = clicked(energy="chan-vese", outside="point:3,15,15vox")
+    out["energy partition, two objects"] = several(energy="partition", max_steps=12)
+    out["extension fast-marching"] = single(extension="fast-marching")
     out["energy of one's own"] = single(energy=own_energy)
     out["energy local-region, two objects"] = several(energy="local-region:R=6", max_steps=15)
     out["energy threshold learned, two objects"] = several(energy="threshold:learned,learned", max_steps=15)

@@ -81,12 +81,15 @@ class ModelInputs(NamedTuple):
     threads : int
     partition : bool
         Whether objects part the space between them at edges, and nothing else counts.
+    box : tuple of slice or None
+        The box around the object that a person has given.
     """
 
     size_mm3: float | None = None
     mask: Mask | None = None
     threads: int = 1
     partition: bool = False
+    box: Box | None = None
 
 
 class ImageContext:
@@ -209,17 +212,14 @@ class ImageContext:
         if not self._model:
             has_previous = self._before is not None and self._before.clicks is not None and self._before.clicks.ids()
             previous = self._before.seeded_model() if self._before is not None and has_previous else None
-            size, mask, threads, partition = self._model_inputs
+            size, mask, threads, partition, box = self._model_inputs
             if partition:
                 from accelsurf.energies.seeded.partition import partition_model
 
                 self._model.append(partition_model(self.images, self.spacing, self.clicks, mask=mask))
                 return self._model[0]
-            self._model.append(
-                seeded_model(
-                    self.images, self.spacing, self.clicks, size_mm3=size, mask=mask, threads=threads, previous=previous
-                )
-            )
+            given: dict[str, Any] = {"size_mm3": size, "box": box, "mask": mask, "threads": threads, "previous": previous}
+            self._model.append(seeded_model(self.images, self.spacing, self.clicks, **given))
         return self._model[0]
 
     def model_start(self) -> Image:

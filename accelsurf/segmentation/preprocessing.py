@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import Box
+from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
@@ -198,7 +198,8 @@ def _context(
     size = None if config.size is None else volume_mm3(config.size)
     limits = None if distance is None else np.asarray(distance < 0)
     partition = any(term.name == "partition" for term in terms)
-    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition))
+    around = None if config.box is None or limits is None else bounding_box(limits, 0)
+    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition, around))
     # Likelihood learns from --foreground once; with update=yes it refuses it.
     return context, learns or any(term.name == "likelihood" for term in terms)
 

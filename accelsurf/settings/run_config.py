@@ -59,7 +59,9 @@ class RunConfig(SettingFields):
     def __init__(self, **values: Any) -> None:
         # The validation refuses an unknown preset.
         preset = values.get("preset")
-        under = PRESETS[preset].settings if isinstance(preset, str) and preset in PRESETS else {}
+        under = dict(PRESETS[preset].settings) if isinstance(preset, str) and preset in PRESETS else {}
+        if values.get("objects") is not None:
+            under.pop("start", None)  # objects are starts
         values = _with_clicks({**under, **values})
         try:
             super().__init__(**values)

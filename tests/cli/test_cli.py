@@ -93,8 +93,10 @@ def test_report_tells_the_whole_run(done, scans):
     assert RunConfig(**document["config"]).start == ("ball:3,-2,1,5",)
     assert document["stop"]["reason"] == "converged" and document["stop"]["message"]
     assert document["energy"]["last"] < document["energy"]["first"]
-    assert all(seconds >= 0 for seconds in document["seconds"].values())
-    parts = sum(value for part, value in document["seconds"].items() if part != "total")
+    seconds = dict(document["seconds"])
+    assert seconds.pop("refine") is None  # nothing was corrected
+    assert all(value >= 0 for value in seconds.values())
+    parts = sum(value for part, value in seconds.items() if part != "total")
     assert 0.5 * document["seconds"]["total"] < parts <= document["seconds"]["total"]
     assert document["volume_mm3"] == pytest.approx(4 / 3 * np.pi * 9**3, rel=0.1)
     assert document["components"] == 1 and document["touches_border"] is False
@@ -191,6 +193,8 @@ def test_every_setting_is_an_option(capsys):
         **dict(t0=0.1, gravity=2, noise=0.5, noise_length=6, noise_time=2, sobolev_length=7),
         **dict(blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4),
         **dict(foreground=("center", "ball:-1,2,-3,4"), background=("otsu:dark", "label:b.nii@2"), channel=("a", "b")),
+        **dict(outside=("point:1,2,3", "stroke:s.csv"), box="0,0,0,9,9,9", size="250ml", keep_state="yes"),
+        **dict(stop_at_rest=True, extension="fast-marching", refine=["inside=point:1,2,3 near=4"]),
         edit=["step=4 flow=sobolev", "step=9 add=ball:1,2,3,4vox"],
     )
     words = []
@@ -199,7 +203,7 @@ def test_every_setting_is_an_option(capsys):
         if value is None:
             continue
         if entry(key).repeated:
-            value = [str(edit) for edit in values.edit] if key == "edit" else value
+            value = [str(one) for one in getattr(values, key)] if key in ("edit", "refine") else value
             words += [word for text in value for word in (option, text)]
         else:
             words += [option] if value is True else [option, ",".join(value) if key == "mesh" else value]

@@ -43,8 +43,9 @@ def test_a_coarsened_box_finds_it_too(one_ball, monkeypatch):
 def test_an_outside_click_takes_its_surroundings(one_ball):
     image, inside = one_ball
     other = ball("outside", (13, 20, 31), 1.2)
+    two = clicks_of(other)
     for before, after in zip(
-        contest([image], SPACING, clicks_of(), None, 1), contest([image], SPACING, clicks_of(other), None, 1), strict=True
+        contest([image], SPACING, clicks_of(), None, 1), contest([image], SPACING, two, None, 1), strict=True
     ):
         near = distance((13, 20, 31)) < 2
         assert on_whole(after)[near].mean() > on_whole(before)[near].mean() + 0.5
