@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, shared
-from accelsurf.grid.clicks import Click
+from accelsurf.grid.clicks import Click, Side
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_start import AROUND
@@ -87,6 +87,18 @@ def wrong_part(click: Click, one: CorrectedSurface) -> Click | None:
         return None
     z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, click.box, strict=True))
     return click._replace(box=(z, y, x), mask=wrong[tight])
+
+
+def on_box(clicks: Sequence[Click], box: Box) -> list[tuple[Side, NDArray[np.bool_]]]:
+    """The voxels of clicks on a box, with their sides."""
+    out: list[tuple[Side, NDArray[np.bool_]]] = []
+    for click in clicks:
+        mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
+        mine, theirs = shared(corner_of(box), mask.shape, corner_of(click.box), click.mask.shape)
+        if all(s.start < s.stop for s in mine):
+            mask[mine] = click.mask[theirs]
+        out.append((click.side, mask))
+    return out
 
 
 def box_around(clicks: Sequence[Click]) -> Box:
