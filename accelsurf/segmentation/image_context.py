@@ -218,8 +218,8 @@ class ImageContext:
 
                 self._model.append(partition_model(self.images, self.spacing, self.clicks, mask=mask))
                 return self._model[0]
-            given: dict[str, Any] = {"size_mm3": size, "box": box, "mask": mask, "threads": threads, "previous": previous}
-            self._model.append(seeded_model(self.images, self.spacing, self.clicks, **given))
+            given: dict[str, Any] = {"size_mm3": size, "box": box, "mask": mask, "threads": threads}
+            self._model.append(seeded_model(self.images, self.spacing, self.clicks, previous=previous, **given))
         return self._model[0]
 
     def model_start(self) -> Image:
