@@ -64,13 +64,17 @@ def find_front_feet(start, stop, dense, grid, band, guide, on, foot):
     offset = memory[OFFSET : OFFSET + BATCH]
     memory[LIMITED : LIMITED + BATCH] = limited
     beside, at = np.empty(BATCH, np.bool_), np.empty(BATCH, np.int64)
+    # The cells are not one after the other, as `guess_feet` wants them: it is called for each, with whole rows.
+    first_feet, first_offset = np.empty_like(feet), np.empty_like(offset)
+    first_beside = np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
         for i in range(count):
             s = on[first + i]
             at[i] = band.cells[s]
-            out = feet[:, i : i + 1], beside[i : i + 1], offset[i : i + 1]
-            guess_feet(s, 1, dense, grid, band, (inner, residue), scratch, out)
+            guess_feet(s, 1, dense, grid, band, (inner, residue), scratch, (first_feet, first_beside, first_offset))
+            feet[0, i], feet[1, i], feet[2, i] = first_feet[0, 0], first_feet[1, 0], first_feet[2, 0]
+            beside[i], offset[i] = first_beside[0], first_offset[0]
         closest_points(count, psi, grid, at, memory, w)
         for i in range(count):
             s, cell = on[first + i], at[i]
