@@ -12,7 +12,6 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import neighbours, unravel
-from accelsurf.kernels.stages import Stage
 
 #: First capacity of the queue and of the list of accepted voxels; both double when full.
 FIRST_CAPACITY = 4096
@@ -50,7 +49,7 @@ class Queue(NamedTuple):
     free: np.ndarray
 
 
-@kernel(stage=Stage.ENERGY)
+@kernel
 def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
     """Accept voxels in the order of their arrival times, from the seeds outwards.
 

@@ -6,13 +6,12 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.arrival import Queue, enter, first_waiting, fresh
-from accelsurf.kernels.stages import Stage
 
 #: First number of entries of the queue; it doubles when full.
 FIRST_ENTRIES = 4096
 
 
-@kernel(stage=Stage.ENERGY)
+@kernel
 def shortest_paths(seeds, values, lengths, weight):
     """Length of the shortest path from the seeds to each voxel, over 6 neighbours (Dijkstra).
 

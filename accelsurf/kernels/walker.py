@@ -8,13 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.stages import Stage
 
 #: Least weight of a link between two voxels: none is cut off.
 MIN_WEIGHT = 1e-6
 
 
-@kernel(stage=Stage.ENERGY)
+@kernel
 def walk(out, fixed, values, spacing, sharpness, tolerance, most):
     """Solve sum over the neighbours of w (out - out_neighbour) = 0 where nothing is fixed.
 

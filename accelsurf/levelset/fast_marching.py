@@ -35,8 +35,9 @@ def march_outwards(surface: LevelSet) -> ClosestPoints:
     state[front] = ACCEPTED
     known: tuple[np.ndarray, ...] = cells, to_closest, distance, state
     heap: tuple[np.ndarray, ...] = np.empty(room), np.empty(room, np.int64)
-    counts, march_on = np.array([n, 0, 0]), fast_marching.march_outwards
-    while not surface.workers.serial(march_on, dense, grid, known, heap, counts, front, surface.half_width):
+    counts, width = np.array([n, 0, 0]), surface.half_width
+    serial = surface.workers.serial
+    while not serial(fast_marching.march_outwards, dense, grid, known, heap, counts, front, width):
         known, heap = _with_room(known, heap)
     cells, to_closest, _, state = known
     reached = np.where(state == FAR, np.int8(march.OPEN), np.int8(march.FROZEN))

@@ -277,8 +277,8 @@ class LevelSet:
         if inside + outside:
             here, marked = (self.dense.slot, self.grid), np.zeros(self.size, np.bool_)
             self.workers.serial(residues.mark_below, 0, self.size, *here, self.band.cells, flipped, marked)
-            drop, marks = residues.drop_residues, (flipped, marked)
-            self.workers.parallel(drop, self.size, *here, self.band, marks, self._residues)
+            marks = (flipped, marked), self._residues
+            self.workers.parallel(residues.drop_residues, self.size, *here, self.band, *marks)
         return int(inside + outside)
 
     def extend_outwards(self, values: np.ndarray, front: np.ndarray) -> None:

@@ -103,7 +103,7 @@ def ticks(first: float, last: float, count: int) -> list[tuple[float, str]]:
     Examples
     --------
     >>> [text for _, text in ticks(0.0, 1.0, 4)]
-    ['0', '0.5', '1']
+    ['0.0', '0.5', '1.0']
     """
     low, high = min(first, last), max(first, last)
     if not high - low > 1e-12 * max(abs(low), abs(high)):

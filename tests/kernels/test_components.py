@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels import components
 from tests.support import reference
 
@@ -95,7 +96,7 @@ def test_beyond_the_band_psi_is_flat():
     dense.slot[np.random.default_rng(32).permutation(psi.size)[:150]] = -1
     dense.slot[:2] = -1
     gamma, start, stop = np.float32(2.5), 1, psi.size - 9
-    components.flatten_beyond(start, stop, dense, gamma)
+    band_kernels.flatten_beyond(start, stop, dense, gamma)
     want = psi.ravel().copy()
     beyond = np.flatnonzero(dense.slot < 0)
     beyond = beyond[(beyond >= start) & (beyond < stop)]

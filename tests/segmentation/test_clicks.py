@@ -223,7 +223,8 @@ def test_several_objects_by_clicks(energy, tmp_path):
     assert labels[16, 13, 31] != 7 and labels[2, 2, 21] == 0
     # What is no object competes, and is left out.
     assert [one.id for one in result.objects] == [1, 7] and set(np.unique(labels)) == {0, 1, 7}
-    assert 1500 < (labels == 1).sum() < 2600 and 1500 < (labels == 7).sum() < 2600
+    # The click outside of 7 lies within its ball, and cuts off what is nearer to it.
+    assert 1500 < (labels == 1).sum() < 2600 and 1000 < (labels == 7).sum() < 2600
 
 
 def test_no_object_is_left_out_of_the_steps_and_competes(tmp_path):

@@ -22,6 +22,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation import run_checkpoint
 from accelsurf.segmentation.api import result_of, segment, segment_objects
+from accelsurf.segmentation.object_grid import roomy_box
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import load_checkpoint, save_checkpoint
 from accelsurf.settings.run_config import RunConfig
@@ -106,7 +107,8 @@ def test_a_box_has_room_for_the_windows_of_the_energy_on_each_level(pair):
             while run.level > 0:
                 run.step()
             # 2 sqrt(6/5) R = 13.1 mm, in voxels of 1 mm on the finest level, and three more.
-            box = run.objects[0]._boxed(np.array([9, 13, 13]), np.array([11, 15, 15]))
+            one = run.objects[0]
+            box = roomy_box(np.array([9, 13, 13]), np.array([11, 15, 15]), one._setup.reach, one.grid)
             assert box[2].stop == 15 + 17
 
 

@@ -103,7 +103,7 @@ def test_starts_in_the_background_take_the_background_and_that_is_told(touching,
     taken = result.labels > 0
     assert np.count_nonzero(taken & (touching.truth.array > 0)) < 0.02 * np.count_nonzero(taken)
     for one in result.objects:
-        assert any(warning.startswith("border") for warning in one.quality.warnings)
+        assert any(warning.startswith("border") for warning in one.quality.notes)
 
 
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])

@@ -122,16 +122,15 @@ def seeded_model(
         field = field_of(smooth, spacing, allowed)
         answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
         left = [click for click in clicks.clicks if click is not inside[0]]
+    before = answer
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        marched = pool.map(lambda click: later_times(smooth, spacing, field, click, answer), left)
+        marched = pool.map(lambda click: later_times(smooth, spacing, field, click, before), left)
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
     sized = size_mm3 is not None
     parts = contest(images, spacing, clicks, allowed, answer.count) if len(clicks) > 1 else ()
-    box, mixed, inside_now = mixed_answer(answer, parts, clicks, sized)
-    force, start, times_in, times_out = on_whole_grid(answer, box, mixed, inside_now, clicks.shape)
-    area = AREA * min(spacing)
-    return SeededModel(force, start, times_in, times_out, proposal, area, clicks, answer, tuple(smooth), sized)
+    arrays = on_whole_grid(answer, *mixed_answer(answer, parts, clicks, sized), clicks.shape)
+    return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized)
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
