@@ -171,8 +171,9 @@ def picture(folder: Path, figures: Mapping[str, Any]) -> list[Path]:
         return []
     figure, axes = plt.subplots(1, len(halves), figsize=(5.6 * len(halves), 4.4), squeeze=False, sharey=True)
     for axis, half in zip(axes[0], halves, strict=True):
-        for i, (name, one) in enumerate(figures[half]["plain"].items()):
-            own = name in OWN
+        for name, one in figures[half]["plain"].items():
+            # A method has one colour in all panels.
+            i, own = list(METHODS).index(name), name in OWN
             axis.plot(list(one["dice"]), list(one["dice"].values()), marker="os^Dv<>"[i % 7], label=name,
                       color=COLOURS[i % 6], linewidth=2.5 if own else 1.2, linestyle="-" if i < 6 else "--")
         axis.set_xscale("log")
@@ -182,7 +183,7 @@ def picture(folder: Path, figures: Mapping[str, Any]) -> list[Path]:
         axis.set_title(f"{TITLES[half].lower()}, {len(chosen(half))} objects", fontsize=10)
         axis.grid(True, alpha=0.3)
     axes[0][0].set_ylabel("Dice, median")
-    axes[0][0].legend(fontsize=8)
+    axes[0][-1].legend(fontsize=8)
     figure.tight_layout()
     path = folder / "clicks.png"
     figure.savefig(path, dpi=110)
