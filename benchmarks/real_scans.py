@@ -200,14 +200,14 @@ def text_of(cases: dict[str, dict[str, Any]]) -> str:
     """The tables, the commands and the pictures, as Markdown."""
     clicked = {name: row for name, row in cases.items() if CASES[name].clicks}
     started = {name: row for name, row in cases.items() if name not in clicked}
-    lines = ["### By clicks alone", "", *head_of(CLICKED), *(row_of(_clicked(*one)) for one in clicked.items()), ""]
-    lines += ["### From a start, a preset, or clicks by eye", "", *head_of(STARTED)]
-    lines += [*(row_of(_started(*one)) for one in started.items()), "", "### Commands", ""]
+    lines = ["## By clicks alone", "", *head_of(CLICKED), *(row_of(_clicked(*one)) for one in clicked.items()), ""]
+    lines += ["## From a start, a preset, or clicks by eye", "", *head_of(STARTED)]
+    lines += [*(row_of(_started(*one)) for one in started.items()), "", "## Commands", ""]
     for row in cases.values():
         lines += [f"    {one['command']}" for one in row.get("clicks", [row])]
     shown = [name for name, row in cases.items() if "error" not in row]
     pictures = [f"![{name}](../images/real-{slug(name)}.png)" for name in shown]
-    return "\n".join([*lines, "", "### Pictures", "", *pictures, ""])
+    return "\n".join([*lines, "", "## Pictures", "", *pictures, ""])
 
 
 def _clicked(name: str, row: dict[str, Any]) -> list[str]:

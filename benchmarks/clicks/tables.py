@@ -96,17 +96,17 @@ def text_of(
     settings: Mapping[str, dict[str, Any] | None],
 ) -> str:
     """All tables in Markdown."""
-    lines = ["### Goals, on the half to report", "", *head_of(("goal", "wanted", "measured", "reached"))]
+    lines = ["## Goals, on the half to report", "", *head_of(("goal", "wanted", "measured", "reached"))]
     for one in goals:
         sense = "at most " if one["sense"] == "<=" else "at least "
         lines.append(row_of((one["what"], sense + measured(one, "wanted"), measured(one), verdict(one))))
     for half in HALVES:
         for kind, methods in figures[half].items():
-            lines += ["", f"### {TITLES[half]}: {KINDS[kind]}", "", *method_rows(methods)]
+            lines += ["", f"## {TITLES[half]}: {KINDS[kind]}", "", *method_rows(methods)]
         if "plain" in figures[half]:
-            lines += ["", f"### {TITLES[half]}: each object, exact clicks", "", *object_rows(games[half]["plain"])]
+            lines += ["", f"## {TITLES[half]}: each object, exact clicks", "", *object_rows(games[half]["plain"])]
     chosen_ones = {name: one for name, one in settings.items() if one}
-    lines += ["", "### Settings, the best on the half to tune on", "", *head_of(("method", "settings"))]
+    lines += ["", "## Settings, the best on the half to tune on", "", *head_of(("method", "settings"))]
     lines += [row_of((name, ", ".join(f"{k} {v:g}" for k, v in one.items()))) for name, one in chosen_ones.items()]
     return "\n".join(lines) + "\n"
 
