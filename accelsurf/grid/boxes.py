@@ -81,6 +81,18 @@ def widened(box: Box, shape: Sequence[int], margin: Sequence[int]) -> Box:
     return z, y, x
 
 
+def enclosing(one: Box, other: Box) -> Box:
+    """Return the smallest box that holds two.
+
+    Examples
+    --------
+    >>> enclosing((slice(1, 3), slice(0, 4), slice(5, 6)), (slice(2, 5), slice(1, 2), slice(0, 1)))
+    (slice(1, 5, None), slice(0, 4, None), slice(0, 6, None))
+    """
+    z, y, x = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    return z, y, x
+
+
 def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[int]]:
     """Return for each of some boxes the numbers of the others that it overlaps.
 

@@ -127,8 +127,7 @@ def _bounds_of_click(
 ) -> tuple[NDArray[np.int64], NDArray[np.float32], bool] | None:
     """Cells around a click on a level, the signed distance to it, mm, and whether it is inside."""
     box = widened(click.box, grid.shape, (MARGIN, MARGIN, MARGIN))
-    mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
-    mask[tuple(slice(c.start - b.start, c.stop - b.start) for c, b in zip(click.box, box, strict=True))] = click.mask
+    mask = click.mask_on(box)
     cells = _raveled(np.argwhere(np.ones_like(mask)) + np.array(corner_of(box)), grid.shape)
     if free.size:
         mask &= ~np.isin(cells, free).reshape(mask.shape)

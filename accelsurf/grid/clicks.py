@@ -37,6 +37,14 @@ class Click(NamedTuple):
     mask: NDArray[np.bool_]
     id: int = 1
 
+    def mask_on(self, box: Box) -> NDArray[np.bool_]:
+        """Return its voxels on a box of the grid; none where it lies elsewhere."""
+        out = np.zeros([s.stop - s.start for s in box], np.bool_)
+        mine, theirs = shared(corner_of(box), out.shape, corner_of(self.box), self.mask.shape)
+        if all(s.start < s.stop for s in mine):
+            out[mine] = self.mask[theirs]
+        return out
+
 
 @dataclass(frozen=True, eq=False)
 class Clicks:

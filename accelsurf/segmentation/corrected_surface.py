@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, shared
-from accelsurf.grid.clicks import Click, Side
+from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, enclosing, shared
+from accelsurf.grid.clicks import Click
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_start import AROUND
@@ -89,23 +90,9 @@ def wrong_part(click: Click, one: CorrectedSurface) -> Click | None:
     return click._replace(box=(z, y, x), mask=wrong[tight])
 
 
-def on_box(clicks: Sequence[Click], box: Box) -> list[tuple[Side, NDArray[np.bool_]]]:
-    """The voxels of clicks on a box, with their sides."""
-    out: list[tuple[Side, NDArray[np.bool_]]] = []
-    for click in clicks:
-        mask = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
-        mine, theirs = shared(corner_of(box), mask.shape, corner_of(click.box), click.mask.shape)
-        if all(s.start < s.stop for s in mine):
-            mask[mine] = click.mask[theirs]
-        out.append((click.side, mask))
-    return out
-
-
 def box_around(clicks: Sequence[Click]) -> Box:
     """The box around clicks."""
-    low = np.min([corner_of(click.box) for click in clicks], axis=0)
-    high = np.max([[s.stop for s in click.box] for click in clicks], axis=0)
-    return box_at((int(low[0]), int(low[1]), int(low[2])), [int(n) for n in high - low])
+    return functools.reduce(enclosing, (click.box for click in clicks))
 
 
 def stop_of_whole(stop: Stop, inside: int, voxels: int) -> Stop:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf.energies.seeded import SeededModel
 from accelsurf.energies.seeded.answers import Answer, mixed_answer, with_click
@@ -17,8 +16,9 @@ from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.model import BEYOND, later_times
 from accelsurf.energies.seeded.partition import partition_model
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, shared, whole_box, widened
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, shared, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.connected import connected_to
 from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from
 from accelsurf.segmentation.near_region import around_clicks, automatic_near
 from accelsurf.segmentation.preprocessing import uses_model
@@ -107,7 +107,7 @@ class LocalModel:
             parts = contest(self._images, self.spacing, clicks, self._passes, answer.count)
             box, field, start = mixed_answer(answer, parts, clicks, before.sized)
             self.state = LocalState(clicks, answer, before.images, box, field, start, before.sized)
-        box = _both(self.state.box, before.box)
+        box = enclosing(self.state.box, before.box)
         now = _placed(self.state.start, self.state.box, box, False)
         return ModelChange(box, now != _placed(before.start, before.box, box, False), before)
 
@@ -119,7 +119,7 @@ class LocalModel:
         mean = math.prod(self.spacing) ** (1.0 / 3.0)
         margin = [math.ceil(reach * mean / h) + CLEAR for h in self.spacing]
         while True:
-            box = _both(widened(click.box, self.state.clicks.shape, margin), answer.box)
+            box = enclosing(widened(click.box, self.state.clicks.shape, margin), answer.box)
             found = self._on_box(answer, click, box)
             if found is not None:
                 return found
@@ -164,16 +164,13 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, one: Correcte
     spacing = model.spacing
     near = automatic_near(one.psi, [click._replace(box=counted_from(click.box, one.corner))], spacing)
     around = around_clicks([click], near, 0.0, model.state.clicks.shape, spacing, 0.0)
-    box = _both(around.box, change.box)
+    box = enclosing(around.box, change.box)
     own = _placed(model.state.start, model.state.box, box, False) == (click.side == "inside")
     changed = own & _placed(change.mask, change.box, box, False)
     own &= _placed(around.mask, around.box, box, False)
     own &= (_placed(one.psi, box_at(one.corner, one.psi.shape), box, 1.0) < 0) != (click.side == "inside")
-    placed = counted_from(click.box, corner_of(box))
-    own[placed] |= click.mask
-    labels, _ = ndimage.label(own)
-    touched = np.unique(labels[placed][click.mask])
-    return click._replace(box=box, mask=np.asarray(changed | np.isin(labels, touched[touched > 0])))
+    clicked = click.mask_on(box)
+    return click._replace(box=box, mask=changed | connected_to(own | clicked, clicked))
 
 
 def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> dict[int, LocalModel]:
@@ -198,13 +195,6 @@ def _placed(values: NDArray, own: Box, box: Box, beyond: float) -> NDArray:
 
 def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:
     return click._replace(box=counted_from(click.box, corner))
-
-
-def _both(one: Box, other: Box) -> Box:
-    """The smallest box that holds two."""
-    low = [min(a.start, b.start) for a, b in zip(one, other, strict=True)]
-    high = [max(a.stop, b.stop) for a, b in zip(one, other, strict=True)]
-    return box_at((low[0], low[1], low[2]), [b - a for a, b in zip(low, high, strict=True)])
 
 
 def _is_near_border(mask: Mask, box: Box, shape: Sequence[int]) -> bool:

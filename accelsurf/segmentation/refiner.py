@@ -26,7 +26,6 @@ from accelsurf.segmentation.corrected_surface import (
     count_inside,
     counted_from,
     frozen_settings,
-    on_box,
     part_of_image,
     stop_of_whole,
     surface_of,
@@ -221,7 +220,7 @@ class Refiner:
             domain = box_at(one.corner, one.psi.shape)
             totals = RegionTotals([image[domain] for image in self._images], one.psi)
         problem = self._problem(one, region, psi, totals, takes)._replace(
-            won=on_box(won, region.box), sides=frozenset(click.side for click in new)
+            won=[(click.side, click.mask_on(region.box)) for click in won], sides=frozenset(click.side for click in new)
         )
         outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, one.id))
         inside = one.inside + count_inside(outcome.psi) - count_inside(psi)

@@ -20,8 +20,9 @@ from accelsurf.energies.seeded.competition import Field, Times, balance, from_be
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.energies.seeded.proposal import Order
-from accelsurf.grid.boxes import Box, bounding_box
+from accelsurf.grid.boxes import Box, bounding_box, enclosing
 from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.connected import connected_to
 from accelsurf.kernels.arrival import Tissue
 
 #: F in the clicks, by side.
@@ -124,7 +125,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     """
     dense = marched[0].reshape(field.shape)
     reached = _box_of(field, (dense <= answer.last).ravel()) if click.side == "inside" else click.box
-    answer = _on_larger_box(answer, field, _both(answer.box, reached))
+    answer = _on_larger_box(answer, field, enclosing(answer.box, reached))
     times, is_inside = dense[answer.box], click.side == "inside"
     times_in = np.minimum(answer.times_in, times) if is_inside else answer.times_in
     clicked = answer.times_clicked if is_inside else np.minimum(answer.times_clicked, times)
@@ -140,11 +141,9 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
         force = answer.force + np.maximum(total - answer.total, 0.0)
         force = np.where(times < times_in, np.maximum(force, total), force)
         changed = (force >= 0) & (answer.force < 0)
-    seen = _clicked_in(click, answer.box)
+    seen = click.mask_on(answer.box)
     changed |= seen
-    labels, _ = ndimage.label(changed)
-    own = np.unique(labels[seen])
-    force = np.where(np.isin(labels, own[own > 0]), force, answer.force).astype(np.float32)
+    force = np.where(connected_to(changed, seen), force, answer.force).astype(np.float32)
     answer = replace(
         answer,
         times_in=times_in,
@@ -173,9 +172,9 @@ def mixed_answer(
     """
     box = answer.box
     for part in parts:
-        box = _both(box, part.box)
+        box = enclosing(box, part.box)
     for click in clicks.clicks:
-        box = _both(box, click.box)
+        box = enclosing(box, click.box)
     own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
     by_count = OWN_SIZED if sized else OWN
     own_weight = by_count[min(len(clicks), len(by_count)) - 1]
@@ -185,7 +184,7 @@ def mixed_answer(
         mixed += np.float32(weight / sum(weights)) * part.on(box)
     inside = _connected(mixed, box, clicks.clicks)
     for click in clicks.clicks:
-        seen = _clicked_in(click, box)
+        seen = click.mask_on(box)
         mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
     return box, mixed, inside
 
@@ -205,13 +204,9 @@ def _connected(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
     """Where F < 0 on a box, connected to inside clicks, and its holes where no outside click lies."""
     clicked = {side: np.zeros(force.shape, np.bool_) for side in CLICKED}
     for click in clicks:
-        clicked[click.side] |= _clicked_in(click, box)
+        clicked[click.side] |= click.mask_on(box)
     grows = ((force < 0) | clicked["inside"]) & ~clicked["outside"]
-    labels, count = ndimage.label(grows)
-    own = np.zeros(count + 1, np.bool_)
-    own[labels[clicked["inside"]]] = True
-    own[0] = False
-    return np.asarray(ndimage.binary_fill_holes(own[labels]) & ~clicked["outside"])
+    return np.asarray(ndimage.binary_fill_holes(connected_to(grows, clicked["inside"])) & ~clicked["outside"])
 
 
 def _box_of(field: Field, where: NDArray[np.bool_]) -> Box:
@@ -221,27 +216,12 @@ def _box_of(field: Field, where: NDArray[np.bool_]) -> Box:
     return box
 
 
-def _both(one: Box, other: Box) -> Box:
-    """The smallest box that holds two."""
-    z, y, x = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
-    return z, y, x
-
-
 def _is_far(field: Field, box: Box, times_in: Times, last: float) -> Mask:
     """Where the surroundings begin: arrival is late, or the object may not be there."""
     far = ~(times_in <= last)
     if field.medium.open.size:
         far |= ~field.medium.open.reshape(field.shape)[box]
     return far
-
-
-def _clicked_in(click: Click, box: Box) -> Mask:
-    """The click's voxels in a box; none where it lies outside."""
-    out = np.zeros([s.stop - s.start for s in box], np.bool_)
-    where = [axis + s.start for axis, s in zip(np.nonzero(click.mask), click.box, strict=True)]
-    within = np.all([(axis >= s.start) & (axis < s.stop) for axis, s in zip(where, box, strict=True)], axis=0)
-    out[tuple(axis[within] - s.start for axis, s in zip(where, box, strict=True))] = True
-    return out
 
 
 def _on_larger_box(answer: Answer, field: Field, box: Box) -> Answer:

@@ -38,9 +38,7 @@ def box_around(click: Click, shape: Sequence[int], margin: int) -> tuple[Box, Ma
     """A box some voxels larger than a click's, and the click's mask in it."""
     margins = [margin if n > 1 else 0 for n in shape]
     box = widened(click.box, shape, margins)
-    mask = np.zeros([s.stop - s.start for s in box], np.bool_)
-    mask[tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(click.box, box, strict=True))] = click.mask
-    return box, mask
+    return box, click.mask_on(box)
 
 
 def robust(values: NDArray[np.floating]) -> tuple[float, float]:

@@ -130,8 +130,7 @@ def around(
     if allowed is not None:
         marks["outside"] |= ~allowed[box]
     for click in clicks.clicks:
-        place = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(click.box, box, strict=True))
-        marks[click.side][place] |= click.mask
+        marks[click.side] |= click.mask_on(box)
     held = {side: _any_of_block(mask, steps) for side, mask in marks.items()}
     seeds = held["outside"].astype(np.float32) - held["inside"]
     for axis, end in outer_faces(inside, spacing, box, margin):

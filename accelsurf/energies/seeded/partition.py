@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import ndimage
 
 from accelsurf.energies.seeded.answers import CLICKED
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
@@ -17,6 +16,7 @@ from accelsurf.energies.seeded.model import AREA, SMOOTHING, SeededModel
 from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.errors import InputError
 from accelsurf.grid.clicks import Clicks
+from accelsurf.grid.connected import connected_to
 from accelsurf.grid.smoothing import gaussian_mm
 
 
@@ -63,9 +63,7 @@ def partition_model(
     times_in, times_out = own_times.reshape(shape), others.reshape(shape)
     force = balance(times_in, times_out).astype(np.float32)
     force[inside], force[outside] = CLICKED["inside"], CLICKED["outside"]
-    labels, _ = ndimage.label(force < 0)
-    own = np.unique(labels[inside])
-    start = np.isin(labels, own[own > 0])
+    start = connected_to(force < 0, inside)
     volume = float(np.count_nonzero(start)) * float(np.prod(spacing))
     proposal = Proposal(float(times_in[start].max()), volume, 1.0)
-    return SeededModel(force, np.asarray(start), times_in, times_out, proposal, AREA * min(spacing), clicks, None, ())
+    return SeededModel(force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, None, ())
