@@ -25,7 +25,7 @@ from accelsurf.kernels.foot_checks import is_near_volume
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
 from accelsurf.kernels.guesses import guess_feet, guess_memory
 from accelsurf.kernels.march import MARGIN, accept_foot
-from accelsurf.kernels.residues import known_point
+from accelsurf.kernels.residues import known_point, nearest_slot
 from accelsurf.kernels.stages import Stage
 
 #: A closest point carried as a field counts where its distance is d within this part; else that of one neighbour.
@@ -64,17 +64,12 @@ def find_front_feet(start, stop, dense, grid, band, guide, on, foot):
     offset = memory[OFFSET : OFFSET + BATCH]
     memory[LIMITED : LIMITED + BATCH] = limited
     beside, at = np.empty(BATCH, np.bool_), np.empty(BATCH, np.int64)
-    # The cells are not one after the other, as `guess_feet` wants them: it is called for each, with whole rows.
-    first_feet, first_offset = np.empty_like(feet), np.empty_like(offset)
-    first_beside = np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
+        slots = on[first : first + count]
+        guess_feet(slots, dense, grid, band, (inner, residue), scratch, (feet, beside, offset))
         for i in range(count):
-            s = on[first + i]
-            at[i] = band.cells[s]
-            guess_feet(s, 1, dense, grid, band, (inner, residue), scratch, (first_feet, first_beside, first_offset))
-            feet[0, i], feet[1, i], feet[2, i] = first_feet[0, 0], first_feet[1, 0], first_feet[2, 0]
-            beside[i], offset[i] = first_beside[0], first_offset[0]
+            at[i] = band.cells[slots[i]]
         closest_points(count, psi, grid, at, memory, w)
         for i in range(count):
             s, cell = on[first + i], at[i]
@@ -229,8 +224,5 @@ def front_residues(start, stop, slot, grid, band, motion, beside, out):
         if beside[s]:
             continue
         pz, py, px = known_point(s, grid, band, motion)
-        iz = min(max(np.int64(np.floor(pz + 0.5)), 0), grid.nz - 1)
-        iy = min(max(np.int64(np.floor(py + 0.5)), 0), grid.ny - 1)
-        ix = min(max(np.int64(np.floor(px + 0.5)), 0), grid.nx - 1)
-        nearest = slot[(iz * grid.ny + iy) * grid.nx + ix]
+        nearest = nearest_slot(slot, grid, pz, py, px)
         out[s] = out[nearest] if nearest >= 0 and beside[nearest] else np.float32(0.0)

@@ -59,25 +59,25 @@ def first_guess(psi, grid, cell, iz, iy, ix, near, foot):
 
 
 @kernel
-def guess_feet(first, count, dense, grid, band, guide, scratch, out):
-    """First guesses of ``count`` feet from slot ``first`` on.
+def guess_feet(slots, dense, grid, band, guide, scratch, out):
+    """First guesses of the feet of ``slots``, at most `BATCH`.
 
     ``guide`` = (inner, residue (n,)). ``scratch`` = (near (6,), guess (3,), `guess_memory`).
     ``out`` = (guesses (3, `BATCH`), rows z, y, x, 0 where there is none; beside (`BATCH`,) bool; offset (`BATCH`,)
-    float32), of which the first ``count`` columns count. ``beside`` marks the cells with a neighbour on the other side
-    of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above ``inner`` mm
-    before the surface moved, centred differences would need cells beyond the band; where there is a residue, they may
-    lie across a ridge: the guess is the old foot, scaled by the change of psi.
+    float32), of which the first columns count, one for each slot. ``beside`` marks the cells with a neighbour on the
+    other side of the surface, ``offset`` is the residue of the part of it that the guess is on. Where |psi| was above
+    ``inner`` mm before the surface moved, centred differences would need cells beyond the band; where there is a
+    residue, they may lie across a ridge: the guess is the old foot, scaled by the change of psi.
     """
     near, guess, memory = scratch
     rows, alone, _ = memory
     guesses, _, _ = out
-    gather_around(first, count, dense.psi, grid, band, guide[1], rows)
+    gather_around(slots, dense.psi, grid, band, guide[1], rows)
     guess_alike(grid, guide[0], memory, out)
-    beyond_ridges(first, dense.slot, grid, band, guide[1], count, memory, out)
-    for i in range(count):
+    beyond_ridges(slots, dense.slot, grid, band, guide[1], memory, out)
+    for i in range(slots.shape[0]):
         if alone[i]:
-            cell = band.cells[first + i]
+            cell = band.cells[slots[i]]
             iz, iy, ix = unravel(cell, grid)
             neighbours(cell, iz, iy, ix, grid, near)
             if not first_guess(dense.psi, grid, cell, iz, iy, ix, near, guess):
@@ -86,14 +86,14 @@ def guess_feet(first, count, dense, grid, band, guide, scratch, out):
 
 
 @kernel
-def gather_around(first, count, psi, grid, band, residue, rows):
-    """Fill ``rows`` with what is known of ``count`` cells from slot ``first`` on.
+def gather_around(slots, psi, grid, band, residue, rows):
+    """Fill ``rows`` with what is known of the cells of ``slots``.
 
     Beyond the border psi is as in the cell.
     """
     plane, row = grid.ny * grid.nx, grid.nx
-    for n in range(count):
-        s = first + n
+    for n in range(slots.shape[0]):
+        s = slots[n]
         i = np.uint64(n)
         cell = band.cells[s]
         iz, iy, ix = unravel(cell, grid)

@@ -46,10 +46,11 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     inner, residue, limited = guide
     offset = memory[OFFSET : OFFSET + BATCH]
     memory[LIMITED : LIMITED + BATCH] = limited
-    beside = np.empty(BATCH, np.bool_)
+    beside, slots = np.empty(BATCH, np.bool_), np.arange(start, start + BATCH)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
-        guess_feet(first, count, dense, grid, band, (inner, residue), scratch, (feet, beside, offset))
+        guess_feet(slots[:count], dense, grid, band, (inner, residue), scratch, (feet, beside, offset))
+        slots += BATCH
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
         for i in range(count):
             s = first + i

@@ -56,6 +56,15 @@ def corner(i, grid, pz, py, px):
 
 
 @kernel
+def nearest_slot(slot, grid, pz, py, px):
+    """Slot of the voxel of the volume that is nearest to an index position; -1 where it is not in the band."""
+    iz = min(max(np.int64(np.floor(pz + 0.5)), 0), grid.nz - 1)
+    iy = min(max(np.int64(np.floor(py + 0.5)), 0), grid.ny - 1)
+    ix = min(max(np.int64(np.floor(px + 0.5)), 0), grid.nx - 1)
+    return slot[(iz * grid.ny + iy) * grid.nx + ix]
+
+
+@kernel
 def is_at_surface(psi, grid, pz, py, px):
     """Whether psi has both signs around an index position: what has lost its inside must not be held in place."""
     inside = 0
@@ -110,10 +119,7 @@ def distant_residues(start, stop, slot, grid, band, motion, out):
         if has_own_residue(s, grid, band):
             continue
         pz, py, px = known_point(s, grid, band, motion)
-        iz = min(max(np.int64(np.floor(pz + 0.5)), 0), grid.nz - 1)
-        iy = min(max(np.int64(np.floor(py + 0.5)), 0), grid.ny - 1)
-        ix = min(max(np.int64(np.floor(px + 0.5)), 0), grid.nx - 1)
-        nearest = slot[(iz * grid.ny + iy) * grid.nx + ix]
+        nearest = nearest_slot(slot, grid, pz, py, px)
         if nearest >= 0 and has_own_residue(nearest, grid, band):
             out[s] = out[nearest]
 

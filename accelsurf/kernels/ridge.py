@@ -40,8 +40,8 @@ def sides_beyond(value, least, around):
 
 
 @kernel
-def beyond_ridges(first, slot, grid, band, residue, count, memory, out):
-    """Move guesses of ``count`` feet from slot ``first`` on to the surface beyond a ridge, where that has come closer.
+def beyond_ridges(slots, slot, grid, band, residue, memory, out):
+    """Move guesses of the feet of ``slots`` to the surface beyond a ridge, where that has come closer.
 
     A neighbour is beyond a ridge when its foot lay the other way (``band``: when psi was a distance); its
     tangent plane, moved as psi has changed there, tells how far that surface is. In a thin plate the neighbour's foot
@@ -57,11 +57,11 @@ def beyond_ridges(first, slot, grid, band, residue, count, memory, out):
     for side in range(6):
         stride = grid.ny * grid.nx if side < 2 else (grid.nx if side < 4 else 1)
         strides[1 << side] = stride if side & 1 else -stride
-    for i in range(count):
+    for i in range(slots.shape[0]):
         left = sides[i]
         if left == 0:
             continue
-        s = first + i
+        s = slots[i]
         cell = band.cells[s]
         own = foot[s]
         inside = rows[i] < 0.0

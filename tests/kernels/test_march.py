@@ -374,7 +374,7 @@ def guessed(dense, grid, band, inner, first, count):
         some = min(size, count - at)
         scratch = np.empty(6, np.int64), np.empty(3), guess_memory()
         out = np.empty((3, size), np.float32), np.empty(size, np.bool_), np.ones(size, np.float32)
-        guess_feet(first + at, some, dense, grid, band, guide, scratch, out)
+        guess_feet(np.arange(first + at, first + at + some), dense, grid, band, guide, scratch, out)
         assert not out[2][:some].any()
         guesses[at : at + some], beside[at : at + some] = out[0][:, :some].T, out[1][:some]
     return guesses, beside

@@ -123,7 +123,7 @@ def test_a_guess_moves_to_the_surface_beyond_a_ridge_that_has_come_closer():
         # Psi of the cell has followed the surface that was the closest.
         dense.psi[cell] = -abs(-1 - along[cell] + shift)
         scratch = near, np.empty(3), guess_memory()
-        guess_feet(cell, 1, dense, grid, band, (np.inf, residue), scratch, (guesses, beside, offset))
+        guess_feet(np.array([cell]), dense, grid, band, (np.inf, residue), scratch, (guesses, beside, offset))
         assert (offset[0] != residue[cell]) == moves
         want = 1 + shift - along[cell] if moves else -abs(-1 - along[cell] + shift)
         np.testing.assert_allclose(guesses[:, 0], want * normal, atol=1e-6)
