@@ -206,20 +206,21 @@ class ImageContext:
             When there is no click inside.
         """
         from accelsurf.energies.seeded.model import seeded_model
+        from accelsurf.energies.seeded.partition import partition_model
 
         if self.clicks is None or not self.clicks.mask("inside").any():
             raise UsageError("energy: seeded was given without a click inside", "give --inside point:X,Y,Z")
         if not self._model:
-            has_previous = self._before is not None and self._before.clicks is not None and self._before.clicks.ids()
-            previous = self._before.seeded_model() if self._before is not None and has_previous else None
             size, mask, threads, partition, box = self._model_inputs
+            seen = self.images, self.spacing, self.clicks
             if partition:
-                from accelsurf.energies.seeded.partition import partition_model
-
-                self._model.append(partition_model(self.images, self.spacing, self.clicks, mask=mask))
-                return self._model[0]
-            given: dict[str, Any] = {"size_mm3": size, "box": box, "mask": mask, "threads": threads}
-            self._model.append(seeded_model(self.images, self.spacing, self.clicks, previous=previous, **given))
+                made = partition_model(*seen, mask=mask)
+            else:
+                before = self._before
+                goes_on = before is not None and before.clicks is not None and before.clicks.ids()
+                previous = before.seeded_model() if before is not None and goes_on else None
+                made = seeded_model(*seen, size_mm3=size, box=box, mask=mask, threads=threads, previous=previous)
+            self._model.append(made)
         return self._model[0]
 
     def model_start(self) -> Image:

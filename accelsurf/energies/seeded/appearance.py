@@ -54,6 +54,13 @@ def robust(values: NDArray[np.floating]) -> tuple[float, float]:
     return middle, DEVIATION * float(np.median(np.abs(values - middle)))
 
 
+def radius_of(count: float, spacing: Spacing, flat: bool) -> float:
+    """Radius (mm) of the ball, of a flat image the disk, that has so many voxels."""
+    if flat:
+        return float(np.sqrt(count * spacing[1] * spacing[2] / np.pi))
+    return float((count * np.prod(spacing) * 3.0 / (4.0 * np.pi)) ** (1.0 / 3.0))
+
+
 def gradient(values: Image, spacing: Sequence[float]) -> NDArray[np.float64]:
     """Length of the gradient by central differences, per mm."""
     parts = (np.gradient(values, h, axis=i) for i, h in enumerate(spacing) if values.shape[i] > 1)
@@ -103,7 +110,7 @@ def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue:
         Of the click.
     """
     middle = np.argwhere(click.mask).mean(axis=0) + [s.start for s in click.box]
-    own = float((0.75 / np.pi * np.count_nonzero(click.mask) * np.prod(spacing)) ** (1.0 / 3.0))
+    own = radius_of(float(np.count_nonzero(click.mask)), spacing, False)
     reach = max(EVEN_REACH * own, MIN_EVEN_REACH * min(spacing))
     margin = [int(np.ceil(reach / h)) for h in spacing]
     at = np.round(middle).astype(int)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, robust
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, radius_of, robust
 from accelsurf.grid.boxes import Box, corner_of, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.kernels.paths import shortest_paths
@@ -140,13 +140,6 @@ def around(
         seeds[layer] = np.where(seeds[layer] == 0, 1.0, seeds[layer])
     relative = np.array(spacing) * steps
     return Around(box, steps, values, seeds, relative / relative.min())
-
-
-def radius_of(count: float, spacing: Spacing, flat: bool) -> float:
-    """Radius (mm) of the ball, of a flat image the disk, that has so many voxels."""
-    if flat:
-        return float(np.sqrt(count * spacing[1] * spacing[2] / np.pi))
-    return float((count * np.prod(spacing) * 3.0 / (4.0 * np.pi)) ** (1.0 / 3.0))
 
 
 def box_around(clicks: Clicks, spacing: Spacing, reach: float, count: int) -> tuple[Box, float]:

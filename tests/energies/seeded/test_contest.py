@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.energies.seeded import contest as module
-from accelsurf.energies.seeded.contest import Balance, around, box_around, contest, outer_faces, radius_of
+from accelsurf.energies.seeded.appearance import radius_of
+from accelsurf.energies.seeded.contest import Balance, around, box_around, contest, outer_faces
 from accelsurf.grid.clicks import Clicks
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, dice, distance
 
