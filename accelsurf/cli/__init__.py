@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import NoReturn
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from accelsurf import __version__
 from accelsurf.cli.error_lines import MAX_ERROR, MAX_HINT, printable, without_garbage
@@ -135,7 +135,10 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
         code = int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     except CycloptsError as error:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
-        return _say(2, without_garbage(str(error), arguments), f"{command} --help lists the options")
+        problem = str(error)
+        if isinstance(error, UnusedCliTokensError):
+            problem = f"{command}: {' '.join(error.unused_tokens or ())}: it takes no such word"
+        return _say(2, without_garbage(problem, arguments), f"{command} --help lists the options")
     except AccelsurfError as error:
         if debug:
             raise

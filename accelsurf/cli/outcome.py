@@ -52,16 +52,26 @@ def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError
 def _late(name: str, result: Result, one: SegmentedObject) -> list[str]:
     if one.stop.reason not in ("max-steps", "stalled"):
         return []
-    whose = f"object {one.id}" if result.has_ids else name
-    return [f"{whose}: {one.stop.reason} after {one.stop.steps} steps: {one.stop.message}"]
+    return [_end_of(f"object {one.id}" if result.has_ids else name, result, one)]
 
 
 def _doubts(result: Result, one: SegmentedObject) -> list[str]:
     if not result.has_ids:
         return list(one.quality.warnings)
     if not one.has_surface:
-        return [f"object {one.id}: {one.stop.reason} after {one.stop.steps} steps: {one.stop.message}"]
+        return [_end_of(f"object {one.id}", result, one)]
     return [f"object {one.id}: {doubt}" for doubt in one.quality.warnings]
+
+
+def _end_of(whose: str, result: Result, one: SegmentedObject) -> str:
+    """How an object's evolution ended, and what to try."""
+    tries = {
+        "max-steps": f"; try --max-steps {2 * result.config.max_steps}",
+        "vanished": "; try a start deeper in it, or a smaller --smoothness",
+        "filled": "; try a box around it with --box, or a larger --smoothness",
+    }
+    stop = one.stop
+    return f"{whose}: {stop.reason} after {stop.steps} steps: {stop.message}{tries.get(stop.reason, '')}"
 
 
 def _and_more(texts: Sequence[str]) -> str:

@@ -156,4 +156,7 @@ def stalled(records: list[StepRecord]) -> Reason | None:
             f"the steps are {last.cfl_dt / last.dt:.0e} times shorter than the forces allow: diffusion, "
             "noise, smoothness or gravity limit them; use less of it, or --diffusion free"
         )
-    return "stalled", "the time step has collapsed: the surface can no longer move"
+    return "stalled", (
+        "the time step has collapsed: the surface can no longer move; "
+        "use a larger --presmooth, or --flow constant-density"
+    )
