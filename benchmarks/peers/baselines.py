@@ -27,7 +27,7 @@ def largest_part(mask: np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    >>> largest_part(np.array([[1, 0, 1, 1, 1], [0, 0, 1, 0, 1], [0, 0, 1, 1, 1]], bool)).sum()
+    >>> int(largest_part(np.array([[1, 0, 1, 1, 1], [0, 0, 1, 0, 1], [0, 0, 1, 1, 1]], bool)).sum())
     9
     """
     labels, count = ndimage.label(mask)

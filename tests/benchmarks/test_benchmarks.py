@@ -15,7 +15,7 @@ from scipy import ndimage
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from benchmarks import benchmark, defaults, real_scans
-from benchmarks.peers import baselines, contest, objects, programs, render, scans
+from benchmarks.peers import baselines, contest, hard_works, objects, programs, render, scans
 from benchmarks.peers.advance import grow, sparse_field
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import (
@@ -133,6 +133,16 @@ def test_the_graph_cut_has_the_least_energy_of_all_labels() -> None:
     found = baselines.graph_cut(image, start, (1.0, 0.0), {"weight": 0.3})[0]
     parts, _ = ndimage.label(best_one)
     assert np.array_equal(found, parts == parts[1, 1]) and 2 < found.sum() < 11
+
+
+@pytest.mark.parametrize("name", list(hard_works.WORKS))
+def test_works_have_clicks_on_their_sides_and_no_threshold(name: str) -> None:
+    work = hard_works.WORKS[name](1, 48)
+    for own, click in work.inside.items():
+        assert (work.truth[hard_works.drawn(work.truth.shape, click)] == own).mean() > 0.7
+    assert all(not work.truth[hard_works.drawn(work.truth.shape, click)].any() for click in work.outside)
+    middle = sum(work.means) / 2
+    assert work.score(work.truth) == 1.0 and work.score((work.image > middle).astype(int)) < 0.9
 
 
 def test_peers_find_two_touching_balls_each(monkeypatch: pytest.MonkeyPatch) -> None:
