@@ -26,6 +26,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "march": ("march", "march"),
     "advance": ("advance", "advance"),
     "segment-noise": ("segment_noise", "segment_noise"),
+    "segment-hard": ("segment_hard", "segment_hard"),
     "segment-real": ("segment_scan", "segment_real"),
     "regularised": ("regularised", "regularised"),
     "step": ("step", "step"),

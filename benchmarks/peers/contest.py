@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.measure import LONG, Options, Timing, Trial, best, goal, in_turn, repeats_for, table
 from benchmarks.peers.programs import PEERS, Peer
 
@@ -20,12 +21,13 @@ SEARCH_S = (60.0, 40.0)
 CARRIED = 2
 
 
-def available(options: Options) -> list[Peer]:
-    """The peers that are installed; a message names each of the others, once."""
-    for peer in PEERS.values():
+def available(options: Options, peers: Mapping[str, Peer] | None = None) -> list[Peer]:
+    """The programs of `PEERS`, or of others, that are installed; a message names each that is not, once."""
+    peers = PEERS if peers is None else peers
+    for peer in peers.values():
         if peer.missing and peer.missing not in options.messages:
             options.say(peer.missing)
-    return [peer for peer in PEERS.values() if not peer.missing]
+    return [peer for peer in peers.values() if not peer.missing]
 
 
 def reporter(name: str, options: Options) -> Callable[[str], None]:
@@ -46,12 +48,12 @@ def time_best(
     tops = {name: best(tried) for name, tried in trials.items()}
     for trial in level(trials):
         tops[LEVEL], trials[LEVEL], calls[LEVEL] = trial, trials[OWN], calls[OWN]
-    highest = max(top.dice for top in tops.values())
-    good = [t.seconds for n, t in tops.items() if n not in (OWN, LEVEL) and t.dice >= highest - BEHIND]
+    highest = max(top.dice for name, top in tops.items() if name not in BASELINES)
+    good = [t.seconds for n, t in tops.items() if n in PEERS and t.dice >= highest - BEHIND]
     slow = SLOWER * min(good, default=float("inf"))
     repeats = {}
     for name, top in tops.items():
-        hopeless = name not in (OWN, LEVEL) and (top.dice < highest - BEHIND or top.seconds > slow)
+        hopeless = name in PEERS and (top.dice < highest - BEHIND or top.seconds > slow)
         repeats[name] = repeats_for(top, options, hopeless)
     works = {name: (lambda c=calls[name], s=top.settings: c(s)) for name, top in tops.items()}
     times = in_turn(works, repeats)
@@ -70,7 +72,7 @@ def time_best(
 
 def level(trials: Mapping[str, list[Trial]]) -> list[Trial]:
     """The fastest trial of accelsurf with a Dice no lower than any peer's best, if there is one."""
-    highest = max((best(tried).dice for name, tried in trials.items() if name != OWN), default=1.0)
+    highest = max((best(tried).dice for name, tried in trials.items() if name in PEERS), default=1.0)
     good = [trial for trial in trials[OWN] if trial.dice >= highest]
     return [min(good, key=lambda trial: trial.seconds)] if good else []
 
@@ -78,13 +80,14 @@ def level(trials: Mapping[str, list[Trial]]) -> list[Trial]:
 def judge(
     programs: Mapping[str, Mapping[str, Any]], label: str, wanted: float = 10.0
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Goals and pairs: Dice against the best peer's, seconds against that peer's."""
+    """Goals and pairs: Dice and seconds against the best program that moves a surface, Dice against baselines."""
     own = programs[OWN]
-    peers = {name: facts for name, facts in programs.items() if name not in (OWN, LEVEL)}
+    others = {name: facts for name, facts in programs.items() if name not in (OWN, LEVEL)}
     pairs = [
         {"pair": f"{label}: {name} / accelsurf", "ratio": f["median_s"] / own["median_s"], "dice": f["dice"]}
-        for name, f in peers.items()
+        for name, f in others.items()
     ]
+    peers = {name: facts for name, facts in others.items() if name in PEERS}
     if not peers:
         return [goal(f"{label}: times faster than the best peer", wanted, None)], pairs
     top = best(Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in peers.items())
@@ -98,7 +101,22 @@ def judge(
             top.seconds / programs[LEVEL]["median_s"] if LEVEL in programs else None,
         ),
         goal(f"{label}: the same at its own best Dice", wanted, top.seconds / own["median_s"]),
+        *_beside_baselines(own, {name: facts for name, facts in others.items() if name in BASELINES}, label),
     ], pairs
+
+
+def _beside_baselines(
+    own: Mapping[str, Any], baselines: Mapping[str, Mapping[str, Any]], label: str
+) -> list[dict[str, Any]]:
+    """Goals beside what a person would take who needs no surface that moves."""
+    if not baselines:
+        return []
+    top = best(Trial({"name": name}, facts["dice"], facts["median_s"]) for name, facts in baselines.items())
+    name = top.settings["name"]
+    return [
+        goal(f"{label}: Dice less the best baseline's ({name})", 0.0, own["dice"] - top.dice, unit=""),
+        goal(f"{label}: times faster than it", 1.0, top.seconds / own["median_s"]),
+    ]
 
 
 def program_table(title: str, programs: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

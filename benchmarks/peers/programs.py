@@ -26,6 +26,7 @@ class Peer:
 
     ``coarse`` settings are all tried, ``fine`` are factors tried on the best of them; ``iterations`` in them are for
     96 voxels a side and grow with the side. ``module`` is what must be importable, ``package`` how to get it.
+    Volumes of more than ``most`` voxels need more memory or time than a person has.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Peer:
     run: Run
     coarse: list[dict[str, Any]]
     fine: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    most: float = float("inf")
 
     @property
     def missing(self) -> str | None:
@@ -44,6 +46,8 @@ class Peer:
 
     def scaled(self, settings: Mapping[str, Any], side: int) -> dict[str, Any]:
         """Settings with the iterations that a volume of ``side`` voxels needs for the same journey."""
+        if "iterations" not in settings:
+            return dict(settings)
         return {**settings, "iterations": max(2, round(settings["iterations"] * side / 96))}
 
 

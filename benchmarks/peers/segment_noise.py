@@ -9,6 +9,7 @@ import numpy as np
 
 from accelsurf.analysis.metrics import dice
 from accelsurf.segmentation.api import segment
+from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.contest import (
     CARRIED,
     OWN,
@@ -71,7 +72,7 @@ def noise_case(side: int, options: Options, carried: dict[str, list[Trial]], lim
 
     calls: dict[str, Callable[[Mapping[str, Any]], np.ndarray]] = {OWN: own}
     grids: dict[str, tuple[list[dict[str, Any]], Any]] = {OWN: (own_noise_grid(), None)}
-    for peer in available(options):
+    for peer in (*available(options), *available(options, BASELINES)):
         calls[peer.name] = lambda settings, peer=peer: peer.run(image, distance, (1.0, 0.0), settings)
         grids[peer.name] = ([peer.scaled(s, side) for s in peer.coarse], peer.fine)
     if options.quick:

@@ -13,6 +13,7 @@ import numpy as np
 
 from accelsurf import io
 from accelsurf.analysis.metrics import dice
+from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.contest import (
     CARRIED,
     OWN,
@@ -37,7 +38,7 @@ from benchmarks.peers.measure import (
     set_threads,
     timed,
 )
-from benchmarks.peers.programs import PEERS, Peer
+from benchmarks.peers.programs import Peer
 from benchmarks.peers.work import BRAIN, BRAIN_REFERENCE, scan
 
 #: A peer so far below accelsurf at half the resolution is not run at the whole: it would take minutes.
@@ -89,7 +90,11 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
 
     calls: dict[str, Callable[[Mapping[str, Any]], Any]] = {OWN: own}
     own({"max_steps": 3})  # compile
-    calls |= {peer.name: whole(peer) for peer in available(options)}
+    peers = {peer.name: peer for peer in (*available(options), *available(options, BASELINES))}
+    for peer in peers.values():
+        if image.size > peer.most:
+            options.say(f"{peer.name}: not run, it takes several GB above {peer.most:.0f} voxels")
+    calls |= {name: whole(peer) for name, peer in peers.items() if image.size <= peer.most}
     if options.again:
         trials = read_search(options)
         # The others are what they were; of accelsurf what this code reaches counts, not what it reached then.
@@ -103,7 +108,7 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
         for name in calls:
             if name == OWN:
                 continue
-            settings = small_search(PEERS[name], quarter, half, best(trials[OWN]).dice, options)
+            settings = small_search(peers[name], quarter, half, best(trials[OWN]).dice, options)
             if settings:
                 trials[name] = searched(calls[name], _dice_of(truth), settings, LONG, options)
                 report(name, best(trials[name]))
@@ -192,10 +197,10 @@ def small_search(
     say = reporter(peer.name, options)
     grid = [{**peer.scaled(s, max(quarter["image"].shape)), **more} for s in peer.coarse for more in real_changes(s)]
     if options.quick:
-        grid = [{**settings, "iterations": 2} for settings in grid]
+        grid = [{**settings, "iterations": 2} if "iterations" in settings else settings for settings in grid]
     first = search(run_on(quarter), grid[:1] if options.quick else grid, None, 0.5 * SEARCH_S[0], say)
     candidates = [doubled(t.settings) for t in ranked(first)[: 3 * CARRIED]]
-    fine = {} if options.quick else {"iterations": (0.5, 1.6)}
+    fine = {} if options.quick or "iterations" not in candidates[0] else {"iterations": (0.5, 1.6)}
     trials = search(run_on(half), candidates, fine, SEARCH_S[0], say)
     report(f"{peer.name} at half resolution", best(trials))
     if best(trials).dice < reached - HOPELESS and not options.quick:
@@ -206,7 +211,7 @@ def small_search(
 
 def doubled(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings for twice the resolution."""
-    return {**settings, "iterations": 2 * settings["iterations"]}
+    return {**settings, "iterations": 2 * settings["iterations"]} if "iterations" in settings else dict(settings)
 
 
 def real_changes(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -214,6 +219,8 @@ def real_changes(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     0.6 is close to where two means meet with the balance of 2 that accelsurf is given on this scan.
     """
+    if "sigma" not in settings:
+        return [{}]
     sigmas = {1.0: 0.0, 1.5: 0.5, 2.0: 1.0, 2.5: 0.7, 3.0: 1.5}
     sigma = sigmas.get(settings["sigma"], settings["sigma"])
     if "edge" in settings or "alpha" in settings:

@@ -14,6 +14,7 @@ import numpy as np
 def main(source: str, target: str, task: str) -> None:
     import SimpleITK as sitk
 
+    from benchmarks.peers.baselines import BASELINES
     from benchmarks.peers.programs import PEERS
 
     given = json.loads(task)
@@ -22,7 +23,7 @@ def main(source: str, target: str, task: str) -> None:
     z, y, x = (np.arange(n, dtype=np.float32) - c for n, c in zip(image.shape, given["centre"], strict=True))
     far = z[:, None, None] ** 2 + y[None, :, None] ** 2 + x[None, None, :] ** 2
     start = np.sqrt(far, out=far) - np.float32(given["radius"])
-    labels = PEERS[given["peer"]].run(image, start, tuple(given["means"]), given["settings"])
+    labels = {**PEERS, **BASELINES}[given["peer"]].run(image, start, tuple(given["means"]), given["settings"])
     out = sitk.GetImageFromArray(labels.astype(np.uint8))
     out.CopyInformation(scan)
     sitk.WriteImage(out, target)

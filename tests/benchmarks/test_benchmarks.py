@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from benchmarks import benchmark, defaults, real_scans
-from benchmarks.peers import contest, objects, programs, render, scans
+from benchmarks.peers import baselines, contest, hard_works, objects, programs, render, scans
 from benchmarks.peers.advance import grow, sparse_field
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import (
@@ -106,6 +107,42 @@ def test_peers_find_a_clean_cube(name: str) -> None:
     peer = programs.PEERS[name]
     labels = peer.run(truth.astype(np.float32), start, (1.0, 0.0), peer.scaled({**peer.coarse[0], "sigma": 0.5}, 48))
     assert labels.shape == image.shape and 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.95
+
+
+@pytest.mark.filterwarnings("ignore:The probability range is outside")
+@pytest.mark.parametrize("name", list(baselines.BASELINES))
+def test_baselines_find_a_cube_in_noise(name: str) -> None:
+    image, truth, _, start = noisy_cube(32)
+    rng = np.random.default_rng(2)
+    image = (truth + 0.3 * rng.normal(size=truth.shape)).astype(np.float32)
+    image[2, 2, 2:6] = 5.0  # a speck that is no part of it
+    peer = baselines.BASELINES[name]
+    labels = peer.run(image, start, (1.0, 0.0), peer.coarse[0])
+    assert 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.97 and not labels[2, 2, 2:6].any()
+
+
+def test_the_graph_cut_has_the_least_energy_of_all_labels() -> None:
+    image = np.random.default_rng(4).normal(0.5, 0.6, (1, 3, 4)).astype(np.float32)
+    start = np.full(image.shape, 1.0)
+    start[0, 1, 1] = -1.0
+    every = (np.arange(2**12)[:, None] >> np.arange(12) & 1).astype(bool).reshape(-1, 3, 4)
+    every = every[every[:, 1, 1]]
+    cost = (image[0] - 1.0) ** 2 - image[0] ** 2
+    faces = sum(np.diff(every, axis=axis).sum(axis=(1, 2)) for axis in (1, 2))
+    best_one = every[np.argmin((every * cost).sum(axis=(1, 2)) + 0.3 * faces)]
+    found = baselines.graph_cut(image, start, (1.0, 0.0), {"weight": 0.3})[0]
+    parts, _ = ndimage.label(best_one)
+    assert np.array_equal(found, parts == parts[1, 1]) and 2 < found.sum() < 11
+
+
+@pytest.mark.parametrize("name", list(hard_works.WORKS))
+def test_works_have_clicks_on_their_sides_and_no_threshold(name: str) -> None:
+    work = hard_works.WORKS[name](1, 48)
+    for own, click in work.inside.items():
+        assert (work.truth[hard_works.drawn(work.truth.shape, click)] == own).mean() > 0.7
+    assert all(not work.truth[hard_works.drawn(work.truth.shape, click)].any() for click in work.outside)
+    middle = sum(work.means) / 2
+    assert work.score(work.truth) == 1.0 and work.score((work.image > middle).astype(int)) < 0.9
 
 
 def test_peers_find_two_touching_balls_each(monkeypatch: pytest.MonkeyPatch) -> None:
