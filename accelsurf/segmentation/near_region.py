@@ -162,7 +162,20 @@ def near_bounds(
         room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
     values, shape = before[bounded], before.shape
     low, high = (values - room if "inside" in sides else values), (values + room if "outside" in sides else values)
+    half, away = np.float32(0.5 * min(axis_steps(shape, spacing))), ~_beside(before < 0)[bounded]
+    low[away], high[away] = np.minimum(low[away], half), np.maximum(high[away], -half)
     return ClickBounds((shape[0], shape[1], shape[2]), np.flatnonzero(bounded), low, high)
+
+
+def _beside(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The voxels with a neighbour on the other side."""
+    out = np.zeros(inside.shape, np.bool_)
+    for axis in range(3):
+        here, there = np.moveaxis(inside, axis, 0), np.moveaxis(out, axis, 0)
+        changes = here[1:] != here[:-1]
+        there[1:] |= changes
+        there[:-1] |= changes
+    return out
 
 
 def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
