@@ -41,13 +41,12 @@ class Tissue(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """Voxels by their times: ``heads`` (ring of buckets) the last entry of each, -1 for none; of each entry ``cells``
-    the voxel and ``links`` the one before it, or the next free one; ``free`` (1,) the first free entry.
+    """Voxels by their times: ``heads`` (ring of buckets) the last entry of each, -1 for none; ``entries`` (m, 2), each
+    a voxel and the entry before it, or the next free one; ``free`` (1,) the first free entry.
     """
 
     heads: np.ndarray
-    cells: np.ndarray
-    links: np.ndarray
+    entries: np.ndarray
     free: np.ndarray
 
 
@@ -87,7 +86,7 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
     done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
     while True:
         while done < count:
-            if waiting + SIDES > len(queue.cells):
+            if waiting + SIDES > len(queue.entries):
                 queue = larger(queue)
             waiting += reach(times, costs, order[done], medium, tissue, grid, (cap, max_time, width), queue)
             done += 1
@@ -162,18 +161,19 @@ def new_queue(w, grid, width):
 @kernel
 def empty_queue(length):
     """An empty queue with so many buckets, a power of two."""
-    links = np.arange(1, FIRST_CAPACITY + 1)
-    return Queue(np.full(length, -1, np.int64), np.empty(FIRST_CAPACITY, np.int64), links, np.zeros(1, np.int64))
+    entries = np.empty((FIRST_CAPACITY, 2), np.int64)
+    entries[:, 1] = np.arange(1, FIRST_CAPACITY + 1)
+    return Queue(np.full(length, -1, np.int64), entries, np.zeros(1, np.int64))
 
 
 @kernel
 def larger(queue):
     """The queue with space for twice as many entries; those that were free remain so."""
-    size = len(queue.cells)
-    cells, links = np.empty(2 * size, np.int64), np.empty(2 * size, np.int64)
-    cells[:size], links[:size] = queue.cells, queue.links
-    links[size:] = np.arange(size + 1, 2 * size + 1)
-    return Queue(queue.heads, cells, links, queue.free)
+    size = len(queue.entries)
+    entries = np.empty((2 * size, 2), np.int64)
+    entries[:size] = queue.entries
+    entries[size:, 1] = np.arange(size + 1, 2 * size + 1)
+    return Queue(queue.heads, entries, queue.free)
 
 
 @kernel
@@ -181,8 +181,8 @@ def enter(queue, bucket, cell):
     """Enter a voxel into a bucket; the queue has space."""
     entry = queue.free[0]
     place = bucket & (len(queue.heads) - 1)
-    queue.free[0] = queue.links[entry]
-    queue.cells[entry], queue.links[entry] = cell, queue.heads[place]
+    queue.free[0] = queue.entries[entry, 1]
+    queue.entries[entry, 0], queue.entries[entry, 1] = cell, queue.heads[place]
     queue.heads[place] = entry
 
 
@@ -199,10 +199,10 @@ def leave(queue, bucket):
     """Take the voxel that entered a bucket last, which is not empty."""
     place = bucket & (len(queue.heads) - 1)
     entry = queue.heads[place]
-    queue.heads[place] = queue.links[entry]
-    queue.links[entry] = queue.free[0]
+    queue.heads[place] = queue.entries[entry, 1]
+    queue.entries[entry, 1] = queue.free[0]
     queue.free[0] = entry
-    return queue.cells[entry]
+    return queue.entries[entry, 0]
 
 
 @kernel

@@ -36,7 +36,7 @@ def shortest_paths(seeds, values, lengths, weight):
     for cell in range(len(far)):
         if marked[cell]:
             far[cell] = 0.0
-            if waiting == len(queue.cells):
+            if waiting == len(queue.entries):
                 queue = larger(queue)
             enter(queue, np.int64(0), np.int64(cell))
             waiting += 1
@@ -46,7 +46,7 @@ def shortest_paths(seeds, values, lengths, weight):
         waiting -= 1
         if np.int64(far[here]) < bucket:  # a shorter path has been found since, and gone on from
             continue
-        if waiting + SIDES > len(queue.cells):
+        if waiting + SIDES > len(queue.entries):
             queue = larger(queue)
         waiting += go_on(far, here, flat, weight, grid, queue)
     return far.reshape(nz, ny, nx)

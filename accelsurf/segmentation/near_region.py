@@ -180,11 +180,14 @@ def _beside(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
     """Both bounds; where they contradict each other, the clicks' hold."""
-    cells = np.union1d(near.cells, clicks.cells)
+    known = np.zeros(math.prod(near.shape), np.bool_)
+    known[near.cells] = known[clicks.cells] = True
+    cells = np.flatnonzero(known)
+    place = np.cumsum(known) - 1
     low, high = np.full(cells.size, -np.inf, np.float32), np.full(cells.size, np.inf, np.float32)
-    at = np.searchsorted(cells, near.cells)
+    at = place[near.cells]
     low[at], high[at] = near.low, near.high
-    at = np.searchsorted(cells, clicks.cells)
+    at = place[clicks.cells]
     before_low, before_high = low[at], high[at]
     # A click in what is held moves its bounds along.
     low[at] = np.minimum(np.maximum(before_low, clicks.low), np.maximum(clicks.high, clicks.low))
