@@ -155,16 +155,20 @@ def near_bounds(
     depth = np.full(before.shape, np.inf)
     if not region.mask.all():
         depth = ndimage.distance_transform_edt(region.mask, spacing)
-    # The rim; and where the surface may move to one side, everything.
-    bounded = depth < region.rim if len(set(sides)) > 1 else np.full(before.shape, True)
+    beside = _beside(before < 0)
+    # The rim; and where the surface may move to one side, everything. Beyond the region it cannot arise anew.
+    bounded = beside | (region.mask & (depth < region.rim) if len(set(sides)) > 1 else region.mask)
     u2 = np.minimum(depth[bounded] / region.rim, 1.0) ** 2
     with np.errstate(divide="ignore"):
         room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
     values, shape = before[bounded], before.shape
     low, high = (values - room if "inside" in sides else values), (values + room if "outside" in sides else values)
-    half, away = np.float32(0.5 * min(axis_steps(shape, spacing))), ~_beside(before < 0)[bounded]
-    low[away], high[away] = np.minimum(low[away], half), np.maximum(high[away], -half)
-    return ClickBounds((shape[0], shape[1], shape[2]), np.flatnonzero(bounded), low, high)
+    # Away from the surface before only its side is held: a distance to what has arisen nearby must not be.
+    half, away, inside = np.float32(0.5 * min(axis_steps(shape, spacing))), ~beside[bounded], values < 0
+    low[away] = np.where(inside, -np.inf, np.minimum(low, half))[away]
+    high[away] = np.where(inside, np.maximum(high, -half), np.inf)[away]
+    cells, counts = np.flatnonzero(bounded), np.isfinite(low) | np.isfinite(high)
+    return ClickBounds((shape[0], shape[1], shape[2]), cells[counts], low[counts], high[counts])
 
 
 def _beside(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
