@@ -166,20 +166,26 @@ def _corrected(
     refiner = refiners[threads]
     before = len(refiner.surfaces[0].history)
     refiner.apply(refinement)
-    times, firsts = [], []
+    waited = []
     for _ in range(REPEATS):
         refiner.undo()
-        first: list[float] = []
-        began = time.perf_counter()
-        refiner.apply(refinement, on_step=lambda record, own: first.append(time.perf_counter()))
-        times.append(time.perf_counter() - began)
-        firsts.append((first[0] if first else time.perf_counter()) - began)
+        waited.append(_waited(refiner, refinement))
     alone = refiners[1]
     _, parts, processor = _by_parts(lambda: alone.apply(refinement))
     if refiner.surfaces[0].psi.tobytes() != alone.surfaces[0].psi.tobytes():
         raise AssertionError(f"{case.name}, click {number}: not the same bytes with {threads} threads and with one")
     steps = max(len(alone.surfaces[0].history) - before, 0)
-    return _row(case, number, click, min(times), processor, parts, steps) | {"first_step_s": round(min(firsts), 4)}
+    whole, first = (min(times) for times in zip(*waited, strict=True))
+    return _row(case, number, click, whole, processor, parts, steps) | {"first_step_s": round(first, 4)}
+
+
+def _waited(refiner: Refiner, refinement: Refinement) -> tuple[float, float]:
+    """Seconds of a correction, and until its first step can be shown."""
+    steps: list[float] = []
+    began = time.perf_counter()
+    refiner.apply(refinement, on_step=lambda record, own: steps.append(time.perf_counter()))
+    ended = time.perf_counter()
+    return ended - began, (steps[0] if steps else ended) - began
 
 
 def _row(
@@ -187,8 +193,15 @@ def _row(
 ) -> dict[str, Any]:
     parts = {name: round(parts.get(name, 0.0), 4) for name in ORDER}
     return {
-        "object": case.name, "kind": case.kind, "shape": list(case.truth.shape), "click": number, "side": click.side,
-        "wall_s": round(waited, 4), "cpu_s": round(processor, 4), "steps": steps, "parts": parts,
+        "object": case.name,
+        "kind": case.kind,
+        "shape": list(case.truth.shape),
+        "click": number,
+        "side": click.side,
+        "wall_s": round(waited, 4),
+        "cpu_s": round(processor, 4),
+        "steps": steps,
+        "parts": parts,
     }
 
 
@@ -242,7 +255,8 @@ def page_of(facts: dict[str, Any]) -> str:
     lines += ["", "Processor seconds of one thread by part, the mean over the clicks:", ""]
     groups = {
         f"{kind}, {which}": [r for r in rows if r["kind"] == kind and (r["click"] == 1) == (which == "first")]
-        for kind in ("phantom", "scan") for which in ("first", "later")
+        for kind in ("phantom", "scan")
+        for which in ("first", "later")
     }
     groups = {name: own for name, own in groups.items() if own}
     lines += ["| part | " + " | ".join(groups) + " |", "|---" * (len(groups) + 1) + "|"]
@@ -276,8 +290,12 @@ def main(arguments: list[str] | None = None) -> int:
     path = options.results / NAME
     if not options.render:
         facts = {
-            "threads": options.threads, "cores": len(os.sched_getaffinity(0)), "machine": platform.machine(),
-            "load": os.getloadavg()[0], "size": options.size, "clicks": [],
+            "threads": options.threads,
+            "cores": len(os.sched_getaffinity(0)),
+            "machine": platform.machine(),
+            "load": os.getloadavg()[0],
+            "size": options.size,
+            "clicks": [],
         }
         cases = [phantoms(options.size)]
         if options.volumes is not None:

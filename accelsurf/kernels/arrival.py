@@ -88,7 +88,7 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
         while done < count:
             if waiting + SIDES > len(queue.entries):
                 queue = larger(queue)
-            waiting += reach(times, costs, order[done], medium, tissue, grid, (cap, max_time, width), queue)
+            waiting += offer(times, costs, order[done], medium, tissue, grid, (cap, max_time, width), queue)
             done += 1
         if waiting == 0 or count >= max_count:
             break
@@ -110,7 +110,7 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
 
 
 @kernel
-def reach(times, costs, cell, medium, tissue, grid, limits, queue):
+def offer(times, costs, cell, medium, tissue, grid, limits, queue):
     """Enter the neighbours that a voxel with a final time brings an earlier one; returns how many.
 
     ``limits`` are (cap, max_time, width of a bucket) of `march`; the queue has space for all.
