@@ -64,7 +64,7 @@ def gaussian_weights(width: float) -> NDArray[np.float64]:
     Examples
     --------
     >>> gaussian_weights(0.5).round(3)
-    array([0.786, 0.106, 0.   ])
+    array([0.787, 0.106, 0.   ])
     """
     reach = int(REACH * width + 0.5)
     weights = np.exp(-0.5 / (width * width) * np.arange(-reach, reach + 1) ** 2)
