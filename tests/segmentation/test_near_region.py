@@ -1,5 +1,6 @@
 """What holds the surface during a correction, and how it is measured before."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -115,3 +116,14 @@ def test_a_piece_won_far_from_the_surface_comes_to_rest_without_gaining_energy()
     first = after[0].potential
     assert max(record.potential for record in after) <= first + 0.01 * abs(first)
     assert (refiner.surfaces[0].psi < 0)[other].mean() > 0.97
+
+
+def test_a_correction_has_the_same_bytes_with_any_number_of_threads():
+    image, _, _ = two_balls()
+    result, found = first_run(image, "seeded"), []
+    for threads in (1, 3):
+        refiner = Refiner(dataclasses.replace(result, config=result.config.replace(threads=threads)))
+        refiner.apply(Refinement(inside=(f"ball:{world(12, 14, 48)},3",)))
+        refiner.apply(Refinement(outside=(f"ball:{world(12, 14, 21)},1.5",)))
+        found.append(refiner.surfaces[0].psi.tobytes())
+    assert found[0] == found[1]
