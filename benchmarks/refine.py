@@ -121,9 +121,9 @@ class Timer:
 
 
 def phantoms(size: int) -> Iterator[Case]:
-    """Objects known exactly, of 30,000 to 160,000 voxels at 256^3: a noisy torus, a vessel, one of two balls that touch.
+    """Objects known exactly: a noisy torus, a vessel, and one of two balls that touch and look alike.
 
-    Half as wide in the grid as their recipes have them: an organ does not fill its scan.
+    Half as wide in the grid as their recipes have them, 15,000 to 160,000 voxels at 256^3: no organ fills its scan.
     """
     for name in ("torus", "vessel", "two_balls"):
         recipe = load_recipe(name)
