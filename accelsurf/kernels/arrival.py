@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import neighbours, unravel
+from accelsurf.kernels.grid import unravel
 
 #: First capacity of the queue and of the list of accepted voxels; both double when full.
 FIRST_CAPACITY = 4096
+#: A voxel has at most so many open neighbours, each of which enters the queue at most once when it is accepted.
+SIDES = 6
 
 
 class Medium(NamedTuple):
@@ -39,13 +41,12 @@ class Tissue(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """Voxels by their times: ``heads`` (ring of buckets) the last entry of each, -1 for none; of each entry ``cells``
-    the voxel and ``links`` the one before it, or the next free one; ``free`` (1,) the first free entry.
+    """Voxels by their times: ``heads`` (ring of buckets) the last entry of each, -1 for none; ``entries`` (m, 2), each
+    a voxel and the entry before it, or the next free one; ``free`` (1,) the first free entry.
     """
 
     heads: np.ndarray
-    cells: np.ndarray
-    links: np.ndarray
+    entries: np.ndarray
     free: np.ndarray
 
 
@@ -79,36 +80,66 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
     """
     width = bucket_width(tissue.weights, grid)
     queue = new_queue(tissue.weights, grid, width)
-    order, around = np.empty(max(FIRST_CAPACITY, len(seeds)), np.int64), np.empty(6, np.int64)
+    costs = np.empty(len(times))  # of the voxels that a front has come to; memory that nobody writes to costs nothing
+    order = np.empty(max(FIRST_CAPACITY, len(seeds)), np.int64)
     order[: len(seeds)] = seeds
     done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
     while True:
-        for cell in order[done:count]:
-            iz, iy, ix = unravel(cell, grid)
-            neighbours(cell, iz, iy, ix, grid, around)
-            for other in around:
-                if other < 0 or 0.0 <= times[other] < np.inf or (len(medium.open) > 0 and not medium.open[other]):
-                    continue
-                time = np.float32(upwind_time(times, other, medium, tissue, grid))
-                if time <= max_time and time < abs(times[other]) and (len(cap) == 0 or time < cap[other]):
-                    times[other] = -time
-                    queue = enter(queue, np.int64(time / width), other)
-                    waiting += 1
-        done = count
+        while done < count:
+            if waiting + SIDES > len(queue.entries):
+                queue = larger(queue)
+            waiting += offer(times, costs, order[done], medium, tissue, grid, (cap, max_time, width), queue)
+            done += 1
         if waiting == 0 or count >= max_count:
             break
-        cell, bucket = first_waiting(queue, bucket)
+        bucket = first_filled(queue, bucket)
+        cell = leave(queue, bucket)
         waiting -= 1
         if times[cell] < 0.0 and np.int64(-times[cell] / width) <= bucket:
             times[cell] = -times[cell]
-            order = with_space(order, count)
+            if count == len(order):
+                order = np.concatenate((order, np.empty(count, np.int64)))
             order[count] = cell
             count += 1
     for _ in range(waiting):  # on their way, not arrived
-        cell, bucket = first_waiting(queue, bucket)
+        bucket = first_filled(queue, bucket)
+        cell = leave(queue, bucket)
         if times[cell] < 0.0:
             times[cell] = np.inf
     return order[:count].copy()
+
+
+@kernel
+def offer(times, costs, cell, medium, tissue, grid, limits, queue):
+    """Enter the neighbours that a voxel with a final time brings an earlier one; returns how many.
+
+    ``limits`` are (cap, max_time, width of a bucket) of `march`; the queue has space for all.
+    """
+    cap, max_time, width = limits
+    iz, iy, ix = unravel(cell, grid)
+    time, entered = times[cell], 0
+    for side in range(SIDES):
+        axis, step = side // 2, 2 * (side % 2) - 1
+        index = iz if axis == 0 else iy if axis == 1 else ix
+        length = grid.nz if axis == 0 else grid.ny if axis == 1 else grid.nx
+        stride = step * (grid.ny * grid.nx if axis == 0 else grid.nx if axis == 1 else 1)
+        if not 0 <= index + step < length:
+            continue
+        other = cell + stride
+        before = times[other]
+        if 0.0 <= before < np.inf or (len(medium.open) > 0 and not medium.open[other]):
+            continue
+        if 0 <= index + 2 * step < length and 0.0 <= times[other + stride] < time:
+            continue  # along this axis it has been reached earlier, from beyond it
+        at = (iz + (step if axis == 0 else 0), iy + (step if axis == 1 else 0), ix + (step if axis == 2 else 0))
+        if before == np.inf:
+            costs[other] = cost_at(other, at, medium, tissue, grid)
+        found = np.float32(upwind_time(times, other, at, costs[other], grid))
+        if found <= max_time and found < abs(before) and (len(cap) == 0 or found < cap[other]):
+            times[other] = -found
+            enter(queue, np.int64(found / width), other)
+            entered += 1
+    return entered
 
 
 @kernel
@@ -124,108 +155,103 @@ def new_queue(w, grid, width):
     length = 2
     while length * width < step + 2.0 * width:
         length *= 2
-    return Queue(
-        np.full(length, -1, np.int64),
-        np.empty(FIRST_CAPACITY, np.int64),
-        fresh(0, FIRST_CAPACITY),
-        np.zeros(1, np.int64),
-    )
+    return empty_queue(length)
 
 
 @kernel
-def fresh(first, last):
-    """Links of the free entries first..last - 1, each to the next."""
-    return np.arange(first + 1, last + 1)
+def empty_queue(length):
+    """An empty queue with so many buckets, a power of two."""
+    entries = np.empty((FIRST_CAPACITY, 2), np.int64)
+    entries[:, 1] = np.arange(1, FIRST_CAPACITY + 1)
+    return Queue(np.full(length, -1, np.int64), entries, np.zeros(1, np.int64))
+
+
+@kernel
+def larger(queue):
+    """The queue with space for twice as many entries; those that were free remain so."""
+    size = len(queue.entries)
+    entries = np.empty((2 * size, 2), np.int64)
+    entries[:size] = queue.entries
+    entries[size:, 1] = np.arange(size + 1, 2 * size + 1)
+    return Queue(queue.heads, entries, queue.free)
 
 
 @kernel
 def enter(queue, bucket, cell):
-    """Enter a voxel into a bucket; returns the queue, larger where it was full."""
+    """Enter a voxel into a bucket; the queue has space."""
     entry = queue.free[0]
-    if entry == len(queue.cells):
-        cells, links = np.empty(2 * entry, np.int64), np.empty(2 * entry, np.int64)
-        cells[:entry], links[:entry] = queue.cells, queue.links
-        links[entry:] = fresh(entry, 2 * entry)
-        queue = Queue(queue.heads, cells, links, queue.free)
     place = bucket & (len(queue.heads) - 1)
-    queue.free[0] = queue.links[entry]
-    queue.cells[entry], queue.links[entry] = cell, queue.heads[place]
+    queue.free[0] = queue.entries[entry, 1]
+    queue.entries[entry, 0], queue.entries[entry, 1] = cell, queue.heads[place]
     queue.heads[place] = entry
-    return queue
 
 
 @kernel
-def first_waiting(queue, bucket):
-    """Take the next voxel from a queue that is not empty: (voxel, its bucket)."""
-    cell = leave(queue, bucket)
-    while cell < 0:
+def first_filled(queue, bucket):
+    """The first bucket from this one on that is not empty, of a queue that is not empty."""
+    while queue.heads[bucket & (len(queue.heads) - 1)] < 0:
         bucket += 1
-        cell = leave(queue, bucket)
-    return cell, bucket
+    return bucket
 
 
 @kernel
 def leave(queue, bucket):
-    """Take the voxel that entered a bucket last; -1 where it is empty."""
+    """Take the voxel that entered a bucket last, which is not empty."""
     place = bucket & (len(queue.heads) - 1)
     entry = queue.heads[place]
-    if entry < 0:
-        return np.int64(-1)
-    queue.heads[place] = queue.links[entry]
-    queue.links[entry] = queue.free[0]
+    queue.heads[place] = queue.entries[entry, 1]
+    queue.entries[entry, 1] = queue.free[0]
     queue.free[0] = entry
-    return queue.cells[entry]
+    return queue.entries[entry, 0]
 
 
 @kernel
-def upwind_time(times, cell, medium, tissue, grid):
+def upwind_time(times, cell, at, cost, grid):
     """Solution T of sum over the axes of (max(T - T_i, 0)/h_i)^2 = c^2, T_i the earlier final time of two neighbours.
 
     Axis by axis in the order of T_i, as long as the solution is later than the next one.
     """
-    iz, iy, ix = unravel(cell, grid)
-    cost = cost_at(cell, iz, iy, ix, medium, tissue, grid)
-    a = earlier(times, cell, iz, grid.nz, grid.ny * grid.nx)
-    b = earlier(times, cell, iy, grid.ny, grid.nx)
-    c = earlier(times, cell, ix, grid.nx, 1)
-    wa, wb, wc = 1.0 / (grid.hz * grid.hz), 1.0 / (grid.hy * grid.hy), 1.0 / (grid.hx * grid.hx)
+    a = earlier(times, cell, at[0], grid.nz, grid.ny * grid.nx)
+    b = earlier(times, cell, at[1], grid.ny, grid.nx)
+    c = earlier(times, cell, at[2], grid.nx, 1)
+    ha, hb, hc = grid.hz, grid.hy, grid.hx
     if b < a:
-        a, b, wa, wb = b, a, wb, wa
+        a, b, ha, hb = b, a, hb, ha
     if c < b:
-        b, c, wb, wc = c, b, wc, wb
+        b, c, hb, hc = c, b, hc, hb
     if b < a:
-        a, b, wa, wb = b, a, wb, wa
-    time = a + cost / np.sqrt(wa)
+        a, b, ha, hb = b, a, hb, ha
+    time = a + cost * ha
     if time <= b:
         return time
+    wa, wb = 1.0 / (ha * ha), 1.0 / (hb * hb)
     time = later_root(cost, wa, wb, 0.0, b - a, 0.0) + a
     if time <= c:
         return time
-    return later_root(cost, wa, wb, wc, b - a, c - a) + a
+    return later_root(cost, wa, wb, 1.0 / (hc * hc), b - a, c - a) + a
 
 
 @kernel
-def cost_at(cell, iz, iy, ix, medium, tissue, grid):
+def cost_at(cell, at, medium, tissue, grid):
     """Cost per mm: w0 + w1 min(|grad I|/g, w2) + w3 min(max(|I - median|/spread - w4, 0), w5), of the worst channel."""
-    w = tissue.weights
+    w, values = tissue.weights, medium.values
     edge, far = 0.0, 0.0
-    for channel in range(len(medium.values)):
-        values = medium.values[channel]
-        dz = difference(values, cell, iz, grid.nz, grid.ny * grid.nx) / grid.hz
-        dy = difference(values, cell, iy, grid.ny, grid.nx) / grid.hy
-        dx = difference(values, cell, ix, grid.nx, 1) / grid.hx
+    for channel in range(len(values)):
+        dz = difference(values, channel, cell, at[0], grid.nz, grid.ny * grid.nx) / grid.hz
+        dy = difference(values, channel, cell, at[1], grid.ny, grid.nx) / grid.hy
+        dx = difference(values, channel, cell, at[2], grid.nx, 1) / grid.hx
         edge = max(edge, np.sqrt(dz * dz + dy * dy + dx * dx) / tissue.gradient[channel])
-        far = max(far, abs(values[cell] - tissue.median[channel]) / tissue.spread[channel])
+        far = max(far, abs(values[channel, cell] - tissue.median[channel]) / tissue.spread[channel])
     return w[0] + w[1] * min(edge, w[2]) + w[3] * min(max(far - w[4], 0.0), w[5])
 
 
 @kernel
-def difference(values, cell, index, length, stride):
+def difference(values, channel, cell, index, length, stride):
     """Central difference per voxel along an axis; one-sided at the border."""
     before, after = (stride if index > 0 else 0), (stride if index < length - 1 else 0)
     if before + after == 0:
         return 0.0
-    return np.float64(values[cell + after] - values[cell - before]) * stride / (before + after)
+    return np.float64(values[channel, cell + after] - values[channel, cell - before]) * stride / (before + after)
 
 
 @kernel
@@ -244,13 +270,3 @@ def earlier(times, cell, index, length, stride):
     before = before if before >= 0.0 else np.inf
     after = after if after >= 0.0 else np.inf
     return min(before, after)
-
-
-@kernel
-def with_space(order, count):
-    """The list of accepted voxels with space for one more."""
-    if count < len(order):
-        return order
-    more = np.empty(2 * count, np.int64)
-    more[:count] = order
-    return more

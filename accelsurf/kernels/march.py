@@ -301,8 +301,11 @@ def front_cells(dense, grid, out):
     psi = dense.psi
     count = 0
     near = np.empty(6, np.int64)
+    sides = sides_of_rows(psi, grid)
     for iz in range(grid.nz):
         for iy in range(grid.ny):
+            if is_even(sides, iz, iy):
+                continue
             for ix in range(grid.nx):
                 cell = (iz * grid.ny + iy) * grid.nx + ix
                 neighbours(cell, iz, iy, ix, grid, near)
@@ -314,3 +317,33 @@ def front_cells(dense, grid, out):
                         count += 1
                         break
     return count
+
+
+@kernel
+def sides_of_rows(psi, grid):
+    """Of each row along x (nz, ny) int8: 0 where all of it is outside, 1 where all is inside, 2 where it is mixed."""
+    sides = np.empty((grid.nz, grid.ny), np.int8)
+    for iz in range(grid.nz):
+        for iy in range(grid.ny):
+            first = (iz * grid.ny + iy) * grid.nx
+            inside = 0
+            for cell in range(first, first + grid.nx):
+                inside += psi[cell] < 0.0
+            sides[iz, iy] = 0 if inside == 0 else 1 if inside == grid.nx else 2
+    return sides
+
+
+@kernel
+def is_even(sides, iz, iy):
+    """Whether a row and those beside it are all on one side."""
+    own = sides[iz, iy]
+    even = own < 2
+    if iz > 0:
+        even = even and sides[iz - 1, iy] == own
+    if iz < sides.shape[0] - 1:
+        even = even and sides[iz + 1, iy] == own
+    if iy > 0:
+        even = even and sides[iz, iy - 1] == own
+    if iy < sides.shape[1] - 1:
+        even = even and sides[iz, iy + 1] == own
+    return even

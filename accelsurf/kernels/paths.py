@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.arrival import Queue, enter, first_waiting, fresh
-
-#: First number of entries of the queue; it doubles when full.
-FIRST_ENTRIES = 4096
+from accelsurf.kernels.arrival import SIDES, empty_queue, enter, first_filled, larger, leave
+from accelsurf.kernels.grid import Grid, unravel
 
 
 @kernel
@@ -30,37 +28,50 @@ def shortest_paths(seeds, values, lengths, weight):
         Inf everywhere without seeds.
     """
     channels, nz, ny, nx = values.shape
-    size = nz * ny * nx
-    flat, marked = values.reshape(channels, size), seeds.ravel()
-    far, done = np.full(size, np.float32(np.inf)), np.zeros(size, np.bool_)
-    queue = path_queue(flat, lengths, weight)
-    counts, strides = np.array((nz, ny, nx)), np.array((ny * nx, nx, 1))
+    flat, marked = values.reshape(channels, nz * ny * nx), seeds.ravel()
+    grid = Grid(nz, ny, nx, lengths[0], lengths[1], lengths[2])
+    far = np.full(nz * ny * nx, np.float32(np.inf))
+    queue = empty_queue(ring_length(flat, lengths, weight))
     waiting, bucket = 0, np.int64(0)
-    for i in range(size):
-        if marked[i]:
-            far[i] = 0.0
-            queue = enter(queue, np.int64(0), np.int64(i))
+    for cell in range(len(far)):
+        if marked[cell]:
+            far[cell] = 0.0
+            if waiting == len(queue.entries):
+                queue = larger(queue)
+            enter(queue, np.int64(0), np.int64(cell))
             waiting += 1
     while waiting > 0:
-        here, bucket = first_waiting(queue, bucket)
+        bucket = first_filled(queue, bucket)
+        here = leave(queue, bucket)
         waiting -= 1
-        if done[here]:
+        if np.int64(far[here]) < bucket:  # a shorter path has been found since, and gone on from
             continue
-        done[here] = True
-        for axis in range(3):
-            index = here // strides[axis] % counts[axis]
-            for step in (-1, 1):
-                if not 0 <= index + step < counts[axis]:
-                    continue
-                there = here + step * strides[axis]
-                if done[there]:
-                    continue
-                length = np.float32(far[here] + step_length(flat, here, there, lengths[axis], weight))
-                if length < far[there]:
-                    far[there] = length
-                    queue = enter(queue, np.int64(length), there)
-                    waiting += 1
+        if waiting + SIDES > len(queue.entries):
+            queue = larger(queue)
+        waiting += go_on(far, here, flat, weight, grid, queue)
     return far.reshape(nz, ny, nx)
+
+
+@kernel
+def go_on(far, here, flat, weight, grid, queue):
+    """Enter the neighbours that have a shorter path through a voxel; returns how many. The queue has space for all."""
+    iz, iy, ix = unravel(here, grid)
+    entered = 0
+    for side in range(SIDES):
+        axis, step = side // 2, 2 * (side % 2) - 1
+        index = iz if axis == 0 else iy if axis == 1 else ix
+        count = grid.nz if axis == 0 else grid.ny if axis == 1 else grid.nx
+        length = grid.hz if axis == 0 else grid.hy if axis == 1 else grid.hx
+        stride = grid.ny * grid.nx if axis == 0 else grid.nx if axis == 1 else 1
+        there = here + step * stride
+        if not 0 <= index + step < count or far[there] <= far[here] + length:
+            continue  # a step costs at least its length
+        found = np.float32(far[here] + step_length(flat, here, there, length, weight))
+        if found < far[there]:
+            far[there] = found
+            enter(queue, np.int64(found), there)
+            entered += 1
+    return entered
 
 
 @kernel
@@ -74,14 +85,12 @@ def step_length(flat, here, there, length, weight):
 
 
 @kernel
-def path_queue(flat, lengths, weight):
-    """An empty queue of buckets as wide as the shortest step, in a ring longer than the longest."""
+def ring_length(flat, lengths, weight):
+    """Number of buckets, each as wide as the shortest step, in a ring longer than the longest; a power of two."""
     total = lengths.max() ** 2
     for channel in range(len(flat)):
         total += (weight * np.float64(flat[channel].max() - flat[channel].min())) ** 2
     ring = 2
     while ring < np.sqrt(total) + 3.0:
         ring *= 2
-    return Queue(
-        np.full(ring, -1, np.int64), np.empty(FIRST_ENTRIES, np.int64), fresh(0, FIRST_ENTRIES), np.zeros(1, np.int64)
-    )
+    return ring

@@ -16,15 +16,19 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import LoopState
+from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.geometry import axis_steps
+from accelsurf.kernels.grid import Band
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.segmentation.near_region import NearRegion, near_bounds, signed_distance, united
 
 Spacing = tuple[float, float, float]
 #: What is called with each record; a true value ends the evolution.
 OnStep = Callable[[StepRecord], bool | None]
+#: Distances around what a click wins are computed as far as so many of the largest spacings.
+WIN_REACH = 6.0
 
 
 class LocalProblem(NamedTuple):
@@ -70,15 +74,16 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
         Its history has the volume and area of the whole object; the potential is that of the box.
     """
     psi, spacing, setup = problem.psi, problem.spacing, problem.setup
-    surface = LevelSet(psi, spacing, setup.half_width, workers, extension=setup.extension)
+    nothing = np.ones(psi.shape, np.float32)
+    surface = LevelSet(nothing, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
+    _restore(surface, psi)
     volume, area = _measures(surface)
     before = signed_distance(psi, float(surface.gamma), spacing)
     bounds = united(near_bounds(before, problem.region, spacing, problem.sides), problem.clicks)
     dense = surface.dense.psi.reshape(surface.shape)
     dense[...] = before
     for side, basin in problem.won:
-        distance = _distance_to(basin & problem.region.mask, spacing)
-        np.copyto(dense, np.minimum(dense, distance) if side == "inside" else np.maximum(dense, -distance))
+        _win(dense, basin & problem.region.mask, side, spacing)
     bounds.apply(dense)
     surface.reinitialize(setup.half_width)
     past = problem.history
@@ -105,14 +110,38 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     return LocalOutcome(psi_after, list(evolution.history), stop)
 
 
+def _restore(surface: LevelSet, psi: NDArray[np.float32]) -> None:
+    """Make a surface that of ``psi``, a signed distance in the band: nothing is solved again."""
+    flat, grid = psi.reshape(-1), surface.grid
+    cells = np.flatnonzero(np.abs(flat) < surface.gamma * np.float32(1.0 - 1e-6))
+    slopes = np.zeros((cells.size, 3), np.float32)
+    for axis, h in enumerate((grid.hz, grid.hy, grid.hx)):
+        if psi.shape[axis] > 1:
+            slopes[:, axis] = np.gradient(psi, h, axis=axis).reshape(-1)[cells]
+    length = np.maximum(np.sqrt((slopes**2).sum(axis=1, keepdims=True)), np.float32(1e-6))
+    band = Band(cells, flat[cells], -flat[cells, None] * slopes / length)
+    inside = psi < 0
+    beyond = int(np.count_nonzero(inside)) - int(np.count_nonzero(band.psi < 0))
+    surface.restore(band, inside.reshape(-1), beyond, surface.requested_half_width)
+
+
+def _win(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing: Spacing) -> None:
+    """Bring voxels of a basin to their side, in place, with distances around them as far as a band may go."""
+    margin = [math.ceil(WIN_REACH * max(axis_steps(psi.shape, spacing)) / h) for h in spacing]
+    box = bounding_box(basin)
+    if box is None:
+        return
+    box = widened(box, psi.shape, margin)
+    part, distance = psi[box], _distance_to(basin[box], spacing)
+    np.copyto(part, np.minimum(part, distance) if side == "inside" else np.maximum(part, -distance))
+
+
 def _distance_to(mask: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:
     """Signed distance, mm, to some voxels, negative in them."""
-    if not mask.any():
-        return np.full(mask.shape, 1e6, np.float32)
     half = 0.5 * min(axis_steps(mask.shape, spacing))
-    outside = ndimage.distance_transform_edt(~mask, spacing) - half
     if mask.all():
         return np.full(mask.shape, -1e6, np.float32)
+    outside = ndimage.distance_transform_edt(~mask, spacing) - half
     inside = half - ndimage.distance_transform_edt(mask, spacing)
     return np.where(mask, inside, outside).astype(np.float32)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from accelsurf.grid.connected import connected_to
 from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from
 from accelsurf.segmentation.near_region import around_clicks, automatic_near
 from accelsurf.segmentation.preprocessing import uses_model
+from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig
 
@@ -80,11 +82,15 @@ class LocalModel:
         mm.
     passes : ndarray of bool or None
         The mask of the run.
+    threads : int, optional
+        What a click needs is computed in so many threads; the result is the same for any number.
     """
 
-    def __init__(self, state: LocalState, images: Sequence[Image], spacing: Spacing, passes: Mask | None) -> None:
+    def __init__(
+        self, state: LocalState, images: Sequence[Image], spacing: Spacing, passes: Mask | None, threads: int = 1
+    ) -> None:
         self.state = state
-        self._images, self.spacing, self._passes = images, spacing, passes
+        self._images, self.spacing, self._passes, self._threads = images, spacing, passes, threads
 
     def field_on(self, box: Box) -> Image:
         """F on a box of the grid: the surface grows where it is below 0."""
@@ -103,8 +109,10 @@ class LocalModel:
             whole = partition_model(self._images, self.spacing, clicks, mask=self._passes)
             self.state = LocalState.of(whole)
         else:
-            answer = self._with_click(before.answer, click)
-            parts = contest(self._images, self.spacing, clicks, self._passes, answer.count)
+            with ThreadPoolExecutor(max(self._threads, 1)) as pool:
+                answered = pool.submit(self._with_click, before.answer, click)
+                parts = contest(self._images, self.spacing, clicks, self._passes, before.answer.count, pool)
+                answer = answered.result()
             box, field, start = mixed_answer(answer, parts, clicks, before.sized)
             self.state = LocalState(clicks, answer, before.images, box, field, start, before.sized)
         box = enclosing(self.state.box, before.box)
@@ -181,7 +189,8 @@ def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> di
     distance = prepared.mask_distance
     passes = None if distance is None else np.asarray(distance < 0)
     known = {id: state.models.get(id) or LocalState.of(state.contexts[id].seeded_model()) for id in ids}
-    return {id: LocalModel(one, prepared.images, prepared.geometry.spacing, passes) for id, one in known.items()}
+    seen = prepared.images, prepared.geometry.spacing, passes, thread_count(settings)
+    return {id: LocalModel(one, *seen) for id, one in known.items()}
 
 
 def _placed(values: NDArray, own: Box, box: Box, beyond: float) -> NDArray:

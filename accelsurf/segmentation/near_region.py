@@ -155,23 +155,43 @@ def near_bounds(
     depth = np.full(before.shape, np.inf)
     if not region.mask.all():
         depth = ndimage.distance_transform_edt(region.mask, spacing)
-    # The rim; and where the surface may move to one side, everything.
-    bounded = depth < region.rim if len(set(sides)) > 1 else np.full(before.shape, True)
+    beside = _beside(before < 0)
+    # The rim; and where the surface may move to one side, everything. Beyond the region it cannot arise anew.
+    bounded = beside | (region.mask & (depth < region.rim) if len(set(sides)) > 1 else region.mask)
     u2 = np.minimum(depth[bounded] / region.rim, 1.0) ** 2
     with np.errstate(divide="ignore"):
         room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
     values, shape = before[bounded], before.shape
     low, high = (values - room if "inside" in sides else values), (values + room if "outside" in sides else values)
-    return ClickBounds((shape[0], shape[1], shape[2]), np.flatnonzero(bounded), low, high)
+    # Away from the surface before only its side is held: a distance to what has arisen nearby must not be.
+    half, away, inside = np.float32(0.5 * min(axis_steps(shape, spacing))), ~beside[bounded], values < 0
+    low[away] = np.where(inside, -np.inf, np.minimum(low, half))[away]
+    high[away] = np.where(inside, np.maximum(high, -half), np.inf)[away]
+    cells, counts = np.flatnonzero(bounded), np.isfinite(low) | np.isfinite(high)
+    return ClickBounds((shape[0], shape[1], shape[2]), cells[counts], low[counts], high[counts])
+
+
+def _beside(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The voxels with a neighbour on the other side."""
+    out = np.zeros(inside.shape, np.bool_)
+    for axis in range(3):
+        here, there = np.moveaxis(inside, axis, 0), np.moveaxis(out, axis, 0)
+        changes = here[1:] != here[:-1]
+        there[1:] |= changes
+        there[:-1] |= changes
+    return out
 
 
 def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
     """Both bounds; where they contradict each other, the clicks' hold."""
-    cells = np.union1d(near.cells, clicks.cells)
+    known = np.zeros(math.prod(near.shape), np.bool_)
+    known[near.cells] = known[clicks.cells] = True
+    cells = np.flatnonzero(known)
+    place = np.cumsum(known) - 1
     low, high = np.full(cells.size, -np.inf, np.float32), np.full(cells.size, np.inf, np.float32)
-    at = np.searchsorted(cells, near.cells)
+    at = place[near.cells]
     low[at], high[at] = near.low, near.high
-    at = np.searchsorted(cells, clicks.cells)
+    at = place[clicks.cells]
     before_low, before_high = low[at], high[at]
     # A click in what is held moves its bounds along.
     low[at] = np.minimum(np.maximum(before_low, clicks.low), np.maximum(clicks.high, clicks.low))

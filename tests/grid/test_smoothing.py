@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from accelsurf.grid.smoothing import gaussian_mm
 
@@ -40,3 +41,16 @@ def test_the_image_is_not_changed():
     assert gaussian_mm(image, (1.0, 1.0, 1.0), 0.0) is not image
     gaussian_mm(image, (1.0, 1.0, 1.0), 2.0)
     np.testing.assert_array_equal(image, before)
+
+
+@pytest.mark.parametrize("shape", [(9, 14, 11), (1, 30, 17), (3, 2, 40)])
+@pytest.mark.parametrize("sigma", [0.0, 0.6, 1.3, 4.0])
+def test_it_is_scipy_s_gaussian(shape, sigma):
+    image = np.random.default_rng(3).normal(size=shape).astype(np.float32)
+    spacing = (2.0, 1.0, 0.8)
+    widths = [sigma / h if n > 1 else 0.0 for n, h in zip(shape, spacing, strict=True)]
+    expected = ndimage.gaussian_filter(image, widths, output=np.float32, mode="reflect")
+    np.testing.assert_allclose(gaussian_mm(image, spacing, sigma), expected, rtol=1e-6, atol=1e-7)
+    np.testing.assert_array_equal(
+        gaussian_mm(np.asfortranarray(image), spacing, sigma), gaussian_mm(image, spacing, sigma)
+    )

@@ -91,3 +91,18 @@ def test_the_same_input_gives_the_same_bytes():
     (one, first), (other, second) = (marched(image, spacing, [(5, 6, 6)]) for _ in range(2))
     assert one.tobytes() == other.tobytes()
     assert first.tobytes() == second.tobytes()
+
+
+@pytest.mark.nojit
+def test_between_two_seeds_both_arrive():
+    image = np.zeros((1, 1, 5), np.float32)
+    times, _ = marched(image, (1.0, 1.0, 1.0), [(0, 0, 1), (0, 0, 3)])
+    np.testing.assert_allclose(times[0, 0], [0.02, 0, 0.02, 0, 0.02], rtol=1e-6)
+
+
+def test_more_waiting_voxels_than_the_queue_begins_with():
+    image = np.zeros((3, 70, 70), np.float32)
+    seeds = [(1, y, x) for y in range(70) for x in range(70)]
+    times, order = marched(image, (1.0, 1.0, 1.0), seeds)
+    np.testing.assert_allclose(times[[0, 2]], 0.02, rtol=1e-6)
+    assert len(order) == image.size

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
@@ -22,7 +21,7 @@ from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.energies.seeded.proposal import Order
 from accelsurf.grid.boxes import Box, bounding_box, enclosing
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.connected import connected_to
+from accelsurf.grid.connected import connected_to, holes_filled
 from accelsurf.kernels.arrival import Tissue
 
 #: F in the clicks, by side.
@@ -206,7 +205,7 @@ def _connected(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
     for click in clicks:
         clicked[click.side] |= click.mask_on(box)
     grows = ((force < 0) | clicked["inside"]) & ~clicked["outside"]
-    return np.asarray(ndimage.binary_fill_holes(connected_to(grows, clicked["inside"])) & ~clicked["outside"])
+    return holes_filled(connected_to(grows, clicked["inside"])) & ~clicked["outside"]
 
 
 def _box_of(field: Field, where: NDArray[np.bool_]) -> Box:

@@ -9,7 +9,9 @@ a person clicks. Its faces count as outside, but for those close to an inside cl
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,7 @@ from scipy import ndimage
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, radius_of, robust
 from accelsurf.grid.boxes import Box, corner_of, shared
 from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.kernels.blocks import sums_along
 from accelsurf.kernels.paths import shortest_paths
 from accelsurf.kernels.walker import walk
 
@@ -72,7 +75,12 @@ class Balance(NamedTuple):
 
 
 def contest(
-    images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None, count: int
+    images: Sequence[Image],
+    spacing: Spacing,
+    clicks: Clicks,
+    allowed: Mask | None,
+    count: int,
+    pool: Executor | None = None,
 ) -> tuple[Balance, Balance]:
     """Both contests, by paths and by walks, from -1 inside to 1 outside.
 
@@ -88,11 +96,16 @@ def contest(
         Elsewhere all is outside.
     count : int
         Voxels of the size that the first click proposed.
+    pool : Executor, optional
+        Both are made in its threads, at the same time where it has two.
     """
-    return (
-        _by_paths(around(images, spacing, clicks, allowed, (PATHS_REACH, PATHS_MOST, count))),
-        _by_walks(around(images, spacing, clicks, allowed, (WALKS_REACH, WALKS_MOST, count))),
-    )
+    makers = (_by_paths, (PATHS_REACH, PATHS_MOST, count)), (_by_walks, (WALKS_REACH, WALKS_MOST, count))
+
+    def made(maker: Callable[[Around], Balance], extent: tuple[float, int, int]) -> Balance:
+        return maker(around(images, spacing, clicks, allowed, extent))
+
+    paths, walks = (map if pool is None else pool.map)(made, *zip(*makers, strict=True))
+    return paths, walks
 
 
 def _by_paths(part: Around) -> Balance:
@@ -195,20 +208,18 @@ def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np
     >>> block_means(np.array([[[1, 3, 5]]], np.float32), (1, 1, 2)).tolist()
     [[[2.0, 5.0]]]
     """
+    values = np.ascontiguousarray(values)
     for axis, step in enumerate(steps):
         if step > 1:
-            first = np.arange(0, values.shape[axis], step)
-            counts = np.diff(np.append(first, values.shape[axis])).astype(np.float32)
-            along = np.expand_dims(counts, [i for i in range(3) if i != axis])
-            values = (np.add.reduceat(values, first, axis) / along).astype(np.float32)
-    return np.ascontiguousarray(values)
+            before, count, after = values.shape[:axis], values.shape[axis], values.shape[axis + 1 :]
+            sums = sums_along(values.reshape(math.prod(before), count, math.prod(after)), step)
+            sizes = np.diff(np.append(np.arange(0, count, step), count)).astype(np.float32)
+            values = (sums / sizes[:, None]).reshape(*before, -1, *after)
+    return values
 
 
 def _any_of_block(mask: Mask, steps: Sequence[int]) -> Mask:
-    for axis, step in enumerate(steps):
-        if step > 1:
-            mask = np.logical_or.reduceat(mask, np.arange(0, mask.shape[axis], step), axis)
-    return mask
+    return np.asarray(block_means(mask.astype(np.float32), steps) > 0)
 
 
 def _on_grid(part: Around, values: Image) -> Balance:
@@ -229,7 +240,15 @@ def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
     """A channel on a box, 0 at the median of the inside clicks and in units of their spread, cut at both ends."""
     part = image[box]
     middle, spread = robust(np.concatenate([image[click.box][click.mask] for click in inside]))
-    changes = [np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3) if part.shape[axis] > 1]
-    least = MIN_CHANGE * float(np.median(np.concatenate(changes))) if changes else 0.0
-    spread = max(spread, least, MIN_RANGE * float(np.ptp(part)), 1e-20)
+    spread = _at_least_of_changes(part, max(spread, MIN_RANGE * float(np.ptp(part)), 1e-20))
     return np.clip((part - np.float32(middle)) / np.float32(spread), -WINDOW, WINDOW)
+
+
+def _at_least_of_changes(part: Image, spread: float) -> float:
+    """The spread, or `MIN_CHANGE` times the median change between neighbours where that is more."""
+    changes = [np.abs(np.diff(part, axis=axis)) for axis in range(3) if part.shape[axis] > 1]
+    limit = np.nextafter(np.float32(spread / MIN_CHANGE), np.float32(0.0))
+    above = sum(np.count_nonzero(some > limit) for some in changes)
+    if 2 * above < sum(some.size for some in changes):  # the median is below, whatever it is: usual, and much sooner
+        return spread
+    return max(spread, MIN_CHANGE * float(np.median(np.concatenate([some.ravel() for some in changes]))))

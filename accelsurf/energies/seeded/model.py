@@ -127,8 +127,8 @@ def seeded_model(
         marched = pool.map(lambda click: later_times(smooth, spacing, field, click, before), left)
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
+        parts = contest(images, spacing, clicks, allowed, answer.count, pool) if len(clicks) > 1 else ()
     sized = size_mm3 is not None
-    parts = contest(images, spacing, clicks, allowed, answer.count) if len(clicks) > 1 else ()
     arrays = on_whole_grid(answer, *mixed_answer(answer, parts, clicks, sized), clicks.shape)
     return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized)
 

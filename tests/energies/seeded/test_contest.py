@@ -1,5 +1,7 @@
 """The contests of the clicks alone: sides, edges, boxes, coarsening."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -90,3 +92,31 @@ def test_a_part_on_a_larger_box_is_outside_beyond():
     part = Balance((slice(1, 2), slice(0, 1), slice(0, 2)), np.full((1, 1, 2), -0.5, np.float32))
     whole = part.on((slice(0, 2), slice(0, 1), slice(0, 3)))
     assert whole.tolist() == [[[1.0, 1.0, 1.0]], [[-0.5, -0.5, 1.0]]]
+
+
+@pytest.mark.parametrize("steps", [(1, 2, 3), (4, 1, 5), (7, 6, 2)])
+def test_block_means_are_numpy_s(steps):
+    values = np.random.default_rng(1).normal(size=(9, 14, 17)).astype(np.float32)
+    expected = values
+    for axis, step in enumerate(steps):
+        first = np.arange(0, values.shape[axis], step)
+        sizes = np.diff(np.append(first, values.shape[axis])).astype(np.float32)
+        along = np.expand_dims(sizes, [i for i in range(3) if i != axis])
+        expected = np.add.reduceat(expected, first, axis) / along
+    np.testing.assert_allclose(module.block_means(values, steps), expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("spread", [0.01, 0.3, 0.56, 2.0])
+def test_the_spread_is_at_least_that_of_changes(spread):
+    part = np.random.default_rng(4).normal(size=(6, 7, 8)).astype(np.float32)
+    changes = np.concatenate([np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3)])
+    expected = max(spread, module.MIN_CHANGE * float(np.median(changes)))
+    assert module._at_least_of_changes(part, spread) == expected
+
+
+def test_threads_change_no_byte(one_ball):
+    clicks = clicks_of(ball("outside", (13, 20, 36), 2.0))
+    with ThreadPoolExecutor(3) as pool:
+        threaded = contest([one_ball[0]], SPACING, clicks, None, 1, pool)
+    for one, other in zip(contest([one_ball[0]], SPACING, clicks, None, 1), threaded, strict=True):
+        assert one.box == other.box and one.values.tobytes() == other.values.tobytes()
