@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from accelsurf.energies.seeded.competition import Field, Times, balance, from_be
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.energies.seeded.proposal import Order
-from accelsurf.grid.boxes import Box, bounding_box, enclosing
+from accelsurf.grid.boxes import Box, bounding_box, corner_of, enclosing, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to
 from accelsurf.kernels.arrival import Tissue
@@ -31,10 +32,33 @@ CLICKED = {"inside": -3.0, "outside": 3.0}
 LIKELIHOOD, LEVEL = 0.5, 0.5
 #: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
 #: less has to be learned. After a stated size it is better, and counts more.
-OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (6.0, 6.0, 3.0, 1.5, 1.0)
+OWN, OWN_SIZED = (3.0, 0.75, 0.5), (6.0, 6.0, 3.0, 1.5, 1.0)
 PATHS, WALKS = 1.0, 2.0
+#: So much of F before stays in F after 2, 3, ... clicks.
+INERTIA = (0.0, 0.1, 0.2, 0.3)
+#: |F| of a label that is kept is at least this: it has a side.
+MIN_FORCE = 1e-3
 #: The first click's field is moved by so much at most, so that it has the size.
 MAX_OFFSET = 0.5
+
+
+class Shown(NamedTuple):
+    """What a person sees after some clicks: on a ``box`` of the grid F, ``force``, and where it is ``inside``.
+
+    Beyond the box F is 1 and nothing is inside.
+    """
+
+    box: Box
+    force: Image
+    inside: Mask
+
+    def on(self, box: Box) -> tuple[Image, Mask]:
+        """F and where it is inside, on another box."""
+        shape = [s.stop - s.start for s in box]
+        mine, theirs = shared(corner_of(self.box), self.force.shape, corner_of(box), shape)
+        force, inside = np.ones(shape, np.float32), np.zeros(shape, np.bool_)
+        force[theirs], inside[theirs] = self.force[mine], self.inside[mine]
+        return force, inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,9 +181,9 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
 
 
 def mixed_answer(
-    answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool
-) -> tuple[Box, Image, Mask]:
-    """A box, and on it F and where it is inside: the learned answer and the contests, with the clicks marked.
+    answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool, before: Shown | None
+) -> Shown:
+    """F and where it is inside: the learned answer and the contests, with the clicks marked.
 
     Parameters
     ----------
@@ -167,14 +191,15 @@ def mixed_answer(
     parts : sequence of Balance
         The contests of `accelsurf.energies.seeded.contest`, by paths and by walks; none after one click.
     clicks : Clicks
+        The last one is new.
     sized : bool
         Whether a size was stated.
+    before : Shown or None
+        What was shown before the last click: labels change towards its side alone.
     """
-    box = answer.box
-    for part in parts:
+    box = answer.box if before is None else enclosing(answer.box, before.box)
+    for part in (*parts, *clicks.clicks):
         box = enclosing(box, part.box)
-    for click in clicks.clicks:
-        box = enclosing(box, click.box)
     own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
     by_count = OWN_SIZED if sized else OWN
     own_weight = by_count[min(len(clicks), len(by_count)) - 1]
@@ -182,20 +207,30 @@ def mixed_answer(
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
+    if before is not None:
+        shown = before.on(box)
+        held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
+        mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
+        mixed = _one_sided(mixed, _connected(mixed, box, clicks.clicks), shown, clicks.clicks[-1].side)
     inside = _connected(mixed, box, clicks.clicks)
     for click in clicks.clicks:
         seen = click.mask_on(box)
         mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
-    return box, mixed, inside
+    return Shown(box, mixed, inside)
 
 
-def on_whole_grid(
-    answer: Answer, box: Box, mixed: Image, inside: Mask, shape: tuple[int, int, int]
-) -> tuple[Image, Mask, Image, Image]:
-    """F, the start, and the times from inside and from outside on the whole grid, from those of `mixed_answer`."""
+def _one_sided(force: Image, inside: Mask, before: tuple[Image, Mask], side: str) -> Image:
+    """F with its value before where a click on one side would change the label towards the other."""
+    sign = np.float32(-1.0 if side == "inside" else 1.0)
+    kept = (before[1] != inside) & (inside != (side == "inside"))
+    return np.where(kept, sign * np.clip(np.abs(before[0]), MIN_FORCE, 1.0), force)
+
+
+def on_whole_grid(answer: Answer, shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask, Image, Image]:
+    """F, the start, and the times from inside and from outside on the whole grid, from that of `mixed_answer`."""
     force, start = np.ones(shape, np.float32), np.zeros(shape, np.bool_)
     times_in, times_out = np.full(shape, np.inf, np.float32), np.zeros(shape, np.float32)
-    force[box], start[box] = mixed, inside
+    force[shown.box], start[shown.box] = shown.force, shown.inside
     times_in[answer.box], times_out[answer.box] = answer.times_in, answer.times_out
     return force, start, times_in, times_out
 

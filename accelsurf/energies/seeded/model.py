@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.answers import Answer, first_answer, mixed_answer, on_whole_grid, with_click
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, even_radius, learn
+from accelsurf.energies.seeded.answers import Answer, Shown, first_answer, mixed_answer, on_whole_grid, with_click
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
 from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of
 from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.evidence import edges_of
 from accelsurf.energies.seeded.proposal import Prior, Proposal, by_evidence, of_size, prior_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
@@ -57,6 +58,8 @@ class SeededModel:
         The channels, smoothed.
     sized : bool
         Whether a size was stated.
+    shown : Shown or None
+        F and start on the box beyond which there is nothing; None of a partition.
     """
 
     field: Image
@@ -69,6 +72,7 @@ class SeededModel:
     answer: Answer | None
     images: tuple[Image, ...]
     sized: bool = False
+    shown: Shown | None = None
 
 
 def seeded_model(
@@ -114,23 +118,26 @@ def seeded_model(
         raise InputError("seeded: no inside click was given", "give one with --inside")
     allowed = _allowed(images[0].shape, box, mask)
     if previous is not None and previous.answer is not None and _starts_with(clicks, previous.clicks):
-        smooth, answer, proposal = previous.images, previous.answer, previous.proposal
+        smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
         field = field_of(smooth, spacing, allowed)
         left = list(clicks.clicks[len(previous.clicks) :])
+        known = previous.clicks
     else:
-        smooth = _smoothed(images, spacing)
+        smooth, shown = _smoothed(images, spacing), None
         field = field_of(smooth, spacing, allowed)
         answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
         left = [click for click in clicks.clicks if click is not inside[0]]
-    before = answer
+        known = Clicks((inside[0],), clicks.shape)
+    sized, before = size_mm3 is not None, answer
+    shown = shown or mixed_answer(answer, (), known, sized, None)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         marched = pool.map(lambda click: later_times(smooth, spacing, field, click, before), left)
         for click, times in zip(left, marched, strict=True):
-            answer = with_click(answer, field, click, times)
-    sized = size_mm3 is not None
-    parts = contest(images, spacing, clicks, allowed, answer.count) if len(clicks) > 1 else ()
-    arrays = on_whole_grid(answer, *mixed_answer(answer, parts, clicks, sized), clicks.shape)
-    return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized)
+            answer, known = with_click(answer, field, click, times), known.with_more([click])
+            parts = contest(images, spacing, known, allowed, answer.count)
+            shown = mixed_answer(answer, parts, known, sized, shown)
+    arrays = on_whole_grid(answer, shown, clicks.shape)
+    return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized, shown)
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
@@ -171,10 +178,12 @@ def _first(
     if field.medium.open.size and not field.medium.open[seeds].any():
         raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
     if size_mm3 is None:
-        even = 4.0 / 3.0 * np.pi * even_radius(images, spacing, click, tissue) ** 3 / voxel
-        prior = prior_of(len(seeds), open_count if boxed else None, even)
+        flat, radius = field.shape[0] == 1, even_radius(images, spacing, click, tissue)
+        even = count_of(radius, spacing, flat)
+        prior = prior_of(len(seeds), open_count if boxed else None, even, flat)
         times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
-        proposal = by_evidence(field.medium.values, times, order, len(seeds), prior, voxel)
+        edges = edges_of(images, spacing, tissue, order)
+        proposal = by_evidence(field.medium.values, edges, times, order, len(seeds), prior, voxel)
     else:
         times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * size_mm3 / voxel) + 1)
         proposal = of_size(times, order, voxel, size_mm3)
