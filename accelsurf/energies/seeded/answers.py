@@ -4,6 +4,9 @@ The first click's field balances arrival times from inside and from the surround
 the level of the size. A later inside click is answered by the balance with all clicks, without the first size; a later
 outside click by what it changes in that balance, and by the balance itself where it arrives first. Either changes
 labels towards its own side alone, and only in the piece that is connected to it: what was right elsewhere stays.
+
+What is shown is the mean of that learned answer and of the contests of the clicks alone, after the first click with as
+many voxels as the answer has. A later click changes labels towards its own side alone, and F by a part.
 """
 
 from __future__ import annotations
@@ -32,10 +35,10 @@ CLICKED = {"inside": -3.0, "outside": 3.0}
 LIKELIHOOD, LEVEL = 0.5, 0.5
 #: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
 #: less has to be learned. After a stated size it is better, and counts more.
-OWN, OWN_SIZED = (3.0, 0.75, 0.5), (6.0, 6.0, 3.0, 1.5, 1.0)
+OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (3.0, 6.0, 3.0, 1.5, 1.0)
 PATHS, WALKS = 1.0, 2.0
-#: So much of F before stays in F after 2, 3, ... clicks.
-INERTIA = (0.0, 0.1, 0.2, 0.3)
+#: So much of F before stays in F after 2, 3, ... clicks: the more clicks there were, the less is wrong far from the new.
+INERTIA = (0.0, 0.2, 0.3, 0.4)
 #: |F| of a label that is kept is at least this: it has a side.
 MIN_FORCE = 1e-3
 #: The first click's field is moved by so much at most, so that it has the size.
@@ -127,8 +130,7 @@ def first_answer(
     likely = log_ratio(field.images_on(box), near, ~(near | far))
     total = competition - LIKELIHOOD * likely
     force = (1.0 - LEVEL) * competition + LEVEL * balance(inside, np.full_like(inside, at)) - LIKELIHOOD * likely
-    rank = min(count, force.size) - 1
-    force -= float(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET)) * ~far
+    force -= _offset(force, count) * ~far
     none = np.full_like(inside, np.inf)
     force = np.asarray(force, np.float32)
     answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,))
@@ -189,7 +191,7 @@ def mixed_answer(
     ----------
     answer : Answer
     parts : sequence of Balance
-        The contests of `accelsurf.energies.seeded.contest`, by paths and by walks; none after one click.
+        The contests of `accelsurf.energies.seeded.contest`, by paths and by walks.
     clicks : Clicks
         The last one is new.
     sized : bool
@@ -200,14 +202,15 @@ def mixed_answer(
     box = answer.box if before is None else enclosing(answer.box, before.box)
     for part in (*parts, *clicks.clicks):
         box = enclosing(box, part.box)
-    own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
+    own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0))
     by_count = OWN_SIZED if sized else OWN
-    own_weight = by_count[min(len(clicks), len(by_count)) - 1]
-    weights = (own_weight, PATHS, WALKS) if parts else (own_weight,)
+    weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
-    if before is not None:
+    if before is None:
+        mixed -= _offset(mixed, np.count_nonzero(answer.inside))
+    else:
         shown = before.on(box)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
         mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
@@ -217,6 +220,12 @@ def mixed_answer(
         seen = click.mask_on(box)
         mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
     return Shown(box, mixed, inside)
+
+
+def _offset(force: Image, count: int) -> np.float32:
+    """What F is to be lowered by so that F < 0 in so many voxels, as far as that is allowed."""
+    rank = min(count, force.size - 1)
+    return np.float32(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET))
 
 
 def _one_sided(force: Image, inside: Mask, before: tuple[Image, Mask], side: str) -> Image:

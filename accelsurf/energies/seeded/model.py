@@ -129,7 +129,9 @@ def seeded_model(
         left = [click for click in clicks.clicks if click is not inside[0]]
         known = Clicks((inside[0],), clicks.shape)
     sized, before = size_mm3 is not None, answer
-    shown = shown or mixed_answer(answer, (), known, sized, None)
+    if shown is None:
+        parts = contest(images, spacing, known, allowed, answer.count)
+        shown = mixed_answer(answer, parts, known, sized, None)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         marched = pool.map(lambda click: later_times(smooth, spacing, field, click, before), left)
         for click, times in zip(left, marched, strict=True):
