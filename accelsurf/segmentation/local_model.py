@@ -105,9 +105,7 @@ class LocalModel:
         else:
             answer = self._with_click(before.answer, click)
             parts = contest(self._images, self.spacing, clicks, self._passes, answer.count)
-            shown = mixed_answer(
-                answer, parts, clicks, before.sized, Shown(before.box, before.field, before.start)
-            )
+            shown = mixed_answer(answer, parts, clicks, before.sized, Shown(before.box, before.field, before.start))
             self.state = LocalState(clicks, answer, before.images, *shown, before.sized)
         box = enclosing(self.state.box, before.box)
         now = _placed(self.state.start, self.state.box, box, False)

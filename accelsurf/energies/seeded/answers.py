@@ -37,7 +37,7 @@ LIKELIHOOD, LEVEL = 0.5, 0.5
 #: less has to be learned. After a stated size it is better, and counts more.
 OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (3.0, 6.0, 3.0, 1.5, 1.0)
 PATHS, WALKS = 1.0, 2.0
-#: So much of F before stays in F after 2, 3, ... clicks: the more clicks there were, the less is wrong far from the new.
+#: So much of F before stays in F after 2, 3, ... clicks: the more there were, the less is wrong far from the new one.
 INERTIA = (0.0, 0.2, 0.3, 0.4)
 #: |F| of a label that is kept is at least this: it has a side.
 MIN_FORCE = 1e-3
@@ -182,9 +182,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
 
 
-def mixed_answer(
-    answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool, before: Shown | None
-) -> Shown:
+def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool, before: Shown | None) -> Shown:
     """F and where it is inside: the learned answer and the contests, with the clicks marked.
 
     Parameters
