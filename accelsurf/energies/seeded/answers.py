@@ -198,8 +198,8 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
         What was shown before the last click: labels change towards its side alone.
     """
     box = answer.box if before is None else enclosing(answer.box, before.box)
-    for part in (*parts, *clicks.clicks):
-        box = enclosing(box, part.box)
+    for other in (*(part.box for part in parts), *(click.box for click in clicks.clicks)):
+        box = enclosing(box, other)
     own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0))
     by_count = OWN_SIZED if sized else OWN
     weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
@@ -207,7 +207,7 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
     if before is None:
-        mixed -= _offset(mixed, np.count_nonzero(answer.inside))
+        mixed -= _offset(mixed, int(np.count_nonzero(answer.inside)))
     else:
         shown = before.on(box)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
@@ -229,8 +229,8 @@ def _offset(force: Image, count: int) -> np.float32:
 def _one_sided(force: Image, inside: Mask, before: tuple[Image, Mask], side: str) -> Image:
     """F with its value before where a click on one side would change the label towards the other."""
     sign = np.float32(-1.0 if side == "inside" else 1.0)
-    kept = (before[1] != inside) & (inside != (side == "inside"))
-    return np.where(kept, sign * np.clip(np.abs(before[0]), MIN_FORCE, 1.0), force)
+    same = (before[1] != inside) & (inside != (side == "inside"))
+    return np.where(same, sign * np.clip(np.abs(before[0]), MIN_FORCE, 1.0), force)
 
 
 def on_whole_grid(answer: Answer, shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask, Image, Image]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,8 +106,7 @@ def seeded_model(
     threads : int, optional
         Marches from so many clicks at once; the result is the same for any number.
     previous : SeededModel, optional
-        The model of the first of these clicks, with the same images and the same other settings: the result is the
-        same, sooner.
+        The model of the first of these clicks, all else being the same: the result is the same, sooner.
 
     Raises
     ------
@@ -117,29 +117,38 @@ def seeded_model(
     if not inside:
         raise InputError("seeded: no inside click was given", "give one with --inside")
     allowed = _allowed(images[0].shape, box, mask)
+    sized = size_mm3 is not None
     if previous is not None and previous.answer is not None and _starts_with(clicks, previous.clicks):
         smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
         field = field_of(smooth, spacing, allowed)
-        left = list(clicks.clicks[len(previous.clicks) :])
-        known = previous.clicks
+        known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
     else:
-        smooth, shown = _smoothed(images, spacing), None
+        smooth = _smoothed(images, spacing)
         field = field_of(smooth, spacing, allowed)
         answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
-        left = [click for click in clicks.clicks if click is not inside[0]]
-        known = Clicks((inside[0],), clicks.shape)
-    sized, before = size_mm3 is not None, answer
-    if shown is None:
-        parts = contest(images, spacing, known, allowed, answer.count)
-        shown = mixed_answer(answer, parts, known, sized, None)
+        known, left = Clicks((inside[0],), clicks.shape), [one for one in clicks.clicks if one is not inside[0]]
+        shown = _shown(images, spacing, allowed, answer, known, (sized, None))
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        marched = pool.map(lambda click: later_times(smooth, spacing, field, click, before), left)
+        marched = pool.map(partial(later_times, smooth, spacing, field, answer=answer), left)
         for click, times in zip(left, marched, strict=True):
             answer, known = with_click(answer, field, click, times), known.with_more([click])
-            parts = contest(images, spacing, known, allowed, answer.count)
-            shown = mixed_answer(answer, parts, known, sized, shown)
+            shown = _shown(images, spacing, allowed, answer, known, (sized, shown))
+    assert shown is not None  # an answer was shown
     arrays = on_whole_grid(answer, shown, clicks.shape)
     return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized, shown)
+
+
+def _shown(
+    images: Sequence[Image],
+    spacing: Spacing,
+    allowed: Mask | None,
+    answer: Answer,
+    clicks: Clicks,
+    earlier: tuple[bool, Shown | None],
+) -> Shown:
+    """What is shown after some clicks, by their answer and whether a size was stated, and what was shown before."""
+    parts = contest(images, spacing, clicks, allowed, answer.count)
+    return mixed_answer(answer, parts, clicks, *earlier)
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
