@@ -212,7 +212,7 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
         shown = before.on(box)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
         mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
-        mixed = _one_sided(mixed, _connected(mixed, box, clicks.clicks), shown, clicks.clicks[-1].side)
+        mixed = _one_sided(mixed, shown, clicks.clicks[-1].side)
     inside = _connected(mixed, box, clicks.clicks)
     for click in clicks.clicks:
         seen = click.mask_on(box)
@@ -226,11 +226,12 @@ def _offset(force: Image, count: int) -> np.float32:
     return np.float32(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET))
 
 
-def _one_sided(force: Image, inside: Mask, before: tuple[Image, Mask], side: str) -> Image:
+def _one_sided(force: Image, before: tuple[Image, Mask], side: str) -> Image:
     """F with its value before where a click on one side would change the label towards the other."""
-    sign = np.float32(-1.0 if side == "inside" else 1.0)
-    same = (before[1] != inside) & (inside != (side == "inside"))
-    return np.where(same, sign * np.clip(np.abs(before[0]), MIN_FORCE, 1.0), force)
+    earlier, inside = before
+    if side == "inside":
+        return np.where(inside & (force >= 0), np.clip(earlier, -1.0, -MIN_FORCE), force)
+    return np.where(~inside & (force < 0), np.clip(earlier, MIN_FORCE, 1.0), force)
 
 
 def on_whole_grid(answer: Answer, shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask, Image, Image]:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.appearance import Spacing, gradient
-from accelsurf.grid.boxes import bounding_box
 from accelsurf.kernels.arrival import Tissue
 
 #: The edge along a level is that of the voxels between the volumes this factor smaller and larger.
@@ -36,14 +35,13 @@ def edges_of(
     ndarray (m,) float64
     """
     shape = images[0].shape
-    come = np.zeros(shape, np.bool_)
-    come.ravel()[order] = True
-    box = bounding_box(come, 1)
-    assert box is not None  # the seeds are among them
-    square = np.zeros(shape)
+    places = np.unravel_index(order, shape)
+    box = tuple(slice(max(int(at.min()) - 1, 0), int(at.max()) + 2) for at in places)
+    here = tuple(at - side.start for at, side in zip(places, box, strict=True))
+    square = np.zeros(len(order))
     for image, edge in zip(images, tissue.gradient, strict=True):
-        square[box] += (gradient(image[box], spacing) / edge) ** 2
-    return np.asarray(np.sqrt(square.ravel()[order]))
+        square += (gradient(image[box], spacing)[here] / edge) ** 2
+    return np.asarray(np.sqrt(square))
 
 
 def edge_along(edges: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -48,6 +48,17 @@ def test_an_outside_click_adds_nothing():
     assert shown.force.ravel()[0] == pytest.approx(0.8)
 
 
+def test_an_outside_click_joins_no_island():
+    """F < 0 that no inside click was connected to stays outside when a bridge to it appears."""
+    island = BEFORE.copy()
+    island[0, 0, 8:10] = -0.6
+    inside = BEFORE < 0
+    now = island.copy()
+    now[0, 0, 6:8] = -0.4
+    shown = mixed(now, [point("inside", 2), point("outside", 11)], Shown(WHOLE, island, inside))
+    np.testing.assert_array_equal(shown.inside, inside)
+
+
 def test_a_hole_that_was_filled_keeps_its_side():
     force = line([0.8, -0.5, -0.5, 0.0, -0.5, -0.5, 0.3, 0.3, 0.8, 0.8, 0.8, 0.8])
     before = Shown(WHOLE, force, (force < 0) | (force == 0))
