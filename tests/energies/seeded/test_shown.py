@@ -49,7 +49,7 @@ def test_an_outside_click_adds_nothing():
 
 
 def test_an_outside_click_joins_no_island():
-    """F < 0 that no inside click was connected to stays outside when a bridge to it appears."""
+    """F < 0 that no inside click was connected to stays outside when a bridge to it appears, and F says so."""
     island = BEFORE.copy()
     island[0, 0, 8:10] = -0.6
     inside = BEFORE < 0
@@ -57,6 +57,7 @@ def test_an_outside_click_joins_no_island():
     now[0, 0, 6:8] = -0.4
     shown = mixed(now, [point("inside", 2), point("outside", 11)], Shown(WHOLE, island, inside))
     np.testing.assert_array_equal(shown.inside, inside)
+    assert (shown.force[~inside] > 0).all()
 
 
 def test_a_hole_that_was_filled_keeps_its_side():
