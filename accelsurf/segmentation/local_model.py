@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded import SeededModel
-from accelsurf.energies.seeded.answers import Answer, mixed_answer, with_click
+from accelsurf.energies.seeded.answers import Answer, Shown, mixed_answer, with_click
 from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.model import BEYOND, later_times
@@ -113,8 +113,8 @@ class LocalModel:
                 answered = pool.submit(self._with_click, before.answer, click)
                 parts = contest(self._images, self.spacing, clicks, self._passes, before.answer.count, pool)
                 answer = answered.result()
-            box, field, start = mixed_answer(answer, parts, clicks, before.sized)
-            self.state = LocalState(clicks, answer, before.images, box, field, start, before.sized)
+            shown = mixed_answer(answer, parts, clicks, before.sized, Shown(before.box, before.field, before.start))
+            self.state = LocalState(clicks, answer, before.images, *shown, before.sized)
         box = enclosing(self.state.box, before.box)
         now = _placed(self.state.start, self.state.box, box, False)
         return ModelChange(box, now != _placed(before.start, before.box, box, False), before)

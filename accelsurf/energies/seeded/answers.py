@@ -4,12 +4,16 @@ The first click's field balances arrival times from inside and from the surround
 the level of the size. A later inside click is answered by the balance with all clicks, without the first size; a later
 outside click by what it changes in that balance, and by the balance itself where it arrives first. Either changes
 labels towards its own side alone, and only in the piece that is connected to it: what was right elsewhere stays.
+
+What is shown is the mean of that learned answer and of the contests of the clicks alone, after the first click with as
+many voxels as the answer has. A later click changes labels towards its own side alone, and F by a part.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +23,7 @@ from accelsurf.energies.seeded.competition import Field, Times, balance, from_be
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.energies.seeded.proposal import Order
-from accelsurf.grid.boxes import Box, bounding_box, enclosing
+from accelsurf.grid.boxes import Box, bounding_box, corner_of, enclosing, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to, holes_filled
 from accelsurf.kernels.arrival import Tissue
@@ -30,10 +34,33 @@ CLICKED = {"inside": -3.0, "outside": 3.0}
 LIKELIHOOD, LEVEL = 0.5, 0.5
 #: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
 #: less has to be learned. After a stated size it is better, and counts more.
-OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (6.0, 6.0, 3.0, 1.5, 1.0)
+OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (3.0, 6.0, 3.0, 1.5, 1.0)
 PATHS, WALKS = 1.0, 2.0
+#: So much of F before stays in F after 2, 3, ... clicks: the more there were, the less is wrong far from the new one.
+INERTIA = (0.0, 0.2, 0.3, 0.4)
+#: |F| of a label that is kept is at least this: it has a side.
+MIN_FORCE = 1e-3
 #: The first click's field is moved by so much at most, so that it has the size.
 MAX_OFFSET = 0.5
+
+
+class Shown(NamedTuple):
+    """What a person sees after some clicks: on a ``box`` of the grid F, ``force``, and where it is ``inside``.
+
+    Beyond the box F is 1 and nothing is inside.
+    """
+
+    box: Box
+    force: Image
+    inside: Mask
+
+    def on(self, box: Box) -> tuple[Image, Mask]:
+        """F and where it is inside, on another box."""
+        shape = [s.stop - s.start for s in box]
+        mine, theirs = shared(corner_of(self.box), self.force.shape, corner_of(box), shape)
+        force, inside = np.ones(shape, np.float32), np.zeros(shape, np.bool_)
+        force[theirs], inside[theirs] = self.force[mine], self.inside[mine]
+        return force, inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +129,7 @@ def first_answer(
     likely = log_ratio(field.images_on(box), near, ~(near | far))
     total = competition - LIKELIHOOD * likely
     force = (1.0 - LEVEL) * competition + LEVEL * balance(inside, np.full_like(inside, at)) - LIKELIHOOD * likely
-    rank = min(count, force.size) - 1
-    force -= float(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET)) * ~far
+    force -= _offset(force, count) * ~far
     none = np.full_like(inside, np.inf)
     force = np.asarray(force, np.float32)
     answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,))
@@ -155,46 +181,63 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
 
 
-def mixed_answer(
-    answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool
-) -> tuple[Box, Image, Mask]:
-    """A box, and on it F and where it is inside: the learned answer and the contests, with the clicks marked.
+def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool, before: Shown | None) -> Shown:
+    """F and where it is inside: the learned answer and the contests, with the clicks marked.
 
     Parameters
     ----------
     answer : Answer
     parts : sequence of Balance
-        The contests of `accelsurf.energies.seeded.contest`, by paths and by walks; none after one click.
+        The contests of `accelsurf.energies.seeded.contest`, by paths and by walks.
     clicks : Clicks
+        The last one is new.
     sized : bool
         Whether a size was stated.
+    before : Shown or None
+        What was shown before the last click: labels change towards its side alone.
     """
-    box = answer.box
-    for part in parts:
-        box = enclosing(box, part.box)
-    for click in clicks.clicks:
-        box = enclosing(box, click.box)
-    own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0) if parts else answer.force)
+    box = answer.box if before is None else enclosing(answer.box, before.box)
+    for other in (*(part.box for part in parts), *(click.box for click in clicks.clicks)):
+        box = enclosing(box, other)
+    own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0))
     by_count = OWN_SIZED if sized else OWN
-    own_weight = by_count[min(len(clicks), len(by_count)) - 1]
-    weights = (own_weight, PATHS, WALKS) if parts else (own_weight,)
+    weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
+    if before is None:
+        mixed -= _offset(mixed, int(np.count_nonzero(answer.inside)))
+    else:
+        shown = before.on(box)
+        held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
+        mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
+        mixed = _one_sided(mixed, shown, clicks.clicks[-1].side)
     inside = _connected(mixed, box, clicks.clicks)
     for click in clicks.clicks:
         seen = click.mask_on(box)
         mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
-    return box, mixed, inside
+    return Shown(box, mixed, inside)
 
 
-def on_whole_grid(
-    answer: Answer, box: Box, mixed: Image, inside: Mask, shape: tuple[int, int, int]
-) -> tuple[Image, Mask, Image, Image]:
-    """F, the start, and the times from inside and from outside on the whole grid, from those of `mixed_answer`."""
+def _offset(force: Image, count: int) -> np.float32:
+    """What F is to be lowered by so that F < 0 in so many voxels, as far as that is allowed."""
+    rank = min(count, force.size - 1)
+    return np.float32(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET))
+
+
+def _one_sided(force: Image, before: tuple[Image, Mask], side: str) -> Image:
+    """F with its value before where a click on one side would change the label towards the other."""
+    earlier, inside = before
+    if side == "inside":
+        return np.where(inside & (force >= 0), np.clip(earlier, -1.0, -MIN_FORCE), force)
+    return np.where(~inside & (force < 0), np.clip(earlier, MIN_FORCE, 1.0), force)
+
+
+def on_whole_grid(answer: Answer, shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask, Image, Image]:
+    """F, the start, and the times from inside and from outside on the whole grid, from that of `mixed_answer`."""
     force, start = np.ones(shape, np.float32), np.zeros(shape, np.bool_)
     times_in, times_out = np.full(shape, np.inf, np.float32), np.zeros(shape, np.float32)
-    force[box], start[box] = mixed, inside
+    force[shown.box], start[shown.box] = shown.force, shown.inside
     times_in[answer.box], times_out[answer.box] = answer.times_in, answer.times_out
     return force, start, times_in, times_out
 

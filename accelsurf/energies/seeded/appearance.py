@@ -61,6 +61,13 @@ def radius_of(count: float, spacing: Spacing, flat: bool) -> float:
     return float((count * np.prod(spacing) * 3.0 / (4.0 * np.pi)) ** (1.0 / 3.0))
 
 
+def count_of(radius: float, spacing: Spacing, flat: bool) -> float:
+    """Number of voxels of a ball, in a flat image a disk, of some radius (mm): the inverse of `radius_of`."""
+    if flat:
+        return float(np.pi * radius**2 / (spacing[1] * spacing[2]))
+    return float(4.0 / 3.0 * np.pi * radius**3 / np.prod(spacing))
+
+
 def gradient(values: Image, spacing: Sequence[float]) -> NDArray[np.float64]:
     """Length of the gradient by central differences, per mm."""
     parts = (np.gradient(values, h, axis=i) for i, h in enumerate(spacing) if values.shape[i] > 1)
@@ -110,7 +117,7 @@ def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue:
         Of the click.
     """
     middle = np.argwhere(click.mask).mean(axis=0) + [s.start for s in click.box]
-    own = radius_of(float(np.count_nonzero(click.mask)), spacing, False)
+    own = radius_of(float(np.count_nonzero(click.mask)), spacing, images[0].shape[0] == 1)
     reach = max(EVEN_REACH * own, MIN_EVEN_REACH * min(spacing))
     margin = [int(np.ceil(reach / h)) for h in spacing]
     at = np.round(middle).astype(int)

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.answers import Answer, first_answer, mixed_answer, on_whole_grid, with_click
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, even_radius, learn
+from accelsurf.energies.seeded.answers import Answer, Shown, first_answer, mixed_answer, on_whole_grid, with_click
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
 from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of
 from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.evidence import edges_of
 from accelsurf.energies.seeded.proposal import Prior, Proposal, by_evidence, of_size, prior_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
@@ -57,6 +59,8 @@ class SeededModel:
         The channels, smoothed.
     sized : bool
         Whether a size was stated.
+    shown : Shown or None
+        F and start on the box beyond which there is nothing; None of a partition.
     """
 
     field: Image
@@ -69,6 +73,7 @@ class SeededModel:
     answer: Answer | None
     images: tuple[Image, ...]
     sized: bool = False
+    shown: Shown | None = None
 
 
 def seeded_model(
@@ -101,8 +106,7 @@ def seeded_model(
     threads : int, optional
         Marches from so many clicks at once; the result is the same for any number.
     previous : SeededModel, optional
-        The model of the first of these clicks, with the same images and the same other settings: the result is the
-        same, sooner.
+        The model of the first of these clicks, all else being the same: the result is the same, sooner.
 
     Raises
     ------
@@ -113,24 +117,39 @@ def seeded_model(
     if not inside:
         raise InputError("seeded: no inside click was given", "give one with --inside")
     allowed = _allowed(images[0].shape, box, mask)
+    sized = size_mm3 is not None
     if previous is not None and previous.answer is not None and _starts_with(clicks, previous.clicks):
-        smooth, answer, proposal = previous.images, previous.answer, previous.proposal
+        smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
         field = field_of(smooth, spacing, allowed)
-        left = list(clicks.clicks[len(previous.clicks) :])
+        known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
     else:
         smooth = _smoothed(images, spacing)
         field = field_of(smooth, spacing, allowed)
         answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
-        left = [click for click in clicks.clicks if click is not inside[0]]
-    before = answer
+        known, left = Clicks((inside[0],), clicks.shape), [one for one in clicks.clicks if one is not inside[0]]
+        shown = _shown(images, spacing, allowed, answer, known, (sized, None))
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        marched = pool.map(lambda click: later_times(smooth, spacing, field, click, before), left)
+        marched = pool.map(partial(later_times, smooth, spacing, field, answer=answer), left)
         for click, times in zip(left, marched, strict=True):
-            answer = with_click(answer, field, click, times)
-        parts = contest(images, spacing, clicks, allowed, answer.count, pool) if len(clicks) > 1 else ()
-    sized = size_mm3 is not None
-    arrays = on_whole_grid(answer, *mixed_answer(answer, parts, clicks, sized), clicks.shape)
-    return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized)
+            answer, known = with_click(answer, field, click, times), known.with_more([click])
+            shown = _shown(images, spacing, allowed, answer, known, (sized, shown), pool)
+    assert shown is not None  # an answer was shown
+    arrays = on_whole_grid(answer, shown, clicks.shape)
+    return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized, shown)
+
+
+def _shown(
+    images: Sequence[Image],
+    spacing: Spacing,
+    allowed: Mask | None,
+    answer: Answer,
+    clicks: Clicks,
+    earlier: tuple[bool, Shown | None],
+    pool: ThreadPoolExecutor | None = None,
+) -> Shown:
+    """What is shown after some clicks, by their answer and whether a size was stated, and what was shown before."""
+    parts = contest(images, spacing, clicks, allowed, answer.count, pool)
+    return mixed_answer(answer, parts, clicks, *earlier)
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
@@ -171,10 +190,12 @@ def _first(
     if field.medium.open.size and not field.medium.open[seeds].any():
         raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
     if size_mm3 is None:
-        even = 4.0 / 3.0 * np.pi * even_radius(images, spacing, click, tissue) ** 3 / voxel
-        prior = prior_of(len(seeds), open_count if boxed else None, even)
+        flat, radius = field.shape[0] == 1, even_radius(images, spacing, click, tissue)
+        even = count_of(radius, spacing, flat)
+        prior = prior_of(len(seeds), open_count if boxed else None, even, flat)
         times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
-        proposal = by_evidence(field.medium.values, times, order, len(seeds), prior, voxel)
+        edges = edges_of(images, spacing, tissue, order)
+        proposal = by_evidence(field.medium.values, edges, times, order, len(seeds), prior, voxel)
     else:
         times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * size_mm3 / voxel) + 1)
         proposal = of_size(times, order, voxel, size_mm3)

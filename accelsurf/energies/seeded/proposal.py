@@ -7,13 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.energies.seeded.evidence import edge_along, safest
+
 Order = NDArray[np.int64]
 
 #: Volumes that are compared grow by this factor from one to the next.
 STEP = 1.08
 #: The front's speed is read off between the volumes this factor smaller and larger.
 NEAR = 1.25
-#: An object has about so many times the volume of the largest ball in it; spread of the logarithm.
+#: An object has about so many times the volume of the largest ball in it, as many times that of the largest disk to the
+#: power of two thirds; spread of the logarithm.
 TIMES_BALL, BALL_SPREAD = 5.5, 1.2
 #: A click of fewer voxels than these is a point, and says nothing of the size.
 MIN_BALL = 5
@@ -88,7 +91,7 @@ class Prior(NamedTuple):
         return float(found) if found else np.inf
 
 
-def prior_of(click: int, box: int | None, even: float) -> Prior:
+def prior_of(click: int, box: int | None, even: float, flat: bool) -> Prior:
     """What a click's voxels, the even tissue around it and a box say of the object's.
 
     A person who clicks a ball deep inside makes it about half as wide as the object is thick there, or much smaller;
@@ -103,24 +106,37 @@ def prior_of(click: int, box: int | None, even: float) -> Prior:
         Voxels of the box.
     even : float
         Voxels of the ball of even tissue, see `accelsurf.energies.seeded.appearance.even_radius`.
+    flat : bool
+        Whether the image is one slice: balls are disks.
     """
     if box is not None:
         return Prior(BOX_FILLED * box, BOX_SPREAD)
-    tissue = TIMES_BALL * max(even, float(click))
-    return Prior(TIMES_BALL * 8.0 * click, BALL_SPREAD if click >= MIN_BALL else np.inf, tissue)
+    dimensions = 2 if flat else 3
+    times = TIMES_BALL ** (dimensions / 3.0)
+    tissue = times * max(even, float(click))
+    return Prior(times * 2.0**dimensions * click, BALL_SPREAD if click >= MIN_BALL else np.inf, tissue)
 
 
 def by_evidence(
-    images: NDArray[np.float32], times: NDArray[np.float32], order: Order, first: int, prior: Prior, voxel_volume: float
+    images: NDArray[np.float32],
+    edges: NDArray[np.float64],
+    times: NDArray[np.float32],
+    order: Order,
+    first: int,
+    prior: Prior,
+    voxel_volume: float,
 ) -> Proposal:
-    """The level with the most evidence.
+    """The level that is expected to be least wrong.
 
-    There the front is slow (d log T / d log V is large), what arrives next differs from what has arrived (difference of
-    the means in units of both spreads), and the volume is about as expected.
+    A level is the likelier, the slower the front is there (d log T / d log V), the more what arrives next differs from
+    what has arrived (difference of the means in units of both spreads), the stronger the edges along it are, and the
+    more its volume is as expected.
 
     Parameters
     ----------
     images : ndarray (channels, n), float32
+    edges : ndarray (m,) float64
+        Of the voxels in the order of their times, see `accelsurf.energies.seeded.evidence.edges_of`.
     times : ndarray (n,) float32
     order : ndarray (m,) int64
         The voxels in the order of their times.
@@ -133,18 +149,19 @@ def by_evidence(
     counts = candidate_counts(first, len(order))
     if counts.size < 3:
         return Proposal(float(times[order[-1]]), len(order) * voxel_volume, 0.0)
-    score = scores(images, times, order, counts) + prior.of(counts)
+    along = np.log(np.maximum(edge_along(edges, counts), 1e-6))
+    score = scores(images, times, order, counts) + along + prior.of(counts)
     peaks = [i for i in range(len(score)) if score[i] == score[max(i - 3, 0) : i + 4].max()]
     peaks.sort(key=lambda i: (-score[i], i))
-    best = counts[peaks[0]]
+    best = safest(counts, score)
     sure = float(1.0 - np.exp(score[peaks[1]] - score[peaks[0]])) if len(peaks) > 1 else 1.0
-    others = tuple(float(counts[i] * voxel_volume) for i in peaks[1:4])
-    return Proposal(float(times[order[best - 1]]), float(best * voxel_volume), sure, others)
+    others = tuple(float(counts[i] * voxel_volume) for i in peaks if abs(i - best) > 3)
+    return Proposal(float(times[order[counts[best] - 1]]), float(counts[best] * voxel_volume), sure, others[:3])
 
 
 def candidate_counts(first: int, last: int) -> NDArray[np.int64]:
     """Numbers of voxels whose levels are compared, from somewhat more than the seeds to somewhat less than all."""
-    low, high = 1.5 * first, last / 1.5
+    low, high = 1.5 * first, last / NEAR
     if high <= low:
         return np.zeros(0, np.int64)
     steps = int(np.floor(np.log(high / low) / np.log(STEP)))
