@@ -14,6 +14,7 @@ from accelsurf.energies.seeded import SeededModel
 from accelsurf.energies.seeded.answers import Answer, mixed_answer, with_click
 from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.model import BEYOND, later_times
 from accelsurf.energies.seeded.partition import partition_model
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, shared, whole_box, widened
@@ -105,7 +106,8 @@ class LocalModel:
         else:
             answer = self._with_click(before.answer, click)
             parts = contest(self._images, self.spacing, clicks, self._passes, answer.count)
-            box, field, start = mixed_answer(answer, parts, clicks, before.sized)
+            mixed = mixed_answer(answer, parts, clicks, before.sized)
+            box, field, start = at_edges(mixed, self._images, before.images, self.spacing, clicks, self._passes)
             self.state = LocalState(clicks, answer, before.images, box, field, start, before.sized)
         box = enclosing(self.state.box, before.box)
         now = _placed(self.state.start, self.state.box, box, False)

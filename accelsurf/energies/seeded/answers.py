@@ -108,7 +108,7 @@ def first_answer(
     none = np.full_like(inside, np.inf)
     force = np.asarray(force, np.float32)
     answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,))
-    return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
+    return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 
 def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times, Tissue]) -> Answer:
@@ -153,7 +153,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
         force=force,
         clicks=(*answer.clicks, click),
     )
-    return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
+    return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 
 def mixed_answer(
@@ -182,7 +182,7 @@ def mixed_answer(
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
-    inside = _connected(mixed, box, clicks.clicks)
+    inside = object_of(mixed, box, clicks.clicks)
     for click in clicks.clicks:
         seen = click.mask_on(box)
         mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
@@ -200,7 +200,7 @@ def on_whole_grid(
     return force, start, times_in, times_out
 
 
-def _connected(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
+def object_of(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
     """Where F < 0 on a box, connected to inside clicks, and its holes where no outside click lies."""
     clicked = {side: np.zeros(force.shape, np.bool_) for side in CLICKED}
     for click in clicks:

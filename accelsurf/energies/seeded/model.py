@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.answers import Answer, first_answer, mixed_answer, on_whole_grid, with_click
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, even_radius, learn
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, even_radius, learn, voxels_of
 from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of
 from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.proposal import Prior, Proposal, by_evidence, of_size, prior_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
@@ -22,8 +23,6 @@ from accelsurf.kernels.arrival import Tissue
 
 #: Smoothing of the image before anything is learned from it, of the smallest spacing.
 SMOOTHING = 0.6
-#: Default weight of the area, of the smallest spacing.
-AREA = 0.3
 #: The surroundings begin where the first click's arrival time has so many times the object's volume.
 BEYOND = 3.0
 #: Arrival times from a later click, as multiples of those that would give the object's volume at the same level.
@@ -129,8 +128,10 @@ def seeded_model(
             answer = with_click(answer, field, click, times)
     sized = size_mm3 is not None
     parts = contest(images, spacing, clicks, allowed, answer.count) if len(clicks) > 1 else ()
-    arrays = on_whole_grid(answer, *mixed_answer(answer, parts, clicks, sized), clicks.shape)
-    return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized)
+    mixed = at_edges(mixed_answer(answer, parts, clicks, sized), images, smooth, spacing, clicks, allowed)
+    arrays = on_whole_grid(answer, *mixed, clicks.shape)
+    area = area_weight(images, spacing, arrays[1])
+    return SeededModel(*arrays, proposal, area, clicks, answer, tuple(smooth), sized)
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
@@ -171,7 +172,7 @@ def _first(
     if field.medium.open.size and not field.medium.open[seeds].any():
         raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
     if size_mm3 is None:
-        even = 4.0 / 3.0 * np.pi * even_radius(images, spacing, click, tissue) ** 3 / voxel
+        even = voxels_of(even_radius(images, spacing, click, tissue), spacing, field.shape[0] == 1)
         prior = prior_of(len(seeds), open_count if boxed else None, even)
         times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
         proposal = by_evidence(field.medium.values, times, order, len(seeds), prior, voxel)
