@@ -68,10 +68,9 @@ def edge_balance(
     c^2 = sum over channels of (u_in - u_out)^2/(spread^2), spread^2 the variance within both sides. The weight is
     c^4/(c^4 + `CLEAR_CONTRAST`^4), half of that in the second voxel from the boundary, 0 beyond.
     """
-    near, next_to_it = _seen_both(inside, 5), _seen_both(inside, 3)
-    counts = np.where(next_to_it, np.float32(MIXED), np.float32(1.0))
-    if open is not None:
-        counts *= open
+    seen = np.ones(inside.shape, np.bool_) if open is None else open
+    near, next_to_it = _seen_both(inside, 5) & seen, _seen_both(inside, 3) & seen
+    counts = np.where(next_to_it, np.float32(MIXED), np.float32(1.0)) * seen
     reach = [2 * max(round(WINDOW * min(spacing) / h), 1) + 1 if n > 1 else 1
              for h, n in zip(spacing, inside.shape, strict=True)]  # fmt: skip
 
@@ -84,7 +83,7 @@ def edge_balance(
     within, beyond = np.maximum(within, MIN_PART), np.maximum(beyond, MIN_PART)
     balance, total = np.zeros(inside.shape, np.float32), np.zeros(inside.shape, np.float32)
     for image in images:
-        values = image - np.float32(image[inside].mean(dtype=np.float64))
+        values = (image - np.float32(image[inside & seen].mean(dtype=np.float64))) * seen
         sum_in, sum_both = window(counts * inside * values), window(counts * values)
         sum_out = sum_both - sum_in
         one, other = sum_in / within, sum_out / beyond
@@ -97,8 +96,6 @@ def edge_balance(
         balance += contrast * side
         total += contrast
     weight = total**2 / (total**2 + np.float32(CLEAR_CONTRAST**4)) * found * (0.5 * near + 0.5 * next_to_it)
-    if open is not None:
-        weight *= open
     return (balance / np.maximum(total, 1e-12)).astype(np.float32), weight.astype(np.float32)
 
 
@@ -139,8 +136,10 @@ def at_edges(
         mine, theirs = shared(corner_of(box), force.shape, corner_of(here), [s.stop - s.start for s in here])
         seen = np.zeros([s.stop - s.start for s in here], np.bool_)
         seen[theirs] = inside[mine]
-        parts = [_as_smooth_as_needed(one[here], other[here], seen) for one, other in zip(images, smooth, strict=True)]
-        balance, weight = edge_balance(parts, spacing, seen, None if open is None else open[here])
+        passes = None if open is None else open[here]
+        pairs = zip(images, smooth, strict=True)
+        parts = [_as_smooth_as_needed(one[here], other[here], seen, passes) for one, other in pairs]
+        balance, weight = edge_balance(parts, spacing, seen, passes)
         for click in clicks.clicks:
             weight[click.mask_on(here)] = 0.0
         force = answered[1].copy()
@@ -159,13 +158,14 @@ def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> B
     return widened((on_grid[0], on_grid[1], on_grid[2]), shape, margins)
 
 
-def _as_smooth_as_needed(image: Image, smooth: Image, inside: Mask) -> Image:
+def _as_smooth_as_needed(image: Image, smooth: Image, inside: Mask, open: Mask | None) -> Image:
     """A channel near a boundary, as it is without noise, smoothed where it has some: smoothing moves curved edges."""
-    share = min(_noise_share(image, inside, _seen_both(inside, REACH)) / NOISE, 1.0)
+    near = _seen_both(inside, REACH)
+    share = min(_noise_share(image, inside, near if open is None else near & open) / NOISE, 1.0)
     return np.asarray(image + np.float32(share) * (smooth - image))
 
 
-def area_weight(images: Sequence[Image], spacing: Spacing, inside: Mask) -> float:
+def area_weight(images: Sequence[Image], spacing: Spacing, inside: Mask, open: Mask | None = None) -> float:
     """Weight of the area (mm) that suits the noise: more, the more noise there is for the contrast of the boundary.
 
     Parameters
@@ -176,11 +176,15 @@ def area_weight(images: Sequence[Image], spacing: Spacing, inside: Mask) -> floa
         mm.
     inside : ndarray (nz, ny, nx) of bool
         The object; its boundary's contrast is the difference of the medians on both sides.
+    open : ndarray (nz, ny, nx) of bool, optional
+        Elsewhere nothing is looked at.
     """
     box = bounding_box(inside, REACH)
     share = 1.0
     if box is not None:
         near = _seen_both(inside[box], REACH)
+        if open is not None:
+            near &= open[box]
         for image in images:
             share = min(share, _noise_share(image[box], inside[box], near))
     return (AREA + NOISY_AREA * share) * min(spacing)

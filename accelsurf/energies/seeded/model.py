@@ -100,8 +100,7 @@ def seeded_model(
     threads : int, optional
         Marches from so many clicks at once; the result is the same for any number.
     previous : SeededModel, optional
-        The model of the first of these clicks, with the same images and the same other settings: the result is the
-        same, sooner.
+        Of the first of these clicks, with the same images and other settings: the same result, sooner.
 
     Raises
     ------
@@ -126,12 +125,11 @@ def seeded_model(
         marched = pool.map(lambda click: later_times(smooth, spacing, field, click, before), left)
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
-    sized = size_mm3 is not None
     parts = contest(images, spacing, clicks, allowed, answer.count) if len(clicks) > 1 else ()
-    mixed = at_edges(mixed_answer(answer, parts, clicks, sized), images, smooth, spacing, clicks, allowed)
+    mixed = at_edges(mixed_answer(answer, parts, clicks, size_mm3 is not None), images, smooth, spacing, clicks, allowed)
     arrays = on_whole_grid(answer, *mixed, clicks.shape)
-    area = area_weight(images, spacing, arrays[1])
-    return SeededModel(*arrays, proposal, area, clicks, answer, tuple(smooth), sized)
+    area = area_weight(images, spacing, arrays[1], allowed)
+    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, size_mm3 is not None)
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
