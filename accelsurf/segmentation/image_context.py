@@ -229,6 +229,8 @@ class ImageContext:
         """Psi, mm, of the first surface that the model gives."""
         model = self.seeded_model()
         half = np.float32(0.5 * min(axis_steps(model.start.shape, self.spacing)))
+        if model.answer is None:  # a partition: its F is flat, and says no place between voxels
+            return np.where(model.start, -half, half)
         # F crosses 0 between voxels: the surface begins there, and not at the faces of voxels.
         depth = half * np.clip(np.abs(model.field), np.float32(MIN_DEPTH), np.float32(1.0))
         return np.asarray(np.where(model.start, -depth, depth), np.float32)
