@@ -126,8 +126,8 @@ def seeded_model(
         for click, times in zip(left, marched, strict=True):
             answer = with_click(answer, field, click, times)
     parts = contest(images, spacing, clicks, allowed, answer.count) if len(clicks) > 1 else ()
-    mixed = at_edges(mixed_answer(answer, parts, clicks, size_mm3 is not None), images, smooth, spacing, clicks, allowed)
-    arrays = on_whole_grid(answer, *mixed, clicks.shape)
+    made = at_edges(mixed_answer(answer, parts, clicks, size_mm3 is not None), images, smooth, spacing, clicks, allowed)
+    arrays = on_whole_grid(answer, *made, clicks.shape)
     area = area_weight(images, spacing, arrays[1], allowed)
     return SeededModel(*arrays, proposal, area, clicks, answer, smooth, size_mm3 is not None)
 
