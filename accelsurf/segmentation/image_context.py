@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 #: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
 #: between two of them, and ConfidenceConnected of ITK takes as many.
 LEARNED_DEVIATIONS = 2.5
+#: No voxel is nearer to the first surface of the clicks' model than this part of half a voxel.
+MIN_DEPTH = 0.02
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -225,9 +227,13 @@ class ImageContext:
 
     def model_start(self) -> Image:
         """Psi, mm, of the first surface that the model gives."""
-        start = self.seeded_model().start
-        half = np.float32(0.5 * min(axis_steps(start.shape, self.spacing)))
-        return np.where(start, -half, half)
+        model = self.seeded_model()
+        half = np.float32(0.5 * min(axis_steps(model.start.shape, self.spacing)))
+        if model.answer is None:  # a partition: its F is flat, and says no place between voxels
+            return np.where(model.start, -half, half)
+        # F crosses 0 between voxels: the surface begins there, and not at the faces of voxels.
+        depth = half * np.clip(np.abs(model.field), np.float32(MIN_DEPTH), np.float32(1.0))
+        return np.asarray(np.where(model.start, -depth, depth), np.float32)
 
     def model_field(self) -> Image:
         """The field of the model on the grid at hand."""

@@ -15,6 +15,7 @@ from accelsurf.energies.seeded import SeededModel
 from accelsurf.energies.seeded.answers import Answer, Shown, mixed_answer, with_click
 from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.model import BEYOND, later_times
 from accelsurf.energies.seeded.partition import partition_model
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, shared, whole_box, widened
@@ -41,7 +42,7 @@ class LocalState(NamedTuple):
 
     ``clicks`` that it was made from and the ``answer`` to them (None of a partition), on the whole grid's indices;
     ``images``, the channels as the model sees them, on the whole grid; ``field`` F and ``start`` on the box; ``sized``,
-    whether a size was stated.
+    whether a size was stated; ``shown``, F and start before they were brought to the edges of the image.
     """
 
     clicks: Clicks
@@ -51,6 +52,7 @@ class LocalState(NamedTuple):
     field: Image
     start: Mask
     sized: bool = False
+    shown: Shown | None = None
 
     @classmethod
     def of(cls, model: SeededModel) -> LocalState:
@@ -59,7 +61,7 @@ class LocalState(NamedTuple):
             return cls(model.clicks, None, model.images, whole_box(model.field.shape), model.field, model.start)
         box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
         field, start = model.field[box].copy(), model.start[box].copy()
-        return cls(model.clicks, model.answer, model.images, box, field, start, model.sized)
+        return cls(model.clicks, model.answer, model.images, box, field, start, model.sized, model.shown)
 
 
 class ModelChange(NamedTuple):
@@ -113,8 +115,9 @@ class LocalModel:
                 answered = pool.submit(self._with_click, before.answer, click)
                 parts = contest(self._images, self.spacing, clicks, self._passes, before.answer.count, pool)
                 answer = answered.result()
-            shown = mixed_answer(answer, parts, clicks, before.sized, Shown(before.box, before.field, before.start))
-            self.state = LocalState(clicks, answer, before.images, *shown, before.sized)
+            shown = mixed_answer(answer, parts, clicks, before.sized, before.shown)
+            edges = at_edges(shown, self._images, before.images, self.spacing, clicks, self._passes)
+            self.state = LocalState(clicks, answer, before.images, *edges, before.sized, shown)
         box = enclosing(self.state.box, before.box)
         now = _placed(self.state.start, self.state.box, box, False)
         return ModelChange(box, now != _placed(before.start, before.box, box, False), before)

@@ -147,15 +147,16 @@ def _of_models(
     starts: list[ObjectStart], contexts: list[ImageContext], name: str, geometry: Geometry
 ) -> list[ObjectStart]:
     """First surfaces of several objects by the model of each; where two overlap, the lower id has the voxels."""
-    half, out = np.float32(0.5 * min(geometry.steps)), []
+    out = []
     taken = np.zeros(geometry.shape, np.bool_)
     for one, context in zip(starts, contexts, strict=True):
-        inside = (context.model_start() < 0) & ~taken
+        psi = context.model_start()
+        inside = (psi < 0) & ~taken
         tight = bounding_box(inside)
         if tight is None:
             out.append(one)
             continue
         taken |= inside
         box = widened(tight, geometry.shape, (AROUND, AROUND, AROUND))
-        out.append(ObjectStart(one.id, corner_of(box), np.where(inside[box], -half, half)))
+        out.append(ObjectStart(one.id, corner_of(box), np.where(inside[box], psi[box], np.abs(psi[box]))))
     return out

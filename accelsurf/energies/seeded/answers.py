@@ -133,7 +133,7 @@ def first_answer(
     none = np.full_like(inside, np.inf)
     force = np.asarray(force, np.float32)
     answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,))
-    return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
+    return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 
 def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times, Tissue]) -> Answer:
@@ -178,7 +178,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
         force=force,
         clicks=(*answer.clicks, click),
     )
-    return replace(answer, inside=_connected(answer.force, answer.box, answer.clicks))
+    return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 
 def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool, before: Shown | None) -> Shown:
@@ -212,7 +212,7 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
         mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
         mixed = _one_sided(mixed, shown, clicks.clicks[-1].side)
-    inside = _connected(mixed, box, clicks.clicks)
+    inside = object_of(mixed, box, clicks.clicks)
     for click in clicks.clicks:
         seen = click.mask_on(box)
         mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
@@ -242,7 +242,7 @@ def on_whole_grid(answer: Answer, shown: Shown, shape: tuple[int, int, int]) -> 
     return force, start, times_in, times_out
 
 
-def _connected(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
+def object_of(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
     """Where F < 0 on a box, connected to inside clicks, and its holes where no outside click lies."""
     clicked = {side: np.zeros(force.shape, np.bool_) for side in CLICKED}
     for click in clicks:

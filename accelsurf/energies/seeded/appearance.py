@@ -105,7 +105,7 @@ def learn(images: Sequence[Image], spacing: Spacing, click: Click) -> Tissue:
 
 
 def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue: Tissue) -> float:
-    """Radius (mm) of the ball around a click's middle in which most voxels look like the click.
+    """Radius (mm) of the ball, of a flat image the disk, around a click's middle where most voxels look like the click.
 
     Parameters
     ----------
@@ -117,8 +117,11 @@ def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue:
         Of the click.
     """
     middle = np.argwhere(click.mask).mean(axis=0) + [s.start for s in click.box]
-    own = radius_of(float(np.count_nonzero(click.mask)), spacing, images[0].shape[0] == 1)
-    reach = max(EVEN_REACH * own, MIN_EVEN_REACH * min(spacing))
+    flat = images[0].shape[0] == 1
+    own = radius_of(float(np.count_nonzero(click.mask)), spacing, flat)
+    # A slice may be thinner than its pixels are wide.
+    step = min(spacing[1:]) if flat else min(spacing)
+    reach = max(EVEN_REACH * own, MIN_EVEN_REACH * step)
     margin = [int(np.ceil(reach / h)) for h in spacing]
     at = np.round(middle).astype(int)
     box = tuple(slice(max(a - m, 0), min(a + m + 1, n)) for a, m, n in zip(at, margin, images[0].shape, strict=True))
@@ -128,8 +131,8 @@ def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue:
     like = np.ones(distance.shape, np.bool_)
     for image, median, spread in zip(images, tissue.median, tissue.spread, strict=True):
         like &= np.abs(image[box] - median) <= ALIKE * spread
-    shell = (distance / min(spacing)).astype(np.int64).ravel()
+    shell = (distance / step).astype(np.int64).ravel()
     counts, alike = np.bincount(shell), np.bincount(shell, like.ravel())
-    radii = np.arange(counts.size) * min(spacing)
+    radii = np.arange(counts.size) * step
     ends = np.flatnonzero((counts > 0) & (alike < EVEN_PART * counts) & (radii > own))
     return float(min(radii[ends[0]], reach) if ends.size else reach)

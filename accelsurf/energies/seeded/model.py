@@ -14,6 +14,7 @@ from accelsurf.energies.seeded.answers import Answer, Shown, first_answer, mixed
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
 from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of
 from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.evidence import edges_of
 from accelsurf.energies.seeded.proposal import Prior, Proposal, by_evidence, of_size, prior_of
 from accelsurf.errors import InputError
@@ -24,8 +25,6 @@ from accelsurf.kernels.arrival import Tissue
 
 #: Smoothing of the image before anything is learned from it, of the smallest spacing.
 SMOOTHING = 0.6
-#: Default weight of the area, of the smallest spacing.
-AREA = 0.3
 #: The surroundings begin where the first click's arrival time has so many times the object's volume.
 BEYOND = 3.0
 #: Arrival times from a later click, as multiples of those that would give the object's volume at the same level.
@@ -117,7 +116,6 @@ def seeded_model(
     if not inside:
         raise InputError("seeded: no inside click was given", "give one with --inside")
     allowed = _allowed(images[0].shape, box, mask)
-    sized = size_mm3 is not None
     if previous is not None and previous.answer is not None and _starts_with(clicks, previous.clicks):
         smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
         field = field_of(smooth, spacing, allowed)
@@ -127,15 +125,16 @@ def seeded_model(
         field = field_of(smooth, spacing, allowed)
         answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
         known, left = Clicks((inside[0],), clicks.shape), [one for one in clicks.clicks if one is not inside[0]]
-        shown = _shown(images, spacing, allowed, answer, known, (sized, None))
+        shown = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, None))
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         marched = pool.map(partial(later_times, smooth, spacing, field, answer=answer), left)
         for click, times in zip(left, marched, strict=True):
             answer, known = with_click(answer, field, click, times), known.with_more([click])
-            shown = _shown(images, spacing, allowed, answer, known, (sized, shown), pool)
+            shown = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, shown), pool)
     assert shown is not None  # an answer was shown
-    arrays = on_whole_grid(answer, shown, clicks.shape)
-    return SeededModel(*arrays, proposal, AREA * min(spacing), clicks, answer, tuple(smooth), sized, shown)
+    arrays = on_whole_grid(answer, at_edges(shown, images, smooth, spacing, clicks, allowed), clicks.shape)
+    area = area_weight(images, spacing, arrays[1], allowed)
+    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, size_mm3 is not None, shown)
 
 
 def _shown(

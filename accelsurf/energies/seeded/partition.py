@@ -12,12 +12,15 @@ import numpy as np
 from accelsurf.energies.seeded.answers import CLICKED
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
 from accelsurf.energies.seeded.competition import arrival, balance, field_of
-from accelsurf.energies.seeded.model import AREA, SMOOTHING, SeededModel
+from accelsurf.energies.seeded.model import SMOOTHING, SeededModel
 from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.errors import InputError
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.connected import connected_to
 from accelsurf.grid.smoothing import gaussian_mm
+
+#: Default weight of the area, of the smallest spacing.
+AREA = 0.3
 
 
 def partition_model(

@@ -1,0 +1,205 @@
+"""Where the object's edge is, within a voxel: halfway between the values on both sides of the model's boundary.
+
+The model of clicks tells voxels apart; its field knows neither the brightness outside nor the place of an edge between
+two voxels. In a window around each voxel near the boundary the mean values inside and outside are compared, without
+the voxels next to the boundary, which blur mixes; the edge is where the value is halfway. How much that counts depends
+on how far apart the means are, in spreads: between equals it counts nothing, and the field decides alone. So it does
+more than two voxels from the boundary, where nothing can leak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.seeded.answers import Shown, object_of
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
+from accelsurf.grid.boxes import Box, bounding_box, corner_of, shared, widened
+from accelsurf.grid.clicks import Clicks
+
+#: The window reaches so many of the smallest spacings to each side.
+WINDOW = 4.0
+#: Means that differ by so many spreads count half, by much more fully.
+CLEAR_CONTRAST = 4.0
+#: A spread is at least this part of the range of the values.
+MIN_RANGE = 1e-3
+#: What voxels next to the boundary count in the means: where a part is so thin that it has no others.
+MIXED = 0.02
+#: Rounds; each looks at the boundary of the round before.
+ROUNDS = 2
+#: Noise and contrast are read off where a window of so many voxels sees both sides.
+REACH = 9
+#: Noise of this part of the contrast asks for an image that is smoothed in full.
+NOISE = 0.2
+#: Means of less than this part of a window do not count.
+MIN_PART = 1e-4
+#: Weight of the area, of the smallest spacing, without noise; and what noise of the contrast's size adds. More noise
+#: adds no more.
+AREA, NOISY_AREA = 0.1, 0.2
+#: Of a normal distribution: median absolute second difference, in standard deviations.
+SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
+
+
+def edge_balance(
+    images: Sequence[Image], spacing: Spacing, inside: Mask, open: Mask | None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Which side each voxel near a boundary is on by its value, and how much that counts.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+    spacing : (hz, hy, hx)
+        mm.
+    inside : ndarray (nz, ny, nx) of bool
+    open : ndarray (nz, ny, nx) of bool, optional
+        Elsewhere nothing is looked at and nothing counts.
+
+    Returns
+    -------
+    balance, weight : ndarray (nz, ny, nx), float32
+        f = (m - I) sign(u_in - u_out)/(|u_in - u_out|/2), from -1 inside to 1 outside, m = (u_in + u_out)/2; of several
+        channels the mean, each weighted by its contrast. The weight is from 0 to 1.
+
+    Notes
+    -----
+    c^2 = sum over channels of (u_in - u_out)^2/(spread^2), spread^2 the variance within both sides. The weight is
+    c^4/(c^4 + `CLEAR_CONTRAST`^4), half of that in the second voxel from the boundary, 0 beyond.
+    """
+    seen = np.ones(inside.shape, np.bool_) if open is None else open
+    near, next_to_it = _seen_both(inside, 5) & seen, _seen_both(inside, 3) & seen
+    counts = np.where(next_to_it, np.float32(MIXED), np.float32(1.0)) * seen
+    reach = [2 * max(round(WINDOW * min(spacing) / h), 1) + 1 if n > 1 else 1
+             for h, n in zip(spacing, inside.shape, strict=True)]  # fmt: skip
+
+    def window(values: NDArray) -> NDArray[np.float32]:
+        return np.asarray(ndimage.uniform_filter(values, reach, np.float32, mode="constant"))
+
+    within, both = window(counts * inside), window(counts)
+    beyond = both - within
+    found = (within > MIN_PART) & (beyond > MIN_PART)
+    within, beyond = np.maximum(within, MIN_PART), np.maximum(beyond, MIN_PART)
+    balance, total = np.zeros(inside.shape, np.float32), np.zeros(inside.shape, np.float32)
+    for image in images:
+        values = (image - np.float32(image[inside & seen].mean(dtype=np.float64))) * seen
+        sum_in, sum_both = window(counts * inside * values), window(counts * values)
+        sum_out = sum_both - sum_in
+        one, other = sum_in / within, sum_out / beyond
+        square = window(counts * values * values) - sum_in * one - sum_out * other
+        least = max(MIN_RANGE * float(np.ptp(values)), 1e-20)
+        variance = np.maximum(square / (within + beyond), 0.0) + np.float32(least**2)
+        half = 0.5 * (one - other)
+        contrast = 4.0 * half * half / variance
+        side = np.clip((0.5 * (one + other) - values) * half / np.maximum(half * half, least**2), -1.0, 1.0)
+        balance += contrast * side
+        total += contrast
+    weight = total**2 / (total**2 + np.float32(CLEAR_CONTRAST**4)) * found * (0.5 * near + 0.5 * next_to_it)
+    return (balance / np.maximum(total, 1e-12)).astype(np.float32), weight.astype(np.float32)
+
+
+def _seen_both(inside: Mask, size: int) -> Mask:
+    """Voxels in whose window of so many voxels both sides lie."""
+    sizes = [size if n > 1 else 1 for n in inside.shape]
+    values = inside.view(np.uint8)
+    return np.asarray(ndimage.maximum_filter(values, sizes) != ndimage.minimum_filter(values, sizes))
+
+
+def at_edges(
+    shown: Shown,
+    images: Sequence[Image],
+    smooth: Sequence[Image],
+    spacing: Spacing,
+    clicks: Clicks,
+    open: Mask | None,
+) -> Shown:
+    """What is shown, with its boundary at the edges of the image: F near it is w f + (1 - w) F.
+
+    Parameters
+    ----------
+    shown : Shown
+        See `accelsurf.energies.seeded.answers.mixed_answer`; not modified.
+    images, smooth : sequence of ndarray (nz, ny, nx), float32
+        The channels on the whole grid as they are, and smoothed.
+    spacing : (hz, hy, hx)
+        mm.
+    clicks : Clicks
+    open : ndarray (nz, ny, nx) of bool, optional
+        The object lies in it.
+    """
+    box, force, inside = shown
+    for _ in range(ROUNDS):
+        here = _around(inside, box, spacing, clicks.shape)
+        if here is None:
+            break
+        mine, theirs = shared(corner_of(box), force.shape, corner_of(here), [s.stop - s.start for s in here])
+        seen = np.zeros([s.stop - s.start for s in here], np.bool_)
+        seen[theirs] = inside[mine]
+        passes = None if open is None else open[here]
+        pairs = zip(images, smooth, strict=True)
+        parts = [_as_smooth_as_needed(one[here], other[here], seen, passes) for one, other in pairs]
+        balance, weight = edge_balance(parts, spacing, seen, passes)
+        for click in clicks.clicks:
+            weight[click.mask_on(here)] = 0.0
+        force = shown.force.copy()
+        force[mine] += weight[theirs] * (balance[theirs] - force[mine])
+        inside = object_of(force, box, clicks.clicks)
+    return Shown(box, force, inside)
+
+
+def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> Box | None:
+    """The part of the grid that the windows around an object's boundary see; None without an object."""
+    tight = bounding_box(inside)
+    if tight is None:
+        return None
+    on_grid = [slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, box, strict=True)]
+    margins = [max(round(WINDOW * min(spacing) / h), 1) + 2 for h in spacing]
+    return widened((on_grid[0], on_grid[1], on_grid[2]), shape, margins)
+
+
+def _as_smooth_as_needed(image: Image, smooth: Image, inside: Mask, open: Mask | None) -> Image:
+    """A channel near a boundary, as it is without noise, smoothed where it has some: smoothing moves curved edges."""
+    near = _seen_both(inside, REACH)
+    share = min(_noise_share(image, inside, near if open is None else near & open) / NOISE, 1.0)
+    return np.asarray(image + np.float32(share) * (smooth - image))
+
+
+def area_weight(images: Sequence[Image], spacing: Spacing, inside: Mask, open: Mask | None = None) -> float:
+    """Weight of the area (mm) that suits the noise: more, the more noise there is for the contrast of the boundary.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+        The channels, not smoothed; that with the least noise for its contrast counts.
+    spacing : (hz, hy, hx)
+        mm.
+    inside : ndarray (nz, ny, nx) of bool
+        The object; its boundary's contrast is the difference of the medians on both sides.
+    open : ndarray (nz, ny, nx) of bool, optional
+        Elsewhere nothing is looked at.
+    """
+    box = bounding_box(inside, REACH)
+    share = 1.0
+    if box is not None:
+        near = _seen_both(inside[box], REACH)
+        if open is not None:
+            near &= open[box]
+        for image in images:
+            share = min(share, _noise_share(image[box], inside[box], near))
+    return (AREA + NOISY_AREA * share) * min(spacing)
+
+
+def _noise_share(image: Image, inside: Mask, near: Mask) -> float:
+    """Noise in parts of the contrast near a boundary, at most 1."""
+    one, other = near & inside, near & ~inside
+    if not (one.any() and other.any()):
+        return 1.0
+    contrast = abs(float(np.median(image[one])) - float(np.median(image[other])))
+    found = []
+    for axis in (i for i in range(3) if image.shape[i] > 2):
+        middle = (slice(None),) * axis + (slice(1, -1),)
+        second = np.abs(np.diff(image, 2, axis=axis))[near[middle]]
+        if second.size:
+            found.append(float(np.median(second)) / SECOND_DIFFERENCE)
+    return min(min(found, default=0.0) / max(contrast, 1e-20), 1.0)
