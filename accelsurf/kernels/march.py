@@ -202,6 +202,40 @@ def activate_neighbours(dense, grid, known, n, sources, half_width):
     return (cells, foot, state, active), n
 
 
+@kernel(stage=Stage.CLOSEST_POINTS)
+def take_active(open_slots, n, total, active):
+    """The active slots among ``open_slots`` and ``n`` .. ``total``, in this order; none is ``active`` then. Serial."""
+    out = np.empty(open_slots.shape[0] + total - n, np.int64)
+    count = 0
+    # Without branches: that a slot does not count is seen when the next takes its place.
+    for s in open_slots:
+        out[count] = s
+        count += np.int64(active[s])
+        active[s] = False
+    for s in range(n, total):
+        out[count] = s
+        count += np.int64(active[s])
+        active[s] = False
+    return out[:count]
+
+
+@kernel(stage=Stage.CLOSEST_POINTS)
+def sort_changes(on, changed, was_open, refined_later):
+    """The slots ``on`` (m,) that have ``changed``, and those of them that were open: their first feet. Serial.
+
+    The others of them are marked in ``refined_later`` (n,) bool.
+    """
+    sources, first = np.empty(on.shape[0], np.int64), np.empty(on.shape[0], np.int64)
+    count, n_first = 0, 0
+    for row in range(on.shape[0]):
+        s = on[row]
+        sources[count], first[n_first] = s, s
+        count += np.int64(changed[row])
+        n_first += np.int64(changed[row] & was_open[row])
+        refined_later[s] |= changed[row] & ~was_open[row]
+    return sources[:count], first[:n_first]
+
+
 @kernel
 def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     """The neighbour's foot that is closest to slot ``s``, when closer than its own by `MIN_GAIN`, into ``out``.
