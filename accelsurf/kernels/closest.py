@@ -43,7 +43,8 @@ def feet_memory():
 @kernel
 def nodes_memory():
     """Memory for `levels_at`, `BATCH` columns each: the cell's index z, y, x; where its foot lies among the four nodes
-    of each axis; the first of these nodes in psi, -1 where they are not all well inside; a list of columns."""
+    of each axis; the first of these nodes in psi, -1 where they are not all well inside; a list of columns.
+    """
     return (
         np.zeros(3 * BATCH, np.float32), np.zeros(3 * BATCH, np.float32), np.zeros(BATCH, np.int64),
         np.zeros(BATCH, np.int64),
