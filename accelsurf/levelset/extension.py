@@ -135,7 +135,15 @@ def advected(
     """
     values = np.stack(fields, axis=1).astype(np.float32, copy=False)
     out = np.empty((new.cells.size, len(fields)), np.float32)
+    motion = four_columns(velocity), dt, 3
     surface.workers.parallel(
-        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, (velocity, dt, 3), values, out
+        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, motion, values, out
     )
     return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]
+
+
+def four_columns(velocity: np.ndarray) -> np.ndarray:
+    """A velocity (n, 3) with a column of 0, (n, 4) float32: four columns are interpolated in vectors."""
+    out = np.zeros((velocity.shape[0], 4), np.float32)
+    out[:, :3] = velocity
+    return out

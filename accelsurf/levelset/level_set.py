@@ -20,6 +20,7 @@ from accelsurf.levelset.extension import (
     FrontRows,
     advected,
     extension_table,
+    four_columns,
     front_rows,
     sampled,
 )
@@ -249,7 +250,8 @@ class LevelSet:
         Semi-Lagrangian: psi at the point that the velocity takes to each cell, by cubic interpolation.
         """
         out = np.empty(self.size, np.float32)
-        self.workers.parallel(transport.advect_psi, self.size, self.dense, self.grid, self.band, velocity, dt, out)
+        where = self.dense, self.grid, self.band
+        self.workers.parallel(transport.advect_psi, self.size, *where, four_columns(velocity), dt, out)
         self.dense.psi[self.band.cells] = out
         # The interpolation at the departure points errs too: what it leaves at the points that V moved is known now.
         self._residues = None
