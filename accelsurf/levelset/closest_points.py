@@ -77,15 +77,15 @@ def find_residues(surface: LevelSet, velocity: np.ndarray, dt: float) -> np.ndar
     """Residues (n,) float32 of psi at the closest points of the band, moved by ``dt`` of ``velocity`` (n, 3) since."""
     parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
     motion = np.ascontiguousarray(velocity, np.float32), float(dt)
-    out = np.empty(surface.size, np.float32)
-    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, out)
+    out, own = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
+    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, own))
     # A smooth surface has none that count.
     if out.any() and surface.extension == FAST_MARCHING:
         beside = beside_surface(surface, surface.band.psi)
         where = slot, surface.grid, surface.band, motion
         parallel(fast_marching.front_residues, surface.size, *where, beside, out)
     elif out.any():
-        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, out)
+        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, (out, own))
     return out
 
 
