@@ -95,9 +95,9 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     sy, sz = grid.nx, grid.ny * grid.nx
     for s in range(start, stop):
         residue[s] = 0.0
-        own[s] = has_own_residue(s, grid, band)
         # The length of the foot, when psi was a distance.
-        if abs(band.psi[s]) > furthest or not own[s]:
+        own[s] = abs(band.psi[s]) <= furthest and has_own_residue(s, grid, band)
+        if not own[s]:
             continue
         pz, py, px = known_point(s, grid, band, motion)
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
