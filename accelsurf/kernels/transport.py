@@ -149,7 +149,8 @@ def limit(values, slot, grid, position, c, out):
 def departure_point(velocity, slot, grid, target, dt, scratch, at):
     """Point ``at`` (index coordinates) that ``velocity`` (n, m) takes to ``target`` in ``dt``: at + dt V(at) = target.
 
-    The first three fields are the velocity; ``scratch`` = (w (24,), v (m,)). Where no velocity is known the point stays at the target.
+    The first three fields are the velocity; ``scratch`` = (w (24,), v (m,)). Where no velocity is known the point stays
+    at the target.
     """
     w, v = scratch
     for axis in range(3):
@@ -186,9 +187,9 @@ def has_stencil(slot, grid, position, w):
 def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
     """Psi of every cell after ``dt`` of psi_t = -V . grad psi: psi at the departure point of the cell.
 
-    ``velocity`` (n, 3 or more). Beyond the border psi is continued linearly: a constant there would stop a surface that moves inwards. Near the
-    band's edge, where the interpolation would need cells beyond it, psi - dt V . n with the normal n of the distance
-    that psi was.
+    ``velocity`` (n, 3 or more). Beyond the border psi is continued linearly: a constant there would stop a surface that
+    moves inwards. Near the band's edge, where the interpolation would need cells beyond it, psi - dt V . n with the
+    normal n of the distance that psi was.
     """
     w = np.empty(24)
     v = np.empty(velocity.shape[1])
@@ -311,9 +312,9 @@ def surface_gradient(start, stop, slot, grid, cells, front, field, out):
 def advect_fields(start, stop, slot, grid, band, motion, values, out):
     """Fields (n, m) of the new ``band`` advected from the old one, which ``slot`` still maps to.
 
-    ``motion`` = (velocity (n_old, 3 or more), dt, limited). Each cell gets the values at the point of the old surface that
-    moved to its foot, the fields from column ``limited`` on within `LIMIT` of the values around that point. A cell
-    with nothing known there has its own old values, or 0 when it was not in the band.
+    ``motion`` = (velocity (n_old, 3 or more), dt, limited). Each cell gets the values at the point of the old surface
+    that moved to its foot, the fields from column ``limited`` on within `LIMIT` of the values around that point. A
+    cell with nothing known there has its own old values, or 0 when it was not in the band.
     """
     w = np.empty(24)
     target = np.empty(3)
