@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.kernels import band, motion
-from accelsurf.levelset import LevelSet, Workers
+from accelsurf.kernels import motion
+from accelsurf.levelset import LevelSet
 
 #: Number k of the stage that is blended with the last, s, for s = 2 to 14 stages. Of the k that leave a step as long as
 #: it can be, those with which it damps the finest waves best (to 0.73 and less).
@@ -84,8 +84,9 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     step = next((one for one in STAGES if one.amount * bound >= amount), STAGES[-1])
     share = amount / step.amount
     parallel, grid = surface.workers.parallel, surface.grid
-    rows = front_rows(surface, front, component)
-    on, off, walls = rows.on, rows.off, rows.walls
+    rows = surface.front_rows(front, component)
+    on, off = rows.on, rows.off
+    walls = np.flatnonzero(rows.walls & (1 << component)) if component >= 0 else on[:0]
     # A value of the other sign beyond the wall, instead of the same: 2 less of it.
     to_wall = 2.0 / grid[3 + component] ** 2 if walls.size else 0.0
     first = np.concatenate([field[on], np.zeros(off.size, np.float32)])
@@ -105,40 +106,3 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     last, blended = turn[step.stages % 3][: on.size], blended[: on.size]
     field[on] = blended + np.float32(step.blend) * (last - blended)
 
-
-class FrontRows(NamedTuple):
-    """The front and the cells beside it one after the other: all stages read and write these rows alone.
-
-    ``on`` (m,) and ``off`` (k,) are the slots of the rows; ``order`` (m + k,) the rows' numbers; ``neighbours`` (m, 6)
-    the rows of the 6-neighbours; ``slots`` (k, 10) what the rows beside the front read, by ``shares`` (k, 10);
-    ``walls`` the rows at a wall. Unsigned: a negative index would be looked for in each of them.
-    """
-
-    on: np.ndarray
-    off: np.ndarray
-    order: np.ndarray
-    neighbours: np.ndarray
-    slots: np.ndarray
-    shares: np.ndarray
-    walls: np.ndarray
-
-    def extend(self, workers: Workers, values: np.ndarray) -> None:
-        """Overwrite ``values`` (m + k,) in the rows beside the front."""
-        beside = self.order[self.on.size :]
-        workers.parallel(band.extend_quadratically, self.off.size, beside, self.slots, self.shares, values)
-
-
-def front_rows(surface: LevelSet, front: np.ndarray, component: int) -> FrontRows:
-    """The rows of the ``front`` (n,) for a scalar, or for a vector's ``component``, see `diffuse`."""
-    parallel, on = surface.workers.parallel, np.flatnonzero(front).astype(np.int32)
-    table, at_wall = np.empty((on.size, 6), np.int32), np.empty(on.size, np.bool_)
-    where = surface.dense.slot, surface.grid, surface.band.cells
-    parallel(motion.neighbour_slots, on.size, *where, on, component, (table, at_wall))
-    extension = surface.quadratic_extension(front, component)
-    order = np.arange(on.size + extension.off.size, dtype=np.uint32)
-    row_of = np.zeros(surface.size, np.uint32)
-    row_of[on], row_of[extension.off] = order[: on.size], order[on.size :]
-    near, read = np.empty(table.shape, np.uint32), np.empty(extension.slots.shape, np.uint32)
-    parallel(motion.rows_of_slots, on.size, row_of, table, near)
-    parallel(motion.rows_of_slots, extension.off.size, row_of, extension.slots, read)
-    return FrontRows(on, extension.off, order, near, read, extension.shares, np.flatnonzero(at_wall))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import neighbours, unravel, voxels_along
+from accelsurf.kernels.grid import unravel, voxels_along
 from accelsurf.kernels.interpolate import band_rows, band_value_at, linear_band_value
 from accelsurf.kernels.march import OPEN, length
 from accelsurf.kernels.simd.cubic import cubic_rows
@@ -160,33 +160,19 @@ def extend_outwards(start, stop, off, slots, shares, values):
 
 
 @kernel(stage=Stage.EXTENSION)
-def beside_front(start, stop, slot, grid, cells, front, off, out):
-    """Whether each of the slots ``off`` (m,) has a 6-neighbour on the front, into ``out`` (m,) bool."""
-    near = np.empty(6, np.int64)
-    for row in range(start, stop):
-        cell = cells[off[row]]
-        iz, iy, ix = unravel(cell, grid)
-        neighbours(cell, iz, iy, ix, grid, near)
-        out[row] = False
-        for side in range(6):
-            other = slot[near[side]] if near[side] >= 0 else -1
-            if other >= 0 and front[other]:
-                out[row] = True
-
-
-@kernel(stage=Stage.EXTENSION)
-def quadratic_table(start, stop, slot, grid, band, front, off, across, table):
+def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
     """As `outward_table`, with the quadratic interpolation around the node that is nearest to each foot.
 
-    Row i of ``table`` = (slots (m, 10) int32, shares (m, 10) float32, mirrored (m,) int8) gets that node, its six
+    Of values in rows: ``row_of`` (n,) int32 has the row of a slot on the front, -1 for others.
+    Row i of ``table`` = (rows (m, 10) uint32, shares (m, 10) float32, mirrored (m,) int8) gets that node, its six
     neighbours and, for each pair of axes, the node diagonally towards the foot: all within 1.7 voxels of the surface.
     With distances u >= 0 of the foot, F + sum [u (u + 1)/2 (F_+ - F) + u (u - 1)/2 (F_- - F)] +
     sum u_i u_j (F_ij - F_i - F_j + F). Beyond the border the values are those of the mirror image, with the other sign
     beyond the borders across axis ``across`` (-1: none); bit a of ``mirrored`` is set where one beyond a border across
-    axis a counts. Where one of the ten is not on the front, the mean of those that are, by their weights in the linear
+    axis a counts. Where one of the ten is not on the row_of, the mean of those that are, by their weights in the linear
     interpolation there; all 0 where none is.
     """
-    slots, shares, mirrored = table
+    rows, shares, mirrored = table
     for row in range(start, stop):
         s = off[row]
         iz, iy, ix = unravel(band.cells[s], grid)
@@ -200,22 +186,22 @@ def quadratic_table(start, stop, slot, grid, band, front, off, across, table):
         sx, ox = mirror_sign(tx, 2, across, grid.nx), mirror_sign(ax, 2, across, grid.nx)
         c = cz + cy + cx
         rest = 1.0 - uz * uz - uy * uy - ux * ux + uz * uy + uz * ux + uy * ux
-        known = put(slot, front, c, rest, slots, shares, row, 0)
-        known &= put(slot, front, c + tz, sz * uz * (0.5 * (uz + 1.0) - uy - ux), slots, shares, row, 1)
-        known &= put(slot, front, c + ty, sy * uy * (0.5 * (uy + 1.0) - uz - ux), slots, shares, row, 2)
-        known &= put(slot, front, c + tx, sx * ux * (0.5 * (ux + 1.0) - uz - uy), slots, shares, row, 3)
-        known &= put(slot, front, c + az, oz * 0.5 * uz * (uz - 1.0), slots, shares, row, 4)
-        known &= put(slot, front, c + ay, oy * 0.5 * uy * (uy - 1.0), slots, shares, row, 5)
-        known &= put(slot, front, c + ax, ox * 0.5 * ux * (ux - 1.0), slots, shares, row, 6)
-        known &= put(slot, front, c + tz + ty, sz * sy * uz * uy, slots, shares, row, 7)
-        known &= put(slot, front, c + ty + tx, sy * sx * uy * ux, slots, shares, row, 8)
-        known &= put(slot, front, c + tx + tz, sx * sz * ux * uz, slots, shares, row, 9)
+        known = put(slot, row_of, c, rest, rows, shares, row, 0)
+        known &= put(slot, row_of, c + tz, sz * uz * (0.5 * (uz + 1.0) - uy - ux), rows, shares, row, 1)
+        known &= put(slot, row_of, c + ty, sy * uy * (0.5 * (uy + 1.0) - uz - ux), rows, shares, row, 2)
+        known &= put(slot, row_of, c + tx, sx * ux * (0.5 * (ux + 1.0) - uz - uy), rows, shares, row, 3)
+        known &= put(slot, row_of, c + az, oz * 0.5 * uz * (uz - 1.0), rows, shares, row, 4)
+        known &= put(slot, row_of, c + ay, oy * 0.5 * uy * (uy - 1.0), rows, shares, row, 5)
+        known &= put(slot, row_of, c + ax, ox * 0.5 * ux * (ux - 1.0), rows, shares, row, 6)
+        known &= put(slot, row_of, c + tz + ty, sz * sy * uz * uy, rows, shares, row, 7)
+        known &= put(slot, row_of, c + ty + tx, sy * sx * uy * ux, rows, shares, row, 8)
+        known &= put(slot, row_of, c + tx + tz, sx * sz * ux * uz, rows, shares, row, 9)
         if not known:
-            put_linear(slot, front, c, ((uz, tz, sz), (uy, ty, sy), (ux, tx, sx)), slots, shares, row)
+            put_linear(slot, row_of, c, ((uz, tz, sz), (uy, ty, sy), (ux, tx, sx)), rows, shares, row)
 
 
 @kernel
-def put_linear(slot, front, c, axes, slots, shares, row):
+def put_linear(slot, row_of, c, axes, rows, shares, row):
     """Write the weights of the linear interpolation among the corners of a cube that are on the front into a row.
 
     ``axes`` = for z, y, x: distance from the node at ``c``, step in memory to the next, sign of its value.
@@ -228,7 +214,7 @@ def put_linear(slot, front, c, axes, slots, shares, row):
         i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
         share = (uz if i == 1 else 1.0 - uz) * (uy if j == 1 else 1.0 - uy) * (ux if k == 1 else 1.0 - ux)
         sign = (sz if i == 1 else 1.0) * (sy if j == 1 else 1.0) * (sx if k == 1 else 1.0)
-        if put(slot, front, c + i * tz + j * ty + k * tx, sign * share, slots, shares, row, corner):
+        if put(slot, row_of, c + i * tz + j * ty + k * tx, sign * share, rows, shares, row, corner):
             total += share
         else:
             shares[row, corner] = 0.0
@@ -259,11 +245,12 @@ def nearest_node(p, n, stride):
 
 
 @kernel
-def put(slot, front, cell, share, slots, shares, row, k):
-    """Write the slot of ``cell`` and its share into a row of a table; slot 0 and False where it is not on the front."""
+def put(slot, row_of, cell, share, rows, shares, row, k):
+    """Write the row of ``cell`` and its share into a row of a table; 0 and False where it is not on the front."""
     s = slot[cell]
-    known = s >= 0 and front[s]
-    slots[row, k] = s if known else 0
+    r = row_of[s] if s >= 0 else -1
+    known = r >= 0
+    rows[row, k] = r if known else 0
     shares[row, k] = share
     return known
 

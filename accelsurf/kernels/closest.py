@@ -41,6 +41,17 @@ def feet_memory():
 
 
 @kernel
+def nodes_memory():
+    """Memory for `levels_at`, `BATCH` columns each: the cell's index z, y, x; where its foot lies among the four nodes
+    of each axis; the first of these nodes in psi, -1 where they are not all well inside; a list of columns.
+    """
+    return (
+        np.zeros(3 * BATCH, np.float32), np.zeros(3 * BATCH, np.float32), np.zeros(BATCH, np.int64),
+        np.zeros(BATCH, np.int64),
+    )
+
+
+@kernel
 def closest_points(count, psi, grid, cells, memory, w):
     """Move the feet in ``memory``, mm from the first ``count`` of ``cells``, to the closest points of psi = 0.
 
@@ -53,37 +64,71 @@ def closest_points(count, psi, grid, cells, memory, w):
     for i in range(count):
         memory[STATUS + np.uint64(i)] = ACTIVE
     limited = memory[LIMITED] > 0.0
+    nodes = nodes_memory()
+    if not limited:
+        places_of(count, grid, cells, nodes)
     for iteration in range(MAX_ITERATIONS):
         if limited:
             active = limited_levels_at(count, psi, grid, cells, memory, w)
         else:
-            active = levels_at(count, psi, grid, cells, memory, w)
+            active = levels_at(count, psi, grid, nodes, memory, w)
         if active == 0:
             return
         correct(count, iteration, grid, memory)
 
 
 @kernel
-def levels_at(count, psi, grid, cells, memory, w):
-    """Psi and its gradient at the active feet of ``memory``; returns how many there are."""
-    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
-    sy, sz = grid.nx, grid.ny * grid.nx
-    active = 0
+def places_of(count, grid, cells, nodes):
+    """Write the indices of the first ``count`` of ``cells`` to ``nodes``: once, as division is slow."""
+    place = nodes[0]
     for n in range(count):
         i = np.uint64(n)
-        if memory[STATUS + i] != ACTIVE:
-            continue
-        active += 1
-        iz, iy, ix = unravel(cells[n], grid)
-        pz, py = iz + memory[FOOT + i] * hz, iy + memory[FOOT + NEXT + i] * hy
-        px = ix + memory[FOOT + NEXT + NEXT + i] * hx
-        bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
-        # Well inside the volume, without the cases that value_and_gradient is for.
-        if 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4:
-            uz, uy, ux = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
-            level, gz, gy, gx = cubic(psi, (bz * grid.ny + by) * grid.nx + bx, sy, sz, uz, uy, ux)
+        place[i], place[i + NEXT], place[i + NEXT + NEXT] = unravel(cells[n], grid)
+
+
+@kernel
+def find_nodes(i, grid, nodes, memory):
+    """Find the nodes around the foot in column ``i`` of ``memory``, without a branch."""
+    place, inner, first, _ = nodes
+    pz = place[i] + memory[FOOT + i] * (1.0 / grid.hz)
+    py = place[i + NEXT] + memory[FOOT + NEXT + i] * (1.0 / grid.hy)
+    px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] * (1.0 / grid.hx)
+    one = np.int32(1)
+    bz, by, bx = np.int32(pz) - one, np.int32(py) - one, np.int32(px) - one
+    inner[i], inner[i + NEXT], inner[i + NEXT + NEXT] = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
+    # Well inside the volume, without the cases that value_and_gradient is for.
+    inside = (0 <= bz) & (bz <= grid.nz - 4) & (0 <= by) & (by <= grid.ny - 4) & (0 <= bx) & (bx <= grid.nx - 4)
+    first[i] = (bz * grid.ny + by) * grid.nx + bx if inside else -1
+
+
+@kernel
+def levels_at(count, psi, grid, nodes, memory, w):
+    """Psi and its gradient at the active feet of ``memory``; returns how many there are.
+
+    ``nodes`` = `nodes_memory`, with the cells' indices.
+    """
+    place, inner, first, columns = nodes
+    hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    sy, sz = grid.nx, grid.ny * grid.nx
+    # Without branches, which nobody could predict.
+    active = 0
+    for n in range(count):
+        columns[active] = n
+        active += np.int64(memory[STATUS + np.uint64(n)] == ACTIVE)
+    if active == 0:
+        return 0
+    # Of all columns, so that it runs in vectors.
+    for i in range(np.uint64(count)):
+        find_nodes(i, grid, nodes, memory)
+    for n in range(active):
+        i = np.uint64(columns[n])
+        if first[i] >= 0:
+            uz, uy, ux = inner[i], inner[i + NEXT], inner[i + NEXT + NEXT]
+            level, gz, gy, gx = cubic(psi, first[i], sy, sz, uz, uy, ux)
             gz, gy, gx = gz * hz, gy * hy, gx * hx
         else:
+            pz, py = place[i] + memory[FOOT + i] * hz, place[i + NEXT] + memory[FOOT + NEXT + i] * hy
+            px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] * hx
             level, gz, gy, gx = value_and_gradient(psi, grid, pz, py, px, w)
         at = LEVEL + i
         memory[at], memory[at + NEXT], memory[at + NEXT + NEXT], memory[at + NEXT + NEXT + NEXT] = level, gz, gy, gx

@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.closest import FOUND, LIMITED, OFFSET, closest_points, crossing_point, feet_memory
+from accelsurf.kernels.closest import FOUND, LIMITED, NEXT, OFFSET, closest_points, crossing_point, feet_memory
 from accelsurf.kernels.foot_checks import is_between_signs, is_near_volume
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
-from accelsurf.kernels.guesses import guess_feet, guess_memory
+from accelsurf.kernels.guesses import PLACE, guess_feet, guess_memory
 from accelsurf.kernels.ridge import MIN_GAIN
 from accelsurf.kernels.stages import Stage
 
@@ -42,33 +42,51 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
     plane = np.empty(3)
     w = np.empty(24)
     scratch = near, guess, guess_memory()
+    place = scratch[2][0][PLACE:]
     memory, feet, status = feet_memory()
     inner, residue, limited = guide
     offset = memory[OFFSET : OFFSET + BATCH]
     memory[LIMITED : LIMITED + BATCH] = limited
     beside, slots = np.empty(BATCH, np.bool_), np.arange(start, start + BATCH)
+    within, around = np.empty(BATCH, np.bool_), np.empty(BATCH, np.bool_)
     for first in range(start, stop, BATCH):
         count = min(BATCH, stop - first)
         guess_feet(slots[:count], dense, grid, band, (inner, residue), scratch, (feet, beside, offset))
         slots += BATCH
         closest_points(count, psi, grid, band.cells[first:stop], memory, w)
+        check_volume(grid, place, memory, within, around)
         for i in range(count):
             s = first + i
             cell = band.cells[s]
-            iz, iy, ix = unravel(cell, grid)
+            n = np.uint64(i)
+            iz, iy, ix = np.int64(place[n]), np.int64(place[n + NEXT]), np.int64(place[n + NEXT + NEXT])
             guess[0], guess[1], guess[2] = feet[0, i], feet[1, i], feet[2, i]
-            within = is_near_volume(grid, iz, iy, ix, guess, 0.0)
-            found = status[i] == FOUND and (within or is_near_volume(grid, iz, iy, ix, guess, MARGIN))
+            found = status[i] == FOUND and around[i]
             bound = -1.0
             if beside[i]:
                 neighbours(cell, iz, iy, ix, grid, near)
                 bound = crossing_point(psi, grid, cell, iz, iy, ix, near, plane)
             # Beyond the border psi is only continued, and so is its jump to +-gamma.
-            state[s] = accept_foot(psi[cell], grid, plane, bound, guess, found, 0.5 if within else 0.9)
-            if within and not beside[i] and state[s] == FROZEN:
+            state[s] = accept_foot(psi[cell], grid, plane, bound, guess, found, 0.5 if within[i] else 0.9)
+            if within[i] and not beside[i] and state[s] == FROZEN:
                 if not is_between_signs(psi, grid, iz, iy, ix, guess):
                     state[s] = OPEN
             foot[s, 0], foot[s, 1], foot[s, 2] = guess[0], guess[1], guess[2]
+
+
+@kernel
+def check_volume(grid, place, feet, within, around):
+    """Whether the feet of a batch lie ``within`` the volume, and within `MARGIN` ``around`` it, (`BATCH`,) bool.
+
+    ``place`` and ``feet`` hold rows z, y, x of the cells' indices and of the feet (mm), one after the other. Of all
+    columns alike, so that it runs in vectors.
+    """
+    for i in range(np.uint64(BATCH)):
+        iz, iy, ix = place[i], place[i + NEXT], place[i + NEXT + NEXT]
+        foot = np.float64(feet[i]), np.float64(feet[i + NEXT]), np.float64(feet[i + NEXT + NEXT])
+        inside = is_near_volume(grid, iz, iy, ix, foot, 0.0)
+        within[i] = inside
+        around[i] = inside | is_near_volume(grid, iz, iy, ix, foot, MARGIN)
 
 
 @kernel
@@ -200,6 +218,40 @@ def activate_neighbours(dense, grid, known, n, sources, half_width):
             slot[near[side]] = n
             n += 1
     return (cells, foot, state, active), n
+
+
+@kernel(stage=Stage.CLOSEST_POINTS)
+def take_active(open_slots, n, total, active):
+    """The active slots among ``open_slots`` and ``n`` .. ``total``, in this order; none is ``active`` then. Serial."""
+    out = np.empty(open_slots.shape[0] + total - n, np.int64)
+    count = 0
+    # Without branches: that a slot does not count is seen when the next takes its place.
+    for s in open_slots:
+        out[count] = s
+        count += np.int64(active[s])
+        active[s] = False
+    for s in range(n, total):
+        out[count] = s
+        count += np.int64(active[s])
+        active[s] = False
+    return out[:count]
+
+
+@kernel(stage=Stage.CLOSEST_POINTS)
+def sort_changes(on, changed, was_open, refined_later):
+    """The slots ``on`` (m,) that have ``changed``, and those of them that were open: their first feet. Serial.
+
+    The others of them are marked in ``refined_later`` (n,) bool.
+    """
+    sources, first = np.empty(on.shape[0], np.int64), np.empty(on.shape[0], np.int64)
+    count, n_first = 0, 0
+    for row in range(on.shape[0]):
+        s = on[row]
+        sources[count], first[n_first] = s, s
+        count += np.int64(changed[row])
+        n_first += np.int64(changed[row] & was_open[row])
+        refined_later[s] |= changed[row] & ~was_open[row]
+    return sources[:count], first[:n_first]
 
 
 @kernel

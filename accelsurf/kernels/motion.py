@@ -104,23 +104,28 @@ def kick(start, stop, beta, gain, curvature, front, rates):
 
 
 @kernel(stage=Stage.DIFFUSION)
-def neighbour_slots(start, stop, slot, grid, cells, on, across, out):
+def neighbour_slots(start, stop, slot, grid, cells, on, out):
     """Slots of the 6-neighbours of the cells of the slots ``on`` (m,): for `diffusion_stage`.
 
-    ``out`` = (table (m, 6) int32, at_wall (m,) bool). A neighbour that is not in the band or beyond the border is the
-    cell itself, so that no flux passes. ``at_wall`` marks the cells with a face on the border across axis ``across``
-    (-1: none).
+    ``out`` = (table (m, 6) int32, walls (m,) int8, near (n,) bool). A neighbour that is not in the band or beyond the
+    border is the cell itself, so that no flux passes. ``walls`` has bit a set for the cells with a face on the border
+    across axis a. ``near`` is set for all slots in the table.
     """
-    table, at_wall = out
-    near = np.empty(6, np.int64)
+    table, walls, near = out
+    sides = np.empty(6, np.int64)
     for row in range(start, stop):
         s = on[row]
         iz, iy, ix = unravel(cells[s], grid)
-        neighbours(cells[s], iz, iy, ix, grid, near)
+        neighbours(cells[s], iz, iy, ix, grid, sides)
         for side in range(6):
-            other = slot[near[side]] if near[side] >= 0 else -1
-            table[row, side] = other if other >= 0 else s
-        at_wall[row] = across >= 0 and (near[2 * across] < 0) != (near[2 * across + 1] < 0)
+            other = slot[sides[side]] if sides[side] >= 0 else -1
+            other = other if other >= 0 else s
+            table[row, side] = other
+            # Several threads may write it here, all the same.
+            near[other] = True
+        walls[row] = 0
+        for axis in range(3):
+            walls[row] |= np.int8((sides[2 * axis] < 0) != (sides[2 * axis + 1] < 0)) << np.int8(axis)
 
 
 @kernel(stage=Stage.DIFFUSION)

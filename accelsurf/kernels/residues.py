@@ -82,19 +82,22 @@ def is_at_surface(psi, grid, pz, py, px):
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def own_residues(start, stop, psi, grid, band, motion, out):
-    """Residue (mm, float32) of every cell within `OWN_RESIDUE`, into ``out`` (n,); 0 elsewhere, and beside no surface.
+    """Residue (mm) of every cell within `OWN_RESIDUE`; 0 elsewhere, and beside no surface.
 
     ``psi`` is a distance and ``band`` its band, or psi has moved since, by ``motion`` = (velocity (n, 3), dt).
+    ``out`` = (residue (n,) float32, own (n,) bool): whether the cell is so near.
     """
+    residue, own = out
     w = np.empty(24)
     h = min(grid.hz, min(grid.hy, grid.hx))
     least, most = MIN_RESIDUE * h, MAX_RESIDUE * h
     furthest = 1.01 * OWN_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
     sy, sz = grid.nx, grid.ny * grid.nx
     for s in range(start, stop):
-        out[s] = 0.0
+        residue[s] = 0.0
         # The length of the foot, when psi was a distance.
-        if abs(band.psi[s]) > furthest or not has_own_residue(s, grid, band):
+        own[s] = abs(band.psi[s]) <= furthest and has_own_residue(s, grid, band)
+        if not own[s]:
             continue
         pz, py, px = known_point(s, grid, band, motion)
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
@@ -106,22 +109,23 @@ def own_residues(start, stop, psi, grid, band, motion, out):
             value, _, _, _ = value_and_gradient(psi, grid, pz, py, px, w)
         size = min(abs(value) - least, 2.0 * most - abs(value))
         if size > 0.0 and is_at_surface(psi, grid, pz, py, px):
-            out[s] = size if value > 0.0 else -size
+            residue[s] = size if value > 0.0 else -size
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
 def distant_residues(start, stop, slot, grid, band, motion, out):
     """Residue of every cell beyond `OWN_RESIDUE`: that of the cell nearest its foot, where that has one of its own.
 
-    ``out`` (n,) as `own_residues` has filled it.
+    ``out`` as `own_residues` has filled it.
     """
+    residue, own = out
     for s in range(start, stop):
-        if has_own_residue(s, grid, band):
+        if own[s]:
             continue
         pz, py, px = known_point(s, grid, band, motion)
         nearest = nearest_slot(slot, grid, pz, py, px)
-        if nearest >= 0 and has_own_residue(nearest, grid, band):
-            out[s] = out[nearest]
+        if nearest >= 0 and own[nearest]:
+            residue[s] = residue[nearest]
 
 
 @kernel(stage=Stage.BAND)

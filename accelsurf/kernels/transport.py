@@ -41,7 +41,7 @@ def band_vector_at(values, slot, grid, position, w, out):
     """Interpolate band fields ``values`` (n, m) at ``position`` (index coordinates) into ``out`` (m,).
 
     Cubic where all nodes are in the band, beyond the border as `continue_weights` has it; else linear over those of the
-    eight surrounding cells that are in it. Returns False when none of these is.
+    eight surrounding cells that are in it. Returns False when none of these is. Four fields are the fastest.
     """
     n, m = values.shape
     for c in range(m):
@@ -52,6 +52,11 @@ def band_vector_at(values, slot, grid, position, w, out):
     continue_weights(ez, mz, w, 0)
     continue_weights(ey, my, w, 8)
     continue_weights(ex, mx, w, 16)
+    if m == 4 and mz == 4 and my == 4 and mx == 4:
+        first = (bz * grid.ny + by) * grid.nx + bx
+        if four_fields_at(values, slot, first, grid.nx, grid.ny * grid.nx, w, out):
+            return True
+        return linear_band_vector(values, slot, grid, position, out)
     for i in range(mz):
         for j in range(my):
             at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
@@ -62,6 +67,32 @@ def band_vector_at(values, slot, grid, position, w, out):
                     return linear_band_vector(values, slot, grid, position, out)
                 for c in range(m):
                     out[c] += share * w[16 + k] * values[s, c]
+    return True
+
+
+@kernel
+def four_fields_at(values, slot, first, sy, sz, w, out):
+    """`band_vector_at` of four fields by their weights ``w``, 4 x 4 x 4 nodes from cell ``first`` on; strides sy, sz.
+
+    Rows of cells have consecutive slots: four values of four nodes are one piece of memory, and the sums run in a
+    vector, each in the order of `band_vector_at`. False where a node is not in the band.
+    """
+    n = values.shape[0]
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    for i in range(4):
+        for j in range(4):
+            at = first + i * sz + j * sy
+            s, last = slot[at], slot[at + 3]
+            if s < 0 or last - s != 3 or last >= n:
+                return False
+            share = w[i] * w[8 + j]
+            for k in range(4):
+                weight, row = share * w[16 + k], np.uint64(s + k)
+                a += weight * values[row, 0]
+                b += weight * values[row, 1]
+                c += weight * values[row, 2]
+                d += weight * values[row, 3]
+    out[0], out[1], out[2], out[3] = a, b, c, d
     return True
 
 
@@ -116,9 +147,10 @@ def limit(values, slot, grid, position, c, out):
 
 @kernel
 def departure_point(velocity, slot, grid, target, dt, scratch, at):
-    """Point ``at`` (index coordinates) that ``velocity`` (n, 3) takes to ``target`` in ``dt``: at + dt V(at) = target.
+    """Point ``at`` (index coordinates) that ``velocity`` (n, m) takes to ``target`` in ``dt``: at + dt V(at) = target.
 
-    ``scratch`` = (w (24,), v (3,)). Where no velocity is known the point stays at the target.
+    The first three fields are the velocity; ``scratch`` = (w (24,), v (m,)). Where no velocity is known the point stays
+    at the target.
     """
     w, v = scratch
     for axis in range(3):
@@ -141,25 +173,26 @@ def has_stencil(slot, grid, position, w):
     bz, mz, _ = axis_weights(position[0], grid.nz, w, 0)
     by, my, _ = axis_weights(position[1], grid.ny, w, 8)
     bx, mx, _ = axis_weights(position[2], grid.nx, w, 16)
+    # Only -1 has its sign.
+    missing = np.int32(0)
     for i in range(mz):
         for j in range(my):
             at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
             for k in range(mx):
-                if slot[at + k] < 0:
-                    return False
-    return True
+                missing |= slot[at + k]
+    return missing >= 0
 
 
 @kernel(stage=Stage.ADVANCE)
 def advect_psi(start, stop, dense, grid, band, velocity, dt, out):
     """Psi of every cell after ``dt`` of psi_t = -V . grad psi: psi at the departure point of the cell.
 
-    Beyond the border psi is continued linearly: a constant there would stop a surface that moves inwards. Near the
-    band's edge, where the interpolation would need cells beyond it, psi - dt V . n with the normal n of the distance
-    that psi was.
+    ``velocity`` (n, 3 or more). Beyond the border psi is continued linearly: a constant there would stop a surface that
+    moves inwards. Near the band's edge, where the interpolation would need cells beyond it, psi - dt V . n with the
+    normal n of the distance that psi was.
     """
     w = np.empty(24)
-    v = np.empty(3)
+    v = np.empty(velocity.shape[1])
     target = np.empty(3)
     at = np.empty(3)
     for s in range(start, stop):
@@ -279,15 +312,15 @@ def surface_gradient(start, stop, slot, grid, cells, front, field, out):
 def advect_fields(start, stop, slot, grid, band, motion, values, out):
     """Fields (n, m) of the new ``band`` advected from the old one, which ``slot`` still maps to.
 
-    ``motion`` = (velocity (n_old, 3), dt, limited). Each cell gets the values at the point of the old surface that
-    moved to its foot, the fields from column ``limited`` on within `LIMIT` of the values around that point. A cell
-    with nothing known there has its own old values, or 0 when it was not in the band.
+    ``motion`` = (velocity (n_old, 3 or more), dt, limited). Each cell gets the values at the point of the old surface
+    that moved to its foot, the fields from column ``limited`` on within `LIMIT` of the values around that point. A
+    cell with nothing known there has its own old values, or 0 when it was not in the band.
     """
     w = np.empty(24)
-    v = np.empty(3)
     target = np.empty(3)
     at = np.empty(3)
     velocity, dt, limited = motion
+    v = np.empty(velocity.shape[1])
     m = values.shape[1]
     found = np.empty(m)
     for s in range(start, stop):

@@ -46,33 +46,29 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
         residue[:n] = known_residues
     parallel(march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found)
     parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
-    size = n
     open_slots, sources = np.flatnonzero(state[:n] == march.OPEN), np.flatnonzero(state[:n] == march.EDGE)
-    active = np.zeros(room, np.bool_)
+    active, refined_later = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
     active[open_slots] = True
-    improved = []
+    size = n
     for _ in range(MAX_ROUNDS):
         known = cells, to_closest, state, active
-        (cells, to_closest, state, active), total = surface.workers.serial(
+        (cells, to_closest, state, active), size = surface.workers.serial(
             march.activate_neighbours, dense, grid, known, size, sources, surface.half_width
         )
-        residue = np.pad(residue, (0, cells.size - residue.size))
-        open_slots, size = np.concatenate([open_slots, np.arange(size, total)]), total
-        on = open_slots[active[open_slots]]
+        if cells.size > residue.size:
+            more = cells.size - residue.size
+            residue, refined_later = np.pad(residue, (0, more)), np.pad(refined_later, (0, more))
+        on = surface.workers.serial(march.take_active, open_slots, n, size, active)
         if on.size == 0:
             break
-        changed = np.empty(on.size, np.bool_)
+        changed, was_open = np.empty(on.size, np.bool_), state[on] == march.OPEN
         nearer = np.empty((on.size, 3), np.float32), changed, np.empty(on.size, np.float32)
-        was_open = state[on] == march.OPEN
         parallel(march.propagate_feet, on.size, dense, grid, (cells, to_closest, state, residue), on, nearer)
         parallel(march.update_feet, on.size, on, nearer, (to_closest, state, residue))
         # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
-        first = on[changed & was_open]
+        sources, first = surface.workers.serial(march.sort_changes, on, changed, was_open, refined_later)
         parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest, (residue, limited))
-        improved.append(on[changed & ~was_open])
-        active[on] = False
-        sources = on[changed]
-    later = np.unique(np.concatenate([open_slots[:0], *improved]))
+    later = np.flatnonzero(refined_later[:size])
     parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited))
     return ClosestPoints(cells, to_closest, state, size)
 
@@ -81,15 +77,15 @@ def find_residues(surface: LevelSet, velocity: np.ndarray, dt: float) -> np.ndar
     """Residues (n,) float32 of psi at the closest points of the band, moved by ``dt`` of ``velocity`` (n, 3) since."""
     parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
     motion = np.ascontiguousarray(velocity, np.float32), float(dt)
-    out = np.empty(surface.size, np.float32)
-    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, out)
+    out, own = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
+    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, own))
     # A smooth surface has none that count.
     if out.any() and surface.extension == FAST_MARCHING:
         beside = beside_surface(surface, surface.band.psi)
         where = slot, surface.grid, surface.band, motion
         parallel(fast_marching.front_residues, surface.size, *where, beside, out)
     elif out.any():
-        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, out)
+        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, (out, own))
     return out
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels import transport
+from accelsurf.kernels import motion, transport
 from accelsurf.kernels.grid import Band
 
 if TYPE_CHECKING:
@@ -47,51 +47,69 @@ def extension_table(surface: LevelSet, front: np.ndarray, off: np.ndarray) -> Ex
     return ExtensionTable(front, off, *table)
 
 
-class QuadraticExtension(NamedTuple):
-    """As `ExtensionTable`, with quadratic interpolation among the front's cells: `kernels.band.quadratic_table`.
+class FrontRows(NamedTuple):
+    """The front and the cells beside it one after the other: the stages of a diffusion read and write these rows alone.
 
-    A Laplacian divides the error of an extension by h^2: that of linear interpolation would not vanish with h.
-    ``mirrored`` (m,) int8 has bit a set where values beyond a border across axis a count.
+    ``front`` (n,) bool; ``on`` (m,) and ``off`` (k,) are the slots of the rows; ``order`` (m + k,) the rows' numbers;
+    ``neighbours`` (m, 6) the rows of the 6-neighbours of those on the front. ``read`` (k, 10) are the rows that those
+    beside it read, by ``shares`` (k, 10), with quadratic interpolation: `kernels.band.quadratic_table`. A Laplacian
+    divides the error of an extension by h^2: that of linear interpolation would not vanish with h. ``mirrored`` (k,)
+    int8 has bit a set where values beyond a border across axis a count, ``walls`` (m,) int8 at the cells beside it.
+    Unsigned: a kernel tests a signed index for being negative.
     """
 
     front: np.ndarray
+    on: np.ndarray
     off: np.ndarray
-    slots: np.ndarray
+    order: np.ndarray
+    neighbours: np.ndarray
+    read: np.ndarray
     shares: np.ndarray
     mirrored: np.ndarray
+    walls: np.ndarray
 
     def extend(self, workers: Workers, values: np.ndarray) -> None:
-        """Overwrite ``values`` (n,) at the slots ``off``."""
-        workers.parallel(band_kernels.extend_quadratically, self.off.size, self.off, self.slots, self.shares, values)
+        """Overwrite ``values`` (m + k,) in the rows beside the front."""
+        beside = self.order[self.on.size :]
+        workers.parallel(band_kernels.extend_quadratically, self.off.size, beside, self.read, self.shares, values)
 
-    def turned(self, surface: LevelSet, component: int) -> QuadraticExtension:
-        """The extension of a vector's ``component``: beyond the borders across that axis it has the other sign."""
-        rows = np.flatnonzero(self.mirrored & (1 << component))
-        if rows.size == 0:
+    def turned(self, surface: LevelSet, component: int) -> FrontRows:
+        """The rows of a vector's ``component``: beyond the borders across that axis it has the other sign."""
+        turning = np.flatnonzero(self.mirrored & (1 << component))
+        if turning.size == 0:
             return self
+        row_of = np.full(surface.size, -1, np.int32)
+        row_of[self.on] = self.order[: self.on.size]
         shares = self.shares.copy()
-        shares[rows] = quadratic_extension(surface, self.front, self.off[rows], component).shares
+        _, shares[turning], _ = _quadratic_table(surface, row_of, self.off[turning], component)
         return self._replace(shares=shares)
 
 
-def cells_beside(surface: LevelSet, front: np.ndarray) -> np.ndarray:
-    """Slots (m,) off the ``front`` (n,) with a 6-neighbour on it: a Laplacian there needs no others."""
-    off = np.flatnonzero(~front)
-    beside = np.empty(off.size, np.bool_)
+def front_rows(surface: LevelSet, front: np.ndarray) -> FrontRows:
+    """The rows of the ``front`` (n,) and of the cells beside it: a Laplacian on the front reads no others."""
+    parallel, n, on = surface.workers.parallel, surface.size, np.flatnonzero(front).astype(np.int32)
+    slots, walls, near = np.empty((on.size, 6), np.int32), np.empty(on.size, np.int8), np.zeros(n, np.bool_)
     where = surface.dense.slot, surface.grid, surface.band.cells
-    surface.workers.parallel(band_kernels.beside_front, off.size, *where, front, off, beside)
-    return off[beside]
+    parallel(motion.neighbour_slots, on.size, *where, on, (slots, walls, near))
+    off = np.flatnonzero(near & ~front).astype(np.uint32)
+    order = np.arange(on.size + off.size, dtype=np.uint32)
+    row_of = np.full(n, -1, np.int32)
+    row_of[on] = order[: on.size]
+    table = _quadratic_table(surface, row_of, off, -1)
+    row_of[off] = order[on.size :]
+    neighbours = np.empty(slots.shape, np.uint32)
+    parallel(motion.rows_of_slots, on.size, row_of, slots, neighbours)
+    return FrontRows(front, on, off, order, neighbours, *table, walls)
 
 
-def quadratic_extension(
-    surface: LevelSet, front: np.ndarray, off: np.ndarray, component: int = -1
-) -> QuadraticExtension:
-    """Return the table by which the slots ``off`` (m,) read the cells of ``front`` (n,), see `turned` of the result."""
-    off = off.astype(np.uint32)
+def _quadratic_table(
+    surface: LevelSet, row_of: np.ndarray, off: np.ndarray, component: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How the slots ``off`` (k,) read the rows ``row_of`` (n,) has: (read, shares, mirrored), see `FrontRows`."""
     table = np.empty((off.size, 10), np.uint32), np.empty((off.size, 10), np.float32), np.empty(off.size, np.int8)
     where = surface.dense.slot, surface.grid, surface.band
-    surface.workers.parallel(band_kernels.quadratic_table, off.size, *where, front, off, component, table)
-    return QuadraticExtension(front, off, *table)
+    surface.workers.parallel(band_kernels.quadratic_table, off.size, *where, row_of, off, component, table)
+    return table
 
 
 def sampled(
@@ -117,7 +135,15 @@ def advected(
     """
     values = np.stack(fields, axis=1).astype(np.float32, copy=False)
     out = np.empty((new.cells.size, len(fields)), np.float32)
+    motion = four_columns(velocity), dt, 3
     surface.workers.parallel(
-        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, (velocity, dt, 3), values, out
+        transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, motion, values, out
     )
     return [np.ascontiguousarray(out[:, c]) for c in range(len(fields))]
+
+
+def four_columns(velocity: np.ndarray) -> np.ndarray:
+    """A velocity (n, 3) with a column of 0, (n, 4) float32: four columns are interpolated in vectors."""
+    out = np.zeros((velocity.shape[0], 4), np.float32)
+    out[:, :3] = velocity
+    return out

@@ -17,11 +17,11 @@ from accelsurf.levelset.extension import (
     CLOSEST_POINT,
     FAST_MARCHING,
     ExtensionTable,
-    QuadraticExtension,
+    FrontRows,
     advected,
-    cells_beside,
     extension_table,
-    quadratic_extension,
+    four_columns,
+    front_rows,
     sampled,
 )
 from accelsurf.levelset.fast_marching import UpwindExtension, extension_from, march_outwards
@@ -93,7 +93,7 @@ class LevelSet:
         self.workers = workers or Workers(1)
         self.extension = extension
         self._extension: ExtensionTable | UpwindExtension | None = None
-        self._quadratic: QuadraticExtension | None = None
+        self._rows: FrontRows | None = None
         self._measured: Measures | None = None
         self._fronts: dict[float, np.ndarray] = {}
         dense = np.array(psi, dtype=np.float32, order="C", copy=None if overwrite else True).ravel()
@@ -250,7 +250,8 @@ class LevelSet:
         Semi-Lagrangian: psi at the point that the velocity takes to each cell, by cubic interpolation.
         """
         out = np.empty(self.size, np.float32)
-        self.workers.parallel(transport.advect_psi, self.size, self.dense, self.grid, self.band, velocity, dt, out)
+        where = self.dense, self.grid, self.band
+        self.workers.parallel(transport.advect_psi, self.size, *where, four_columns(velocity), dt, out)
         self.dense.psi[self.band.cells] = out
         # The interpolation at the departure points errs too: what it leaves at the points that V moved is known now.
         self._residues = None
@@ -288,14 +289,14 @@ class LevelSet:
             self._extension = extension_from(self, front)
         self._extension.extend(self.workers, values)
 
-    def quadratic_extension(self, front: np.ndarray, component: int = -1) -> QuadraticExtension:
-        """The extension from ``front`` (n,) to the cells beside it, accurate enough for second differences; cached.
+    def front_rows(self, front: np.ndarray, component: int = -1) -> FrontRows:
+        """The ``front`` (n,) and the cells beside it in rows, with an extension fit for second differences; cached.
 
         Of a scalar, or (0, 1, 2) of a vector's component along z, y, x: the border mirrors it with the other sign.
         """
-        if self._quadratic is None or self._quadratic.front is not front:
-            self._quadratic = quadratic_extension(self, front, cells_beside(self, front))
-        return self._quadratic if component < 0 else self._quadratic.turned(self, component)
+        if self._rows is None or self._rows.front is not front:
+            self._rows = front_rows(self, front)
+        return self._rows if component < 0 else self._rows.turned(self, component)
 
     def redistance(
         self, fields: Sequence[np.ndarray] = (), advection: tuple[np.ndarray, float] | None = None
@@ -363,7 +364,7 @@ class LevelSet:
 
     def _replace_band(self, band: Band) -> None:
         """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""
-        self.band, self._extension, self._quadratic, self._measured, self._fronts = band, None, None, None, {}
+        self.band, self._extension, self._rows, self._measured, self._fronts = band, None, None, None, {}
         # Found when psi moves, as `advect` replaces them.
         self._residues, self._was_distance = None, True
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels.grid import Band, DenseArrays
@@ -189,25 +188,10 @@ def quadratic_table(dense, grid, band, front, across=-1):
     off = np.flatnonzero(~front).astype(np.int32)
     slots, shares = np.full((off.size, 10), -1, np.int32), np.full((off.size, 10), np.nan, np.float32)
     table = slots, shares, np.full(off.size, -1, np.int8)
-    band_kernels.quadratic_table(0, off.size, dense.slot, grid, band, front, off, across, table)
+    # Rows as if the whole band had one.
+    row_of = np.where(front, np.arange(front.size), -1).astype(np.int32)
+    band_kernels.quadratic_table(0, off.size, dense.slot, grid, band, row_of, off, across, table)
     return off, slots, shares
-
-
-@pytest.mark.parametrize("shape", [(5, 6, 7), (1, 9, 12)])
-def test_cells_beside_the_front_have_a_neighbour_on_it(shape):
-    """A neighbour along an axis, that is in the band; the other end of a row is none."""
-    dense, band, present = scattered(shape, 7, share=0.7)
-    front = np.random.default_rng(20).random(band.cells.size) < 0.2
-    off, on_grid = np.flatnonzero(~front), np.zeros(shape, bool)
-    on_grid[present] = front
-    cross = ndimage.generate_binary_structure(3, 1)
-    want = ndimage.binary_dilation(on_grid, cross)[present][off]
-    got = np.ones(off.size, bool)
-    where = dense.slot, reference.grid_of(shape, SPACING), band.cells
-    for start, stop in ((0, 20), (20, off.size)):
-        band_kernels.beside_front(start, stop, *where, front, off, got)
-    np.testing.assert_array_equal(got, want)
-    assert 0 < want.sum() < want.size
 
 
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (9, 1, 9)])

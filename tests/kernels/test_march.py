@@ -450,7 +450,9 @@ def test_levels_are_those_of_the_interpolant_at_every_foot(shape):
         rows[:3, :count], rows[3] = feet[some].T, closest.ACTIVE
         rows[3, :count:4] = closest.FOUND  # nothing is asked of those
         before = rows.copy()
-        active = closest.levels_at(count, psi.ravel(), grid, cells[first:], rows.ravel(), np.empty(24))
+        nodes = closest.nodes_memory()
+        closest.places_of(count, grid, cells[first:], nodes)
+        active = closest.levels_at(count, psi.ravel(), grid, nodes, rows.ravel(), np.empty(24))
         asked = np.flatnonzero(rows[3, :count] == closest.ACTIVE)
         assert active == asked.size
         at = np.stack(np.unravel_index(cells[some], shape), axis=1) + feet[some].astype(float) / UNEQUAL
@@ -708,6 +710,31 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         results.append(dense.slot.copy())
         np.testing.assert_array_equal(dense.slot[cells], np.arange(total))
     assert all((r == results[0]).all() for r in results)
+
+
+def test_active_slots_are_taken_once_and_in_order():
+    """The open ones and those that have entered; others stay marked, as none of them counts."""
+    active = np.random.default_rng(5).random(40) < 0.5
+    open_slots = np.array([3, 4, 9, 17, 20])
+    before, counted = active.copy(), np.concatenate([open_slots, np.arange(30, 38)])
+    np.testing.assert_array_equal(march.take_active(open_slots, 30, 38, active), counted[before[counted]])
+    assert 0 < before[counted].sum() < counted.size and not active[counted].any()
+    others = np.setdiff1d(np.arange(40), counted)
+    np.testing.assert_array_equal(active[others], before[others])
+    assert march.take_active(open_slots, 30, 38, active).size == 0
+
+
+def test_changes_are_first_feet_or_refined_later():
+    rng = np.random.default_rng(6)
+    on, changed, was_open = rng.permutation(50)[:30], rng.random(30) < 0.6, rng.random(30) < 0.5
+    later = rng.random(50) < 0.2
+    want = later.copy()
+    want[on[changed & ~was_open]] = True
+    sources, first = march.sort_changes(on, changed, was_open, later)
+    np.testing.assert_array_equal(sources, on[changed])
+    np.testing.assert_array_equal(first, on[changed & was_open])
+    np.testing.assert_array_equal(later, want)
+    assert 0 < first.size < sources.size < on.size
 
 
 @pytest.mark.parametrize("shape", [(7, 9, 8), *THIN])

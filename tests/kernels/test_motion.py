@@ -141,9 +141,11 @@ def test_neighbours_off_the_band_and_beyond_the_border_are_the_cell_itself(shape
     present, slot, cells = holed(shape, 4)
     grid = reference.grid_of(shape, SPACING)
     on = np.random.default_rng(5).permutation(cells.size)[: cells.size // 2].astype(np.int32)
-    table, at_wall = np.full((on.size, 6), -9, np.int32), np.zeros(on.size, np.bool_)
-    motion.neighbour_slots(1, on.size - 1, slot, grid, cells, on, -1, (table, at_wall))
-    assert (table[[0, -1]] == -9).all() and not at_wall.any()
+    table, walls = np.full((on.size, 6), -9, np.int32), np.full(on.size, -9, np.int8)
+    near = np.zeros(cells.size, np.bool_)
+    motion.neighbour_slots(1, on.size - 1, slot, grid, cells, on, (table, walls, near))
+    assert (table[[0, -1]] == -9).all() and (walls[[0, -1]] == -9).all()
+    np.testing.assert_array_equal(np.flatnonzero(near), np.unique(table[1:-1]))
     for row in range(1, on.size - 1):
         cell = np.array(np.unravel_index(cells[on[row]], shape))
         for side in range(6):
@@ -159,11 +161,12 @@ def test_cells_at_the_walls_across_an_axis(shape, axis):
     """Those of the first and last slice along it; a single slice has no walls."""
     _, slot, cells = holed(shape, 4)
     on = np.random.default_rng(5).permutation(cells.size).astype(np.int32)
-    table, at_wall = np.empty((on.size, 6), np.int32), np.ones(on.size, np.bool_)
-    motion.neighbour_slots(0, on.size, slot, reference.grid_of(shape, SPACING), cells, on, axis, (table, at_wall))
+    out = np.empty((on.size, 6), np.int32), np.full(on.size, -1, np.int8), np.empty(cells.size, np.bool_)
+    motion.neighbour_slots(0, on.size, slot, reference.grid_of(shape, SPACING), cells, on, out)
     place = np.unravel_index(cells[on], shape)[axis]
     want = np.isin(place, (0, shape[axis] - 1)) & (shape[axis] > 1)
-    np.testing.assert_array_equal(at_wall, want)
+    np.testing.assert_array_equal(out[1] & (1 << axis) != 0, want)
+    assert (out[1] & ~7 == 0).all()
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -175,8 +178,8 @@ def test_laplacian_as_the_reference_with_holes_and_at_the_border(shape):
     front = np.random.default_rng(7).random(cells.size) < 0.7
     on = np.flatnonzero(front).astype(np.int32)
     beta = values.ravel()[cells]
-    table, at_wall = np.empty((on.size, 6), np.int32), np.empty(on.size, np.bool_)
-    motion.neighbour_slots(0, on.size, slot, grid, cells, on, -1, (table, at_wall))
+    table, near = np.empty((on.size, 6), np.int32), np.empty(cells.size, np.bool_)
+    motion.neighbour_slots(0, on.size, slot, grid, cells, on, (table, np.empty(on.size, np.int8), near))
     out = np.full(cells.size, np.nan, np.float32)
     weights = tuple(np.float32(v) for v in (0, 1, 0))
     motion.diffusion_stage(0, on.size, on, table, grid, (beta, np.zeros_like(beta)), weights, out)
@@ -190,8 +193,8 @@ def test_a_stage_of_diffusion_weighs_the_last_two():
     present, slot, cells = holed(shape, 8)
     n, grid = cells.size, reference.grid_of(shape, SPACING)
     on = np.random.default_rng(10).permutation(n)[: n - 9].astype(np.int32)
-    table, at_wall = np.empty((on.size, 6), np.int32), np.empty(on.size, np.bool_)
-    motion.neighbour_slots(0, on.size, slot, grid, cells, on, -1, (table, at_wall))
+    table, near = np.empty((on.size, 6), np.int32), np.empty(cells.size, np.bool_)
+    motion.neighbour_slots(0, on.size, slot, grid, cells, on, (table, np.empty(on.size, np.int8), near))
     old, older = np.random.default_rng(9).standard_normal((2, n)).astype(np.float32)
     mu, rate, nu = 1.5, 0.07, -0.5
     weights = tuple(np.float32(v) for v in (mu, rate, nu))

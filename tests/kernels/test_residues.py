@@ -63,11 +63,13 @@ def test_residues_are_the_interpolant_at_the_points_that_are_known(shape):
     grid, h = reference.grid_of(shape, SPACING), np.array(SPACING)
     motion = rng.normal(0, 0.3, (size, 3)).astype(np.float32), 0.7
     out = np.full(size, np.float32(np.nan))
-    residues.own_residues(0, size, dense.psi, grid, band, motion, out)
-    residues.distant_residues(0, size, dense.slot, grid, band, motion, out)
+    near = np.empty(size, np.bool_)
+    residues.own_residues(0, size, dense.psi, grid, band, motion, (out, near))
+    residues.distant_residues(0, size, dense.slot, grid, band, motion, (out, near))
     cells = np.stack(np.unravel_index(np.arange(size), shape), axis=1)
     place = cells + (band.to_closest + motion[1] * motion[0]) / h
     own = np.linalg.norm(band.to_closest / h, axis=1) <= residues.OWN_RESIDUE
+    np.testing.assert_array_equal(near, own)
     corners = np.floor(place).astype(int)[:, None] + np.array(list(np.ndindex(2, 2, 2)))
     corners = np.clip(corners, 0, np.array(shape) - 1)
     inside = psi[tuple(np.moveaxis(corners, 2, 0))] < 0

@@ -75,14 +75,28 @@ def test_vectors_are_cubic_in_a_complete_band_and_continued_to_the_faces_of_the_
         np.testing.assert_allclose(got, want, atol=2e-5)
 
 
+@pytest.mark.parametrize("share", [1.0, 0.9])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_vectors_fall_back_on_the_known_of_the_eight(shape):
+def test_four_fields_at_once_have_the_bytes_of_any_number(shape, share):
+    """With a fifth field they take the way of any number."""
+    _, _, values, slot = vectors_of(shape, 6, 5, share=share)
+    grid, four, five = reference.grid_of(shape, SPACING), np.full(4, np.nan), np.full(5, np.nan)
+    for p in positions(shape, 7, 60):
+        found = transport.band_vector_at(values, slot, grid, p, np.full(24, np.nan), five)
+        first = np.ascontiguousarray(values[:, :4])
+        assert transport.band_vector_at(first, slot, grid, p, np.full(24, np.nan), four) == found
+        np.testing.assert_array_equal(four, five[:4])
+
+
+@pytest.mark.parametrize("columns", [3, 4])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_vectors_fall_back_on_the_known_of_the_eight(shape, columns):
     """Not on slots that are not of these values either."""
-    present, dense, values, slot = vectors_of(shape, 3, share=0.4, extra=5)
-    grid, got = reference.grid_of(shape, SPACING), np.full(3, np.nan)
+    present, dense, values, slot = vectors_of(shape, 3, columns, share=0.4, extra=5)
+    grid, got = reference.grid_of(shape, SPACING), np.full(columns, np.nan)
     missing = 0
     for p in positions(shape, 4, 40):
-        linear = [reference.known_linear(dense[..., c], present, p) for c in range(3)]
+        linear = [reference.known_linear(dense[..., c], present, p) for c in range(columns)]
         found = transport.linear_band_vector(values, slot, grid, p, got)
         assert found == linear[0][1]
         if found:
@@ -95,10 +109,11 @@ def test_vectors_fall_back_on_the_known_of_the_eight(shape):
     assert missing > 0
 
 
-def test_one_missing_node_is_enough_for_the_linear_fall_back():
+@pytest.mark.parametrize("columns", [3, 4])
+def test_one_missing_node_is_enough_for_the_linear_fall_back(columns):
     shape, p = (5, 6, 7), np.array([1.4, 2.3, 3.6])
-    _, dense, values, slot = vectors_of(shape, 5)
-    grid, cubic, got = reference.grid_of(shape, SPACING), np.empty(3), np.empty(3)
+    _, dense, values, slot = vectors_of(shape, 5, columns)
+    grid, cubic, got = reference.grid_of(shape, SPACING), np.empty(columns), np.empty(columns)
     transport.band_vector_at(values, slot, grid, p, np.empty(24), cubic)
     corner = int(np.ravel_multi_index((3, 4, 5), shape))  # the last of the 4 x 4 x 4
     assert transport.has_stencil(slot, grid, p, np.empty(24))
@@ -107,7 +122,7 @@ def test_one_missing_node_is_enough_for_the_linear_fall_back():
         slot[corner] = held
         assert transport.has_stencil(slot, grid, p, np.empty(24)) == (held >= 0)
         assert transport.band_vector_at(values, slot, grid, p, np.empty(24), got)
-        want = [reference.linear(dense[..., c], p)[0] for c in range(3)]
+        want = [reference.linear(dense[..., c], p)[0] for c in range(columns)]
         np.testing.assert_allclose(got, want, atol=1e-5)
         assert np.abs(got - cubic).max() > 1e-3
 

@@ -838,3 +838,38 @@ def test_no_surface_beyond_the_border_along_thick_slices():
     surface.redistance()
     assert check_level_set(surface, 6) == []
     assert surface.psi[0].min() > 0.9 * want[0].min()
+
+
+@pytest.mark.parametrize("shape", [(9, 12, 14), (1, 15, 17)])
+def test_rows_are_the_front_and_the_cells_beside_it(shape):
+    """Neighbours by rows are those by slots, the cell itself where there is none; walls at the border."""
+    surface = LevelSet(ball(shape, UNEQUAL, 5.5), UNEQUAL)
+    front = surface.front(1.1)
+    rows = surface.front_rows(front)
+    m, slots = rows.on.size, np.concatenate([rows.on, rows.off])
+    np.testing.assert_array_equal(rows.on, np.flatnonzero(front))
+    on_grid = np.zeros(shape, bool)
+    on_grid.ravel()[surface.band.cells[front]] = True
+    beside = ndimage.binary_dilation(on_grid, ndimage.generate_binary_structure(3, 1)).ravel()[surface.band.cells]
+    np.testing.assert_array_equal(rows.off, np.flatnonzero(beside & ~front))
+    assert 0 < rows.off.size < surface.size - m
+    index = np.stack(np.unravel_index(surface.band.cells[slots], shape), axis=1)
+    for row in range(m):
+        for side in range(6):
+            other = index[row].copy()
+            other[side // 2] += 2 * (side % 2) - 1
+            inside = ((other >= 0) & (other < shape)).all()
+            slot = surface.dense.slot[np.ravel_multi_index(other, shape)] if inside else -1
+            assert slots[rows.neighbours[row, side]] == (slot if slot >= 0 else rows.on[row])
+    assert (rows.read < m).all()
+    for axis in range(3):
+        at = index[:m, axis]
+        want = ((at == 0) | (at == shape[axis] - 1)) & (shape[axis] > 1)
+        np.testing.assert_array_equal(rows.walls & (1 << axis) != 0, want)
+    # Of a constant the extension is that constant, wherever any of the front is read.
+    values = np.full(slots.size, np.float32(2.5))
+    values[m:] = np.nan
+    rows.extend(surface.workers, values)
+    read = rows.shares.any(axis=1)
+    np.testing.assert_allclose(values[m:][read], 2.5, rtol=1e-6)
+    assert read.mean() > 0.9
