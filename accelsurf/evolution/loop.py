@@ -55,6 +55,8 @@ class Evolution:
         First voxel of the surface's box on the level's grid.
     stop_at_rest : bool
         Whether to go back to where the front rested when it breaks through from there, and end.
+    end : {"lowest", "present"}
+        The state after the last of ``max_steps``: that of the lowest energy, or the present one.
 
     Notes
     -----
@@ -82,7 +84,7 @@ class Evolution:
         self.level = level
         self.state = state or LoopState()
         self.stop: Stop | None = None
-        self.corner, self.stop_at_rest = (0, 0, 0), False
+        self.corner, self.stop_at_rest, self.end = (0, 0, 0), False, "lowest"
         self._stop_requested = False
         self._fields = fields
         self._initialized = False
@@ -205,7 +207,7 @@ class Evolution:
         following = Evolution(
             surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, state, fields
         )
-        following.corner, following.stop_at_rest = self.corner, self.stop_at_rest
+        following.corner, following.stop_at_rest, following.end = self.corner, self.stop_at_rest, self.end
         following.initialize()
         state.potential_before = potential - flow.energy(surface.fraction_and_area()[1])
         if self._stop_requested:
@@ -357,7 +359,7 @@ class Evolution:
         Without a stop rule the motion itself is wanted, not the minimum.
         """
         state, surface = self.state, self.surface
-        if self.rule is None:
+        if self.rule is None or (self.end == "present" and reason is not None and reason[0] == "max-steps"):
             return "stay"
         if self.energy.is_disturbed:
             state.lowest = None

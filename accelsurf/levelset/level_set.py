@@ -9,7 +9,7 @@ import numpy as np
 
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels import components, differences, march, motion, region, residues, transport
+from accelsurf.kernels import components, differences, motion, region, residues, surface_voxels, transport
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
 from accelsurf.levelset.closest_points import find_closest_points, find_residues
 from accelsurf.levelset.displacement import Displacement, Snapshot, displacement
@@ -106,9 +106,9 @@ class LevelSet:
         self.gamma = np.float32(self.half_width * max(self.spacings, default=1.0))
 
     def _build_band(self) -> None:
-        count = self.workers.serial(march.front_cells, self.dense, self.grid, np.empty(0, np.int64))
+        count = self.workers.serial(surface_voxels.front_cells, self.dense, self.grid, np.empty(0, np.int64))
         cells = np.empty(count, np.int64)
-        self.workers.serial(march.front_cells, self.dense, self.grid, cells)
+        self.workers.serial(surface_voxels.front_cells, self.dense, self.grid, cells)
         self.dense.slot[cells] = np.arange(count, dtype=np.int32)
         self.band = Band(cells, self.dense.psi[cells], np.zeros((count, 3), np.float32))
         voxels = self.dense.psi.size

@@ -224,7 +224,8 @@ class EvolvingObject:
             state,
             fields,
         )
-        self.evolution.corner, self.evolution.stop_at_rest = self.corner, setup.stop_at_rest
+        self.evolution.corner, self.evolution.end = self.corner, setup.end
+        self.evolution.stop_at_rest = setup.stop_at_rest
         if self._among_others:
             # Neighbours need its speed and band before its first step.
             self.evolution.initialize()

@@ -88,6 +88,7 @@ def setup_of(settings: RunConfig, place: int, levels: int, geometry: Geometry) -
         window_reach(settings, geometry),
         settings.stop_at_rest,
         settings.extension,
+        settings.end,
     )
 
 

@@ -367,3 +367,9 @@ class SettingFields(BaseModel):
         "marching, from the voxels beside the surface outwards in order of distance.",
         entry=SettingEntry(RUN, metavar="NAME", fixed=True),
     )
+    end: Literal["lowest", "present"] = setting(
+        "lowest",
+        "Which state a run that has used up its steps ends with: that of the lowest energy so far, or the present one, "
+        "as the viewer saves it.",
+        entry=SettingEntry(RUN, metavar="lowest|present", fixed=True),
+    )

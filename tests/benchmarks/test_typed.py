@@ -26,7 +26,7 @@ def test_a_game_is_played_by_commands(tmp_path: Path, monkeypatch: pytest.Monkey
     z, y, x = np.indices((24, 24, 24)) - 11.5
     truth = np.asarray(x**2 + y**2 + z**2 < 64) | (np.asarray(x > 0) & (y**2 + z**2 < 4))
     grid = Geometry(truth.shape, (1.0, 1.0, 1.0))
-    image = 100.0 * truth + np.random.default_rng(0).normal(0, 10, truth.shape)
+    image = 100.0 * truth + np.random.default_rng(0).normal(0, 60, truth.shape)
     source = tmp_path / "scan.nii.gz"
     io.write(Volume(image.astype(np.float32), grid), source)
     ran: list[list[str]] = []
@@ -43,7 +43,7 @@ def test_a_game_is_played_by_commands(tmp_path: Path, monkeypatch: pytest.Monkey
     assert first[:6] == ["accelsurf", "segment", "scan.nii.gz", "-o", "out", "--inside"]
     assert first[6].startswith("ball:") and first[6] in ran[0]
     assert second[:3] == ["accelsurf", "refine", "out"] and second[3] in ("--inside", "--outside")
-    assert second[4] in ran[1] and min(row["metrics"]["dice"] for row in rows) > 0.9
+    assert second[4] in ran[1] and min(row["metrics"]["dice"] for row in rows) > 0.8
     assert rows[0]["stop"]["reason"] and rows[0]["quality"]["probability"] is not None
 
 

@@ -194,7 +194,7 @@ def test_every_setting_is_an_option(capsys):
         **dict(blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4),
         **dict(foreground=("center", "ball:-1,2,-3,4"), background=("otsu:dark", "label:b.nii@2"), channel=("a", "b")),
         **dict(outside=("point:1,2,3", "stroke:s.csv"), box="0,0,0,9,9,9", size="250ml", keep_state="yes"),
-        **dict(stop_at_rest=True, extension="fast-marching", refine=["inside=point:1,2,3 near=4"]),
+        **dict(stop_at_rest=True, end="present", extension="fast-marching", refine=["inside=point:1,2,3 near=4"]),
         edit=["step=4 flow=sobolev", "step=9 add=ball:1,2,3,4vox"],
     )
     words = []

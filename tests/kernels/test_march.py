@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.kernels import closest, march
+from accelsurf.kernels import closest, march, surface_voxels
 from accelsurf.kernels.grid import Band, neighbours, unravel, voxels_along
 from accelsurf.kernels.guesses import first_guess, guess_feet, guess_memory
 from accelsurf.levelset import Workers
@@ -924,9 +924,9 @@ def test_front_cells_and_their_count():
         dense, _ = reference.whole_band(psi)
         grid = reference.grid_of(shape, UNEQUAL)
         want = np.flatnonzero(reference.front_cells(psi))
-        assert march.front_cells(dense, grid, np.empty(0, np.int64)) == want.size
+        assert surface_voxels.front_cells(dense, grid, np.empty(0, np.int64)) == want.size
         out = np.full(want.size + 3, -7)
-        assert march.front_cells(dense, grid, out) == want.size
+        assert surface_voxels.front_cells(dense, grid, out) == want.size
         np.testing.assert_array_equal(out, [*want, -7, -7, -7])
 
 

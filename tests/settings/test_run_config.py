@@ -65,6 +65,7 @@ ODD = RunConfig(
     size="2.5cm3",
     keep_state="yes",
     stop_at_rest=True,
+    end="present",
     refine=[
         "inside=point:1,2,3 inside='stroke:a b.csv' near=2.5 object=3",
         {"outside": ["ball:1,2,3,4"]},

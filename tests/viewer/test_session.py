@@ -177,6 +177,18 @@ def test_noise_that_comes_later_has_a_seed_that_is_saved(session, tmp_path):
     assert labels_of(at(session, 12), tmp_path)[0] == saved
 
 
+def test_a_paused_run_is_saved_as_it_is_seen_above_its_lowest_energy(tmp_path):
+    """A command that has used up its steps ends at the lowest energy so far; what a person saves is what he sees."""
+    with Session(volume(), RunConfig(start=START, seed=855414476)) as session:
+        session.ready.result(60)
+        at(session, 4).change(noise=0.3, noise_time=100).result(60)
+        saved, toml = labels_of(at(session, 12), tmp_path)
+    config = RunConfig.from_toml(toml)
+    assert config.end == "present" and segment(volume(), config=config).labels.tobytes() == saved
+    lowest = segment(volume(), config=config.replace(end="lowest"))
+    assert lowest.labels.tobytes() != saved and lowest.history[-1].returned
+
+
 def test_levels_are_one_unless_asked_for(tmp_path):
     image = volume((48, 48, 48), (1, 1, 1))
     with Session(image, RunConfig(start="ball:17,15,16,9")) as one:

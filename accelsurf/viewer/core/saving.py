@@ -154,7 +154,11 @@ def repeating(run: Run) -> RunConfig:
     # A run that met its stop rule meets it again; a paused one ends here.
     reasons = ["interrupted" if one.stop is None else one.stop.reason for one in run.objects]
     ends = not {"interrupted", "max-steps"} & set(reasons)
-    return run.config.replace(edit=edits, max_steps=max(run.config.max_steps, steps + 1) if ends else steps)
+    if ends:
+        return run.config.replace(edit=edits, max_steps=max(run.config.max_steps, steps + 1))
+    # What is saved of a paused run is what is seen, also where its energy is not the lowest so far.
+    end = "present" if "interrupted" in reasons else run.config.end
+    return run.config.replace(edit=edits, max_steps=steps, end=end)
 
 
 def _toml(config: RunConfig, result: Result, source: Path | None) -> str:
