@@ -212,17 +212,11 @@ class EvolvingObject:
     ) -> None:
         """Begin an evolution on a surface, with a new energy for its grid unless one is given."""
         setup = self._setup
+        if energy is None:
+            energy = self._energy_on(box_at(self.corner, surface.shape))
+        flow, limits, rule = setup.flow, setup.limits, rule_on_level(setup.rule, self.level)
         self.evolution = Evolution(
-            surface,
-            self._energy_on(box_at(self.corner, surface.shape)) if energy is None else energy,
-            setup.flow,
-            setup.limits,
-            self._max_steps,
-            setup.restart,
-            rule_on_level(setup.rule, self.level),
-            self.level,
-            state,
-            fields,
+            surface, energy, flow, limits, self._max_steps, setup.restart, rule, self.level, state, fields
         )
         self.evolution.corner, self.evolution.end = self.corner, setup.end
         self.evolution.stop_at_rest = setup.stop_at_rest
