@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to
 from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from
+from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.near_region import around_clicks, automatic_near
 from accelsurf.segmentation.preprocessing import uses_model
 from accelsurf.segmentation.run_setup import thread_count
@@ -84,15 +85,24 @@ class LocalModel:
         mm.
     passes : ndarray of bool or None
         The mask of the run.
+    whole : callable
+        Makes the whole model of clicks: needed where one of them says that the first proposal was far too large.
     threads : int, optional
         What a click needs is computed in so many threads; the result is the same for any number.
     """
 
     def __init__(
-        self, state: LocalState, images: Sequence[Image], spacing: Spacing, passes: Mask | None, threads: int = 1
+        self,
+        state: LocalState,
+        images: Sequence[Image],
+        spacing: Spacing,
+        passes: Mask | None,
+        whole: Callable[[Clicks], SeededModel],
+        threads: int = 1,
     ) -> None:
         self.state = state
         self._images, self.spacing, self._passes, self._threads = images, spacing, passes, threads
+        self._whole = whole
 
     def field_on(self, box: Box) -> Image:
         """F on a box of the grid: the surface grows where it is below 0."""
@@ -110,6 +120,8 @@ class LocalModel:
         if before.answer is None:
             whole = partition_model(self._images, self.spacing, clicks, mask=self._passes)
             self.state = LocalState.of(whole)
+        elif before.answer.is_contradicted(click):
+            self.state = LocalState.of(self._whole(clicks))
         else:
             with ThreadPoolExecutor(max(self._threads, 1)) as pool:
                 answered = pool.submit(self._with_click, before.answer, click)
@@ -192,8 +204,12 @@ def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> di
     distance = prepared.mask_distance
     passes = None if distance is None else np.asarray(distance < 0)
     known = {id: state.models.get(id) or LocalState.of(state.contexts[id].seeded_model()) for id in ids}
-    seen = prepared.images, prepared.geometry.spacing, passes, thread_count(settings)
-    return {id: LocalModel(one, *seen) for id, one in known.items()}
+    seen, threads = (prepared.images, prepared.geometry.spacing, passes), thread_count(settings)
+    return {id: LocalModel(one, *seen, _maker(state.contexts[id]), threads) for id, one in known.items()}
+
+
+def _maker(context: ImageContext) -> Callable[[Clicks], SeededModel]:
+    return lambda clicks: context.with_clicks(clicks).seeded_model()
 
 
 def _placed(values: NDArray, own: Box, box: Box, beyond: float) -> NDArray:

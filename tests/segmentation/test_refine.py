@@ -342,12 +342,38 @@ def test_the_mesh_of_the_result_is_that_of_its_psi(result):
     assert box_at((0, 0, 0), SHAPE) == after.objects[0].box
 
 
+def whole_model(images):
+    return lambda clicks: seeded_model(images, SPACING, clicks)
+
+
+def test_a_click_that_calls_the_proposal_far_too_large_makes_the_whole_model_again():
+    """A dim ball in tissue that is nearly as dim: the first proposal holds it many times."""
+    z, y, x = np.indices(SHAPE)
+    ball = ((z - 12) * SPACING[0]) ** 2 + ((y - 14) * SPACING[1]) ** 2 + ((x - 14) * SPACING[2]) ** 2 < 4**2
+    image = (100.0 + 4.0 * ball + np.random.default_rng(0).normal(0, 2.0, SHAPE)).astype(np.float32)
+    voxel = np.ones((1, 1, 1), bool)
+    inside = Click("inside", box_at((12, 14, 14), (1, 1, 1)), voxel)
+    outside = Click("outside", box_at((12, 14, 19), (1, 1, 1)), voxel)
+    first = seeded_model([image], SPACING, Clicks((inside,), SHAPE))
+    assert first.answer.is_contradicted(outside) and not first.answer.is_contradicted(inside)
+    both = seeded_model([image], SPACING, Clicks((inside, outside), SHAPE))
+    assert both.proposal.volume_mm3 < 0.2 * first.proposal.volume_mm3 and not both.start[12, 14, 19:].any()
+    again = seeded_model([image], SPACING, Clicks((inside, outside), SHAPE), previous=first)
+    local = LocalModel(LocalState.of(first), [image], SPACING, None, whole_model([image]))
+    local.add(outside)
+    assert again.field.tobytes() == both.field.tobytes()
+    assert local.field_on(box_at((0, 0, 0), SHAPE)).tobytes() == both.field.tobytes()
+    sized = seeded_model([image], SPACING, Clicks((inside,), SHAPE), size_mm3=first.proposal.volume_mm3)
+    assert not sized.answer.is_contradicted(outside)
+
+
 def test_the_model_on_a_box_is_the_model_of_all_clicks(image):
     """Click by click on boxes: F and the model's object are those of the whole image, to the last byte."""
     before = first_run(image, "seeded")
     context = before.state.contexts[1]
     clicks, voxel = context.clicks, np.ones((1, 1, 1), bool)
-    local = LocalModel(LocalState.of(context.seeded_model()), before.state.prepared.images, SPACING, None)
+    images = before.state.prepared.images
+    local = LocalModel(LocalState.of(context.seeded_model()), images, SPACING, None, whole_model(images))
     whole = box_at((0, 0, 0), SHAPE)
     places = ("outside", (12, 14, 20)), ("inside", (12, 14, 48)), ("outside", (12, 14, 40)), ("inside", (6, 14, 14))
     for side, at in places:
@@ -370,7 +396,7 @@ def test_what_an_outside_click_cuts_off_is_won_by_it():
     state = LocalState(Clicks((), SHAPE), None, (), box_at((0, 0, 0), SHAPE), field, start)
     leak = np.zeros(SHAPE, bool)
     leak[8:18, 8:20, 22:60] = True
-    local = LocalModel(state, [], SPACING, None)
+    local = LocalModel(state, [], SPACING, None, whole_model([]))
     click = Click("outside", box_at((12, 14, 21), (1, 1, 1)), np.ones((1, 1, 1), bool))
     one = CorrectedSurface(1, (0, 0, 0), np.where(leak, -1.0, 1.0).astype(np.float32), int(leak.sum()), [], None)
     won = basin_of(click, ModelChange(state.box, leak, state), local, one)

@@ -22,7 +22,6 @@ from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
-from accelsurf.energies.seeded.proposal import Order
 from accelsurf.grid.boxes import Box, bounding_box, corner_of, enclosing, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to, holes_filled
@@ -88,6 +87,11 @@ class Answer:
         Where F < 0, connected to inside clicks.
     clicks : tuple of Click
         Those that were answered.
+    first : ndarray, float32
+        Arrival times from the first click alone.
+    early : float
+        An outside click that the first one's front comes to until then says that the first proposal was far too
+        large; -inf of a stated size, which no click contradicts.
     """
 
     box: Box
@@ -102,10 +106,21 @@ class Answer:
     force: Image
     inside: Mask
     clicks: tuple[Click, ...]
+    first: Image
+    early: float
+
+    def is_contradicted(self, click: Click) -> bool:
+        """Whether a click says that the first proposal was far too large."""
+        return click.side == "outside" and bool((self.first[click.mask_on(self.box)] <= self.early).any())
 
 
 def first_answer(
-    field: Field, tissue: Tissue, click: Click, times: Times, order: Order, level: tuple[int, float, float]
+    field: Field,
+    tissue: Tissue,
+    click: Click,
+    times: Times,
+    level: tuple[int, float, float],
+    early: float,
 ) -> Answer:
     """The answer to the first inside click.
 
@@ -115,8 +130,8 @@ def first_answer(
     tissue : Tissue
     click : Click
     times : ndarray (n,) float32
-    order : ndarray (m,) int64
     level : (count, level, last)
+    early : float
         See `Answer`.
     """
     count, at, last = level
@@ -132,7 +147,7 @@ def first_answer(
     force -= _offset(force, count) * ~far
     none = np.full_like(inside, np.inf)
     force = np.asarray(force, np.float32)
-    answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,))
+    answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,), inside, early)
     return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 
@@ -286,5 +301,6 @@ def _on_larger_box(answer: Answer, field: Field, box: Box) -> Answer:
         times_out=larger(answer.times_out, 0.0),
         total=larger(answer.total, 1.0),
         force=larger(answer.force, 1.0),
+        first=larger(answer.first, np.inf),
         inside=larger(answer.inside, False),
     )

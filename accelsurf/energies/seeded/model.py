@@ -29,6 +29,9 @@ SMOOTHING = 0.6
 BEYOND = 3.0
 #: Arrival times from a later click, as multiples of those that would give the object's volume at the same level.
 LATER = {"inside": 1.5, "outside": 1.0}
+#: An outside click among the first arrived of this part of the proposed size says that it is far too large: the size
+#: is proposed anew, below what arrives before the click. Later ones say where the object ends, not how large it is.
+FAR_TOO_LARGE = 0.1
 #: No march of a first click without a size accepts more than this part of the volume.
 MAX_PART = 0.25
 
@@ -116,14 +119,14 @@ def seeded_model(
     if not inside:
         raise InputError("seeded: no inside click was given", "give one with --inside")
     allowed = _allowed(images[0].shape, box, mask)
-    if previous is not None and previous.answer is not None and _starts_with(clicks, previous.clicks):
+    if previous is not None and previous.answer is not None and _goes_on(clicks, previous.clicks, previous.answer):
         smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
         field = field_of(smooth, spacing, allowed)
         known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
     else:
         smooth = _smoothed(images, spacing)
         field = field_of(smooth, spacing, allowed)
-        answer, proposal = _first(smooth, spacing, field, inside[0], size_mm3, box is not None)
+        answer, proposal = _first(smooth, spacing, field, clicks, size_mm3, box is not None)
         known, left = Clicks((inside[0],), clicks.shape), [one for one in clicks.clicks if one is not inside[0]]
         shown = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, None))
     with ThreadPoolExecutor(max(threads, 1)) as pool:
@@ -159,8 +162,10 @@ def _same(one: Click, other: Click) -> bool:
     return one.side == other.side and one.box == other.box and np.array_equal(one.mask, other.mask)
 
 
-def _starts_with(clicks: Clicks, before: Clicks) -> bool:
-    """Whether the clicks are those ``before`` and maybe more."""
+def _goes_on(clicks: Clicks, before: Clicks, answer: Answer) -> bool:
+    """Whether the clicks are those ``before`` and maybe more, which do not contradict the first proposal."""
+    if any(answer.is_contradicted(click) for click in clicks.clicks[len(before) :]):
+        return False
     pairs = zip(before.clicks, clicks.clicks, strict=False)
     return len(clicks) >= len(before) and all(_same(one, other) for one, other in pairs)
 
@@ -180,27 +185,32 @@ def _seeds(click: Click, field: Field) -> NDArray[np.int64]:
 
 
 def _first(
-    images: Sequence[Image], spacing: Spacing, field: Field, click: Click, size_mm3: float | None, boxed: bool
+    images: Sequence[Image], spacing: Spacing, field: Field, clicks: Clicks, size_mm3: float | None, boxed: bool
 ) -> tuple[Answer, Proposal]:
-    """The answer to the first inside click, and the level that it was made with."""
+    """The answer to the first inside click, and the level that it was made with: smaller where outside clicks ask."""
+    click = next(one for one in clicks.clicks if one.side == "inside")
     voxel = float(np.prod(spacing))
     tissue, seeds = learn(images, spacing, click), _seeds(click, field)
     open_count = int(np.count_nonzero(field.medium.open)) if field.medium.open.size else field.size
     if field.medium.open.size and not field.medium.open[seeds].any():
         raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
-    if size_mm3 is None:
-        flat, radius = field.shape[0] == 1, even_radius(images, spacing, click, tissue)
-        even = count_of(radius, spacing, flat)
-        prior = prior_of(len(seeds), open_count if boxed else None, even, flat)
-        times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
-        edges = edges_of(images, spacing, tissue, order)
-        proposal = by_evidence(field.medium.values, edges, times, order, len(seeds), prior, voxel)
-    else:
+    if size_mm3 is not None:
         times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * size_mm3 / voxel) + 1)
-        proposal = of_size(times, order, voxel, size_mm3)
+        proposal, early = of_size(times, order, voxel, size_mm3), -np.inf
+    else:
+        flat, radius = field.shape[0] == 1, even_radius(images, spacing, click, tissue)
+        prior = prior_of(len(seeds), open_count if boxed else None, count_of(radius, spacing, flat), flat)
+        times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
+        seen = field.medium.values, edges_of(images, spacing, tissue, order), times, order, len(seeds), prior, voxel
+        proposal = by_evidence(*seen)
+        early = float(times[order[int(FAR_TOO_LARGE * proposal.volume_mm3 / voxel)]])
+        outside = (float(times[_seeds(one, field)].min()) for one in clicks.clicks if one.side == "outside")
+        first = min((at for at in outside if at <= early), default=np.inf)
+        if np.isfinite(first):
+            proposal = by_evidence(*seen, most=float(np.searchsorted(times[order], first)))
     count = round(proposal.volume_mm3 / voxel)
     last = float(times[order[min(round(BEYOND * count), len(order)) - 1]])
-    return first_answer(field, tissue, click, times, order, (count, proposal.level, last)), proposal
+    return first_answer(field, tissue, click, times, (count, proposal.level, last), early), proposal
 
 
 def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:

@@ -125,6 +125,7 @@ def by_evidence(
     first: int,
     prior: Prior,
     voxel_volume: float,
+    most: float = np.inf,
 ) -> Proposal:
     """The level that is expected to be least wrong.
 
@@ -145,18 +146,28 @@ def by_evidence(
     prior : Prior
     voxel_volume : float
         mm3.
+    most : float, optional
+        It has fewer voxels than these.
     """
     counts = candidate_counts(first, len(order))
     if counts.size < 3:
         return Proposal(float(times[order[-1]]), len(order) * voxel_volume, 0.0)
     along = np.log(np.maximum(edge_along(edges, counts), 1e-6))
     score = scores(images, times, order, counts) + along + prior.of(counts)
-    peaks = [i for i in range(len(score)) if score[i] == score[max(i - 3, 0) : i + 4].max()]
+    score[~_below(counts, most)] = -np.inf
+    peaks = [i for i in np.flatnonzero(np.isfinite(score)) if score[i] == score[max(i - 3, 0) : i + 4].max()]
     peaks.sort(key=lambda i: (-score[i], i))
     best = safest(counts, score)
     sure = float(1.0 - np.exp(score[peaks[1]] - score[peaks[0]])) if len(peaks) > 1 else 1.0
     others = tuple(float(counts[i] * voxel_volume) for i in peaks if abs(i - best) > 3)
     return Proposal(float(times[order[counts[best] - 1]]), float(counts[best] * voxel_volume), sure, others[:3])
+
+
+def _below(counts: NDArray[np.int64], most: float) -> NDArray[np.bool_]:
+    """Which numbers of voxels are below a bound; the smallest one where none is."""
+    below = counts < most
+    below[0] = below[0] or not below.any()
+    return below
 
 
 def candidate_counts(first: int, last: int) -> NDArray[np.int64]:

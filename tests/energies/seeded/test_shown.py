@@ -26,7 +26,7 @@ def mixed(force, clicks, before, inside=None):
     """What is shown where the learned answer and both contests agree on F."""
     none = np.zeros(LINE, np.float32)
     inside = force < 0 if inside is None else inside
-    answer = Answer(WHOLE, 5, 1.0, 3.0, None, none, none, none, none, force, inside, tuple(clicks))
+    answer = Answer(WHOLE, 5, 1.0, 3.0, None, none, none, none, none, force, inside, tuple(clicks), none, 0.0)
     return mixed_answer(answer, [Balance(WHOLE, force)] * 2, Clicks(tuple(clicks), LINE), False, before)
 
 
