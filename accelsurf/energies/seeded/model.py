@@ -29,8 +29,8 @@ SMOOTHING = 0.6
 BEYOND = 3.0
 #: Arrival times from a later click, as multiples of those that would give the object's volume at the same level.
 LATER = {"inside": 1.5, "outside": 1.0}
-#: An outside click among the first arrived of this part of the proposed size says that it is far too large: the size
-#: is proposed anew, below what arrives before the click. Later ones say where the object ends, not how large it is.
+#: At least this part of the object arrives before an outside click; if not of the proposed size, a smaller one is
+#: proposed. Later clicks say where the object ends, not how large it is.
 FAR_TOO_LARGE = 0.1
 #: No march of a first click without a size accepts more than this part of the volume.
 MAX_PART = 0.25
@@ -207,7 +207,7 @@ def _first(
         outside = (float(times[_seeds(one, field)].min()) for one in clicks.clicks if one.side == "outside")
         first = min((at for at in outside if at <= early), default=np.inf)
         if np.isfinite(first):
-            proposal = by_evidence(*seen, most=float(np.searchsorted(times[order], first)))
+            proposal = by_evidence(*seen, most=float(np.searchsorted(times[order], first)) / FAR_TOO_LARGE)
     count = round(proposal.volume_mm3 / voxel)
     last = float(times[order[min(round(BEYOND * count), len(order)) - 1]])
     return first_answer(field, tissue, click, times, (count, proposal.level, last), early), proposal
