@@ -153,7 +153,7 @@ PRESETS: Registry[Preset] = Registry(
         _BY_CLICKS,
         _WHY_CLICKS,
         {
-            _TUNING: "one click without --size: thalamus 0.74, caudate 0.69, pallidum 0.67, putamen 0.56, all of 4 below "
+            _TUNING: "one click without --size: thalamus 0.74, caudate 0.69, pallidum 0.67, putamen 0.56, 4 of 4 below "
             "0.8 (grey matter beside them is as bright and connected). Give --size, and --outside",
         },
     ),
