@@ -98,7 +98,7 @@ def made_for(case):
         "edge": r < 16,  # held back by a mask within it
     }
     noise = np.random.default_rng(1).normal(0, 0.01, SHAPE)
-    start = "ball:11.6,21.5,19.5,5vox" if case == "necks" else "center"
+    start = "ball:11.6,21.5,19.5,7vox" if case == "necks" else "center"
     return (cases[case] + noise).astype(np.float32), start, ((r < 8) | (x > 6) if case == "edge" else r < np.inf)
 
 
