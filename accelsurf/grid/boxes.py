@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,3 +129,19 @@ def shared(corner: Corner, shape: Sequence[int], other: Corner, other_shape: Seq
         mine.append(slice(low - a, high - a))
         theirs.append(slice(low - b, high - b))
     return (mine[0], mine[1], mine[2]), (theirs[0], theirs[1], theirs[2])
+
+
+def on_box(values: NDArray[Any], own: Box, box: Box, beyond: float) -> NDArray[Any]:
+    """Return values of one box on another of the same grid; ``beyond`` where the first has none.
+
+    Examples
+    --------
+    >>> line, rest = np.array([[[1, 2, 3]]]), slice(0, 1)
+    >>> on_box(line, (rest, rest, slice(4, 7)), (rest, rest, slice(5, 9)), 0).tolist()
+    [[[2, 3, 0, 0]]]
+    """
+    out = np.full([s.stop - s.start for s in box], beyond, values.dtype)
+    mine, theirs = shared(corner_of(box), out.shape, corner_of(own), values.shape)
+    if all(s.start < s.stop for s in mine):
+        out[mine] = values[theirs]
+    return out

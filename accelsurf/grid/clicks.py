@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, on_box, shared
 
 Side = Literal["inside", "outside"]
 #: The two sides, and the id of what is no object.
@@ -39,11 +39,7 @@ class Click(NamedTuple):
 
     def mask_on(self, box: Box) -> NDArray[np.bool_]:
         """Return its voxels on a box of the grid; none where it lies elsewhere."""
-        out = np.zeros([s.stop - s.start for s in box], np.bool_)
-        mine, theirs = shared(corner_of(box), out.shape, corner_of(self.box), self.mask.shape)
-        if all(s.start < s.stop for s in mine):
-            out[mine] = self.mask[theirs]
-        return out
+        return on_box(self.mask, self.box, box, False)
 
 
 @dataclass(frozen=True, eq=False)

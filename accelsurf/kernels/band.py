@@ -169,7 +169,7 @@ def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
     With distances u >= 0 of the foot, F + sum [u (u + 1)/2 (F_+ - F) + u (u - 1)/2 (F_- - F)] +
     sum u_i u_j (F_ij - F_i - F_j + F). Beyond the border the values are those of the mirror image, with the other sign
     beyond the borders across axis ``across`` (-1: none); bit a of ``mirrored`` is set where one beyond a border across
-    axis a counts. Where one of the ten is not on the row_of, the mean of those that are, by their weights in the linear
+    axis a counts. Where one of the ten is not on the front, the mean of those that are, by their weights in the linear
     interpolation there; all 0 where none is.
     """
     rows, shares, mirrored = table

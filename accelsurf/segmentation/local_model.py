@@ -17,8 +17,7 @@ from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.model import BEYOND, later_times
-from accelsurf.energies.seeded.partition import partition_model
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, shared, whole_box, widened
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to
 from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from
@@ -86,7 +85,8 @@ class LocalModel:
     passes : ndarray of bool or None
         The mask of the run.
     whole : callable
-        Makes the whole model of clicks: needed where one of them says that the first proposal was far too large.
+        Makes the whole model of clicks: needed for a partition, and where a click says that the first proposal was far
+        too large.
     threads : int, optional
         What a click needs is computed in so many threads; the result is the same for any number.
     """
@@ -106,7 +106,7 @@ class LocalModel:
 
     def field_on(self, box: Box) -> Image:
         """F on a box of the grid: the surface grows where it is below 0."""
-        return _placed(self.state.field, self.state.box, box, 1.0)
+        return on_box(self.state.field, self.state.box, box, 1.0)
 
     def add(self, click: Click) -> ModelChange:
         """Go on to the model with one more click: the same as the model of all clicks, at the cost of a box.
@@ -117,10 +117,7 @@ class LocalModel:
             On the grid of the model, as its object sees it.
         """
         before, clicks = self.state, self.state.clicks.with_more([click])
-        if before.answer is None:
-            whole = partition_model(self._images, self.spacing, clicks, mask=self._passes)
-            self.state = LocalState.of(whole)
-        elif before.answer.is_contradicted(click):
+        if before.answer is None or before.answer.is_contradicted(click):
             self.state = LocalState.of(self._whole(clicks))
         else:
             with ThreadPoolExecutor(max(self._threads, 1)) as pool:
@@ -131,8 +128,8 @@ class LocalModel:
             edges = at_edges(shown, self._images, before.images, self.spacing, clicks, self._passes)
             self.state = LocalState(clicks, answer, before.images, *edges, before.sized, shown)
         box = enclosing(self.state.box, before.box)
-        now = _placed(self.state.start, self.state.box, box, False)
-        return ModelChange(box, now != _placed(before.start, before.box, box, False), before)
+        now = on_box(self.state.start, self.state.box, box, False)
+        return ModelChange(box, now != on_box(before.start, before.box, box, False), before)
 
     def _with_click(self, answer: Answer, click: Click) -> Answer:
         """The answer to one more click, computed on a box that its march does not come near the border of."""
@@ -188,10 +185,10 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, one: Correcte
     near = automatic_near(one.psi, [click._replace(box=counted_from(click.box, one.corner))], spacing)
     around = around_clicks([click], near, 0.0, model.state.clicks.shape, spacing, 0.0)
     box = enclosing(around.box, change.box)
-    own = _placed(model.state.start, model.state.box, box, False) == (click.side == "inside")
-    changed = own & _placed(change.mask, change.box, box, False)
-    own &= _placed(around.mask, around.box, box, False)
-    own &= (_placed(one.psi, box_at(one.corner, one.psi.shape), box, 1.0) < 0) != (click.side == "inside")
+    own = on_box(model.state.start, model.state.box, box, False) == (click.side == "inside")
+    changed = own & on_box(change.mask, change.box, box, False)
+    own &= on_box(around.mask, around.box, box, False)
+    own &= (on_box(one.psi, box_at(one.corner, one.psi.shape), box, 1.0) < 0) != (click.side == "inside")
     clicked = click.mask_on(box)
     return click._replace(box=box, mask=changed | connected_to(own | clicked, clicked))
 
@@ -210,15 +207,6 @@ def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> di
 
 def _maker(context: ImageContext) -> Callable[[Clicks], SeededModel]:
     return lambda clicks: context.with_clicks(clicks).seeded_model()
-
-
-def _placed(values: NDArray, own: Box, box: Box, beyond: float) -> NDArray:
-    """Values of one box on another; ``beyond`` where the first has none."""
-    out = np.full([s.stop - s.start for s in box], beyond, values.dtype)
-    mine, theirs = shared(corner_of(box), out.shape, corner_of(own), values.shape)
-    if all(s.start < s.stop for s in mine):
-        out[mine] = values[theirs]
-    return out
 
 
 def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf.grid.boxes import Box
+from accelsurf.grid.connected import connected_to
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
@@ -195,6 +195,4 @@ def enlarged(field: NDArray[np.float32], steps: tuple[int, int, int], shape: tup
 
 def connected(mask: Mask, seeds: NDArray[np.uint8]) -> Mask:
     """The parts of a mask that hold an inside seed."""
-    parts, _ = ndimage.label(mask | (seeds == INSIDE))
-    wanted = np.unique(parts[seeds == INSIDE])
-    return np.isin(parts, wanted[wanted > 0]) & (seeds != OUTSIDE)
+    return connected_to(mask | (seeds == INSIDE), seeds == INSIDE) & (seeds != OUTSIDE)

@@ -21,6 +21,7 @@ from scipy import ndimage
 from benchmarks.clicks.compiled import nearest_seed
 from benchmarks.clicks.domain import INSIDE, OUTSIDE, Domain, Solver, connected
 from benchmarks.clicks.forest import probability
+from benchmarks.cuts import least_cut, pairs_of
 from benchmarks.peers.measure import combinations
 
 REACHES = (2.0, 4.0)
@@ -76,37 +77,15 @@ def grow_cut(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
 
 def graph_cut(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     """The cut of least cost: of values by the clicks' own histograms, of neighbours by their contrast in spreads."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import breadth_first_order, maximum_flow
-
     values, seeds = smoothed(domain, 0.5), domain.seeds
-    size = values.size
-    index = np.arange(size, dtype=np.int32).reshape(values.shape)
-    rows, columns, costs = [], [], []
-    for axis in range(3):
-        a, b = (np.take(index, part, axis).ravel() for part in _pairs(values.shape[axis]))
-        apart = values.flat[a] - values.flat[b]
-        cost = UNIT * settings["weight"] * np.exp(-0.5 * apart**2) / domain.spacing[axis]
-        rows += [a, b]
-        columns += [b, a]
-        costs += [cost, cost]
+    links = []
+    for (one, other), h in zip(pairs_of(values.shape), domain.spacing, strict=True):
+        apart = values.flat[one] - values.flat[other]
+        links.append((one, other, (UNIT * settings["weight"] * np.exp(-0.5 * apart**2) / h).astype(np.int32)))
     inside, outside = unary(values, seeds)
     common = np.minimum(inside, outside)
-    source, sink = np.full(size, size, np.int32), np.full(size, size + 1, np.int32)
-    rows += [source, index.ravel()]
-    columns += [index.ravel(), sink]
-    costs += [UNIT * (outside - common).ravel(), UNIT * (inside - common).ravel()]
-    capacity = np.concatenate(costs).astype(np.int32)
-    kept = capacity > 0
-    pairs = np.concatenate(rows)[kept], np.concatenate(columns)[kept]
-    graph = coo_array((capacity[kept], pairs), shape=(size + 2, size + 2)).tocsr()
-    flow = maximum_flow(graph, size, size + 1).flow
-    left = graph - flow
-    left.data[left.data < 0] = 0
-    left.eliminate_zeros()
-    reached = np.zeros(size + 2, bool)
-    reached[breadth_first_order(left, size, return_predecessors=False)] = True
-    return np.where(connected(reached[:size].reshape(values.shape), seeds), 0.5, -0.5)
+    ends = ((UNIT * (cost - common)).ravel().astype(np.int32) for cost in (outside, inside))
+    return np.where(connected(least_cut(*ends, links).reshape(values.shape), seeds), 0.5, -0.5)
 
 
 #: Costs of the graph cut are whole numbers: so many for one unit of log-likelihood.
@@ -155,9 +134,6 @@ def neighbours(spacing: tuple[float, ...], diagonal: bool) -> tuple[NDArray[np.i
     offsets = np.array(steps, np.int64)
     return offsets, np.sqrt(((offsets * np.array(spacing)) ** 2).sum(axis=1)).astype(np.float32)
 
-
-def _pairs(count: int) -> tuple[range, range]:
-    return range(count - 1), range(1, count)
 
 
 #: By name. Those that solve large systems are coarsened sooner.

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
+from accelsurf.grid.connected import connected_to
+from benchmarks.cuts import least_cut, pairs_of
 from benchmarks.peers.measure import combinations
 from benchmarks.peers.programs import Peer
 
@@ -77,34 +77,18 @@ def graph_cut(
 ) -> np.ndarray:
     """The least of |I - mean|^2 and the weighted area over faces of voxels (Greig et al. 1989), by SciPy's flow.
 
-    It is told the two true means. Only the part that holds most of the start counts.
+    It is told the two true means. Only the part with the start counts.
     """
     inside, outside = means
     cost = ((image - inside) ** 2 - (image - outside) ** 2).astype(np.float64) / (inside - outside) ** 2
     cost[start < 0] = -CAPACITY
-    cells, size = np.arange(image.size).reshape(image.shape), image.size
-    heads, tails = [], []
-    for axis in range(image.ndim):
-        before = np.moveaxis(cells, axis, 0)
-        heads.append(before[:-1].ravel())
-        tails.append(before[1:].ravel())
-    one, other = np.concatenate(heads), np.concatenate(tails)
-    linked = np.full(one.size, round(CAPACITY * settings["weight"]))
-    ends = np.round(np.clip(np.abs(cost), 0, CAPACITY) * CAPACITY).astype(np.int32).ravel()
-    object_side = np.flatnonzero(cost.ravel() < 0)
-    other_side = np.flatnonzero(cost.ravel() > 0)
-    rows = np.concatenate([one, other, np.full(object_side.size, size), other_side])
-    columns = np.concatenate([other, one, object_side, np.full(other_side.size, size + 1)])
-    data = np.concatenate([linked, linked, ends[object_side], ends[other_side]]).astype(np.int32)
-    graph = coo_matrix((data, (rows, columns)), (size + 2, size + 2)).tocsr()
-    left = graph - maximum_flow(graph, size, size + 1).flow
-    left.data[left.data < 0] = 0
-    left.eliminate_zeros()
-    mask = np.zeros(size + 2, bool)
-    mask[breadth_first_order(left, size, return_predecessors=False)] = True
-    labels, _ = ndimage.label(mask[:size].reshape(image.shape))
-    seen = labels[start < 0]
-    return np.asarray(labels == np.bincount(seen[seen > 0]).argmax())
+    links = [
+        (one, other, np.full(one.size, round(CAPACITY * settings["weight"]), np.int32))
+        for one, other in pairs_of(image.shape)
+    ]
+    ends = np.round(np.clip(cost, -CAPACITY, CAPACITY) * CAPACITY).astype(np.int32).ravel()
+    mask = least_cut(np.maximum(-ends, 0), np.maximum(ends, 0), links).reshape(image.shape)
+    return connected_to(mask, start < 0)
 
 
 #: Settings searched. Sigmas are in voxels, weights and sharpness (beta) in units of the contrast.

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from accelsurf.grid.connected import connected_to
 from accelsurf.segmentation.api import segment, segment_objects
 from benchmarks.peers.baselines import gaussian_otsu, graph_cut, largest_part, tv_otsu
 from benchmarks.peers.hard_works import Work, drawn, seeds_of
@@ -119,9 +120,8 @@ def _sato(work: Work, settings: Settings) -> np.ndarray:
     from skimage.filters import sato
 
     tubes = sato(work.image, sigmas=settings["sigmas"], black_ridges=False)
-    inside = drawn(work.truth.shape, work.inside[1])
-    parts, _ = ndimage.label(tubes > settings["part"] * np.percentile(tubes, 99.9))
-    return np.isin(parts, np.unique(parts[inside & (parts > 0)])) & (parts > 0)
+    mask = tubes > settings["part"] * np.percentile(tubes, 99.9)
+    return connected_to(mask, drawn(mask.shape, work.inside[1]))
 
 
 def _hysteresis(work: Work, settings: Settings) -> np.ndarray:
@@ -131,9 +131,8 @@ def _hysteresis(work: Work, settings: Settings) -> np.ndarray:
     smooth = ndimage.gaussian_filter(work.image, settings["sigma"])
     inside, outside = work.means
     low, high = (outside + part * (inside - outside) for part in (settings["low"], 0.8))
-    parts, _ = ndimage.label(apply_hysteresis_threshold(smooth, low, high))
-    clicked = parts[drawn(parts.shape, work.inside[1])]
-    return np.isin(parts, np.unique(clicked[clicked > 0])) & (parts > 0)
+    mask = apply_hysteresis_threshold(smooth, low, high)
+    return connected_to(mask, drawn(mask.shape, work.inside[1]))
 
 
 def _peer(name: str) -> Program:

@@ -22,7 +22,7 @@ from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
-from accelsurf.grid.boxes import Box, bounding_box, corner_of, enclosing, shared
+from accelsurf.grid.boxes import Box, bounding_box, enclosing, on_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to, holes_filled
 from accelsurf.kernels.arrival import Tissue
@@ -55,11 +55,7 @@ class Shown(NamedTuple):
 
     def on(self, box: Box) -> tuple[Image, Mask]:
         """F and where it is inside, on another box."""
-        shape = [s.stop - s.start for s in box]
-        mine, theirs = shared(corner_of(self.box), self.force.shape, corner_of(box), shape)
-        force, inside = np.ones(shape, np.float32), np.zeros(shape, np.bool_)
-        force[theirs], inside[theirs] = self.force[mine], self.inside[mine]
-        return force, inside
+        return on_box(self.force, self.box, box, 1.0), on_box(self.inside, self.box, box, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +161,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
     """
     dense = marched[0].reshape(field.shape)
     reached = _box_of(field, (dense <= answer.last).ravel()) if click.side == "inside" else click.box
-    answer = _on_larger_box(answer, field, enclosing(answer.box, reached))
+    answer = _on_larger_box(answer, enclosing(answer.box, reached))
     times, is_inside = dense[answer.box], click.side == "inside"
     times_in = np.minimum(answer.times_in, times) if is_inside else answer.times_in
     clicked = answer.times_clicked if is_inside else np.minimum(answer.times_clicked, times)
@@ -281,17 +277,13 @@ def _is_far(field: Field, box: Box, times_in: Times, last: float) -> Mask:
     return far
 
 
-def _on_larger_box(answer: Answer, field: Field, box: Box) -> Answer:
+def _on_larger_box(answer: Answer, box: Box) -> Answer:
     """The same answer on a box that holds its own."""
     if box == answer.box:
         return answer
-    place = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(answer.box, box, strict=True))
-    shape = [s.stop - s.start for s in box]
 
     def larger(values: NDArray, beyond: float) -> NDArray:
-        out = np.full(shape, beyond, values.dtype)
-        out[place] = values
-        return out
+        return on_box(values, answer.box, box, beyond)
 
     return replace(
         answer,

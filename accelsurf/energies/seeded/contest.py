@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, radius_of, robust
-from accelsurf.grid.boxes import Box, corner_of, shared
+from accelsurf.grid.boxes import Box, on_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.kernels.blocks import sums_along
 from accelsurf.kernels.paths import shortest_paths
@@ -67,11 +67,7 @@ class Balance(NamedTuple):
 
     def on(self, box: Box) -> Image:
         """The same on another box."""
-        shape = [s.stop - s.start for s in box]
-        mine, theirs = shared(corner_of(self.box), self.values.shape, corner_of(box), shape)
-        out = np.ones(shape, np.float32)
-        out[theirs] = self.values[mine]
-        return out
+        return on_box(self.values, self.box, box, 1.0)
 
 
 def contest(
@@ -249,6 +245,7 @@ def _at_least_of_changes(part: Image, spread: float) -> float:
     changes = [np.abs(np.diff(part, axis=axis)) for axis in range(3) if part.shape[axis] > 1]
     limit = np.nextafter(np.float32(spread / MIN_CHANGE), np.float32(0.0))
     above = sum(np.count_nonzero(some > limit) for some in changes)
-    if 2 * above < sum(some.size for some in changes):  # the median is below, whatever it is: usual, and much sooner
+    # Mostly less than half of them are above: the median is below then, whatever it is, and need not be found.
+    if not changes or 2 * above < sum(some.size for some in changes):
         return spread
     return max(spread, MIN_CHANGE * float(np.median(np.concatenate([some.ravel() for some in changes]))))

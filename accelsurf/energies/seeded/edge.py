@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from accelsurf.energies.seeded.answers import Shown, object_of
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
-from accelsurf.grid.boxes import Box, bounding_box, corner_of, shared, widened
+from accelsurf.grid.boxes import Box, bounding_box, corner_of, on_box, shared, widened
 from accelsurf.grid.clicks import Clicks
 
 #: The window reaches so many of the smallest spacings to each side.
@@ -71,11 +71,10 @@ def edge_balance(
     seen = np.ones(inside.shape, np.bool_) if open is None else open
     near, next_to_it = _seen_both(inside, 5) & seen, _seen_both(inside, 3) & seen
     counts = np.where(next_to_it, np.float32(MIXED), np.float32(1.0)) * seen
-    reach = [2 * max(round(WINDOW * min(spacing) / h), 1) + 1 if n > 1 else 1
-             for h, n in zip(spacing, inside.shape, strict=True)]  # fmt: skip
+    sizes = [2 * half + 1 if n > 1 else 1 for half, n in zip(_half_window(spacing), inside.shape, strict=True)]
 
     def window(values: NDArray) -> NDArray[np.float32]:
-        return np.asarray(ndimage.uniform_filter(values, reach, np.float32, mode="constant"))
+        return np.asarray(ndimage.uniform_filter(values, sizes, np.float32, mode="constant"))
 
     within, both = window(counts * inside), window(counts)
     beyond = both - within
@@ -134,11 +133,11 @@ def at_edges(
         if here is None:
             break
         mine, theirs = shared(corner_of(box), force.shape, corner_of(here), [s.stop - s.start for s in here])
-        seen = np.zeros([s.stop - s.start for s in here], np.bool_)
-        seen[theirs] = inside[mine]
+        seen = on_box(inside, box, here, False)
         passes = None if open is None else open[here]
+        near = _near(seen, passes)
         pairs = zip(images, smooth, strict=True)
-        parts = [_as_smooth_as_needed(one[here], other[here], seen, passes) for one, other in pairs]
+        parts = [_as_smooth_as_needed(one[here], other[here], seen, near) for one, other in pairs]
         balance, weight = edge_balance(parts, spacing, seen, passes)
         for click in clicks.clicks:
             weight[click.mask_on(here)] = 0.0
@@ -154,14 +153,24 @@ def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> B
     if tight is None:
         return None
     on_grid = [slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, box, strict=True)]
-    margins = [max(round(WINDOW * min(spacing) / h), 1) + 2 for h in spacing]
+    margins = [half + 2 for half in _half_window(spacing)]
     return widened((on_grid[0], on_grid[1], on_grid[2]), shape, margins)
 
 
-def _as_smooth_as_needed(image: Image, smooth: Image, inside: Mask, open: Mask | None) -> Image:
-    """A channel near a boundary, as it is without noise, smoothed where it has some: smoothing moves curved edges."""
+def _half_window(spacing: Spacing) -> list[int]:
+    """How many voxels the window reaches to each side, along each axis."""
+    return [max(round(WINDOW * min(spacing) / h), 1) for h in spacing]
+
+
+def _near(inside: Mask, open: Mask | None) -> Mask:
+    """Where noise and contrast are read off."""
     near = _seen_both(inside, REACH)
-    share = min(_noise_share(image, inside, near if open is None else near & open) / NOISE, 1.0)
+    return near if open is None else near & open
+
+
+def _as_smooth_as_needed(image: Image, smooth: Image, inside: Mask, near: Mask) -> Image:
+    """A channel near a boundary, as it is without noise, smoothed where it has some: smoothing moves curved edges."""
+    share = min(_noise_share(image, inside, near) / NOISE, 1.0)
     return np.asarray(image + np.float32(share) * (smooth - image))
 
 
@@ -182,9 +191,7 @@ def area_weight(images: Sequence[Image], spacing: Spacing, inside: Mask, open: M
     box = bounding_box(inside, REACH)
     share = 1.0
     if box is not None:
-        near = _seen_both(inside[box], REACH)
-        if open is not None:
-            near &= open[box]
+        near = _near(inside[box], None if open is None else open[box])
         for image in images:
             share = min(share, _noise_share(image[box], inside[box], near))
     return (AREA + NOISY_AREA * share) * min(spacing)

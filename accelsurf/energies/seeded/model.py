@@ -62,7 +62,8 @@ class SeededModel:
     sized : bool
         Whether a size was stated.
     shown : Shown or None
-        F and start on the box beyond which there is nothing; None of a partition.
+        F and start before they were brought to the edges of the image, from which the next click goes on; None of a
+        partition.
     """
 
     field: Image

@@ -70,7 +70,7 @@ def test_the_radius_is_that_of_the_ball():
 def test_the_box_reaches_some_depths_and_near_faces_stay_open():
     shape = (60, 60, 60)
     spacing = (1.0, 1.0, 1.0)
-    click = ball("inside", (30, 30, 5), 3.0, shape, spacing)
+    click = ball("inside", (30, 30, 5), 3.0, shape=shape, spacing=spacing)
     box, margin = box_around(Clicks((click,), shape), spacing, 2.0, 1)
     assert margin == pytest.approx(12.0, rel=0.1)
     assert box[2].start == 0 and box[0].start == pytest.approx(18, abs=1) and box[2].stop == pytest.approx(18, abs=1)

@@ -1,8 +1,9 @@
 """The local edge: halfway between both sides, on the right side, unheard between equals, the same for any unit."""
 
+from functools import partial
+
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from accelsurf import segment
 from accelsurf.energies.seeded import seeded_model
@@ -10,19 +11,14 @@ from accelsurf.energies.seeded.answers import Shown
 from accelsurf.energies.seeded.appearance import count_of, even_radius, learn, radius_of
 from accelsurf.energies.seeded.edge import AREA, NOISY_AREA, area_weight, at_edges, edge_balance
 from accelsurf.grid.boxes import box_at, whole_box
-from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.clicks import Clicks
+from tests.support import clicked_balls
 
 SHAPE, SPACING = (24, 26, 28), (1.0, 1.0, 1.0)
 
 
-def distance(centre, shape=SHAPE, spacing=SPACING):
-    return np.sqrt(sum(((i - c) * h) ** 2 for i, c, h in zip(np.indices(shape), centre, spacing, strict=True)))
-
-
-def click(side, centre, radius, shape=SHAPE, spacing=SPACING):
-    mask = distance(centre, shape, spacing) <= radius
-    box = ndimage.find_objects(mask.astype(int))[0]
-    return Click(side, box, mask[box])
+distance = partial(clicked_balls.distance, shape=SHAPE, spacing=SPACING)
+click = partial(clicked_balls.ball, shape=SHAPE, spacing=SPACING)
 
 
 def slope(place, low=0.0, high=1.0, shape=SHAPE):
@@ -129,8 +125,8 @@ def test_the_area_weight_follows_the_noise():
 
 def test_the_even_tissue_of_a_click_in_a_slice_is_a_disk():
     shape, spacing = (1, 80, 80), (0.3, 1.0, 1.0)
-    image = (distance((0, 40, 40), shape, spacing) < 18).astype(np.float32)
-    one = click("inside", (0, 40, 40), 3.0, shape, spacing)
+    image = (distance((0, 40, 40), shape=shape, spacing=spacing) < 18).astype(np.float32)
+    one = click("inside", (0, 40, 40), 3.0, shape=shape, spacing=spacing)
     radius = even_radius([image], spacing, one, learn([image], spacing, one))
     assert radius == pytest.approx(18, abs=1.1)
     assert count_of(radius, spacing, True) == pytest.approx(image.sum(), rel=0.15)

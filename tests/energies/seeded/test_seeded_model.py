@@ -1,5 +1,7 @@
 """The seeded model: it finds plain objects, holds clicks, keeps what was right, and stays sensible on odd input."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -7,22 +9,16 @@ from scipy import ndimage
 from accelsurf.energies import RegionField
 from accelsurf.energies.seeded import seeded_model
 from accelsurf.errors import InputError
-from accelsurf.grid.clicks import Click, Clicks
-from tests.support import gradient_check
+from accelsurf.grid.clicks import Clicks
+from tests.support import clicked_balls, gradient_check
 from tests.support.gradient_check import assert_derivative
 
 SPACING = (1.5, 1.0, 0.8)
 SHAPE = (26, 40, 48)
 
 
-def distance(centre, shape=SHAPE, spacing=SPACING):
-    return np.sqrt(sum(((i - c) * h) ** 2 for i, c, h in zip(np.indices(shape), centre, spacing, strict=True)))
-
-
-def ball(side, centre, radius, shape=SHAPE, spacing=SPACING):
-    mask = distance(centre, shape, spacing) <= radius
-    box = ndimage.find_objects(mask.astype(int))[0]
-    return Click(side, box, mask[box])
+distance = partial(clicked_balls.distance, shape=SHAPE, spacing=SPACING)
+ball = partial(clicked_balls.ball, shape=SHAPE, spacing=SPACING)
 
 
 def volume_of(mask, spacing=SPACING):
@@ -161,9 +157,10 @@ def test_a_second_channel_tells_what_the_first_cannot():
 
 def test_a_single_slice():
     shape, spacing = (1, 64, 64), (5.0, 0.5, 0.5)
-    inside = distance((0, 32, 32), shape, spacing) < 8
+    inside = distance((0, 32, 32), shape=shape, spacing=spacing) < 8
     image = (inside + np.random.default_rng(0).normal(0, 0.2, shape)).astype(np.float32)
-    model = seeded_model([image], spacing, Clicks((ball("inside", (0, 32, 32), 4.0, shape, spacing),), shape))
+    click = ball("inside", (0, 32, 32), 4.0, shape=shape, spacing=spacing)
+    model = seeded_model([image], spacing, Clicks((click,), shape))
     assert dice(model.start, inside) > 0.87
 
 
@@ -201,7 +198,7 @@ def test_without_an_inside_click_it_says_so():
 def test_the_force_is_the_derivative_of_the_energy():
     shape, spacing = gradient_check.GRIDS["thick slices"]
     middle = [(n - 1) / 2 for n in shape]
-    image = ndimage.gaussian_filter((distance(middle, shape, spacing) < 13).astype(np.float32), 2.0)
-    model = seeded_model([image], spacing, Clicks((ball("inside", middle, 5.0, shape, spacing),), shape))
+    image = ndimage.gaussian_filter((distance(middle, shape=shape, spacing=spacing) < 13).astype(np.float32), 2.0)
+    model = seeded_model([image], spacing, Clicks((ball("inside", middle, 5.0, shape=shape, spacing=spacing),), shape))
     field = ndimage.gaussian_filter(model.field, 1.5)
     assert_derivative(RegionField(field, model.area_weight_mm), "thick slices", 3, 1e-3)
