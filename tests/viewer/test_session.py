@@ -168,6 +168,23 @@ def test_a_start_made_by_hand_is_saved_without_a_step(session, tmp_path):
     assert saved != segment(volume(), start=START, max_steps=0, levels=1).labels.tobytes()
 
 
+def test_a_stroke_is_undone_whole_and_made_again_whole(session):
+    session.edit_ball("remove", "ball:9,15,16,3").result(60)
+    for number, x in enumerate((25, 27, 29)):
+        session.edit_ball("add", f"ball:{x},15,16,4", joined=number > 0).result(60)
+    assert len(session.status.edits) == 4 and session.status.undoable == 2
+    drawn = session.status.edits
+    session.undo().result(60)
+    assert session.status.edits == drawn[:1] and session.status.undoable == 1
+    session.redo().result(60)
+    assert session.status.edits == drawn
+    # After an undo nothing is left of a stroke for a further ball to join.
+    session.undo().result(60)
+    session.edit_ball("add", "ball:25,15,16,4", joined=True).result(60)
+    session.undo().result(60)
+    assert session.status.edits == drawn[:1]
+
+
 def test_noise_that_comes_later_has_a_seed_that_is_saved(session, tmp_path):
     at(session, 4).change(noise=0.3, noise_time=100).result(60)
     saved, toml = labels_of(at(session, 12), tmp_path)

@@ -35,9 +35,13 @@ class ChangeLog:
         """How many undone changes can be made again."""
         return len(self._undone)
 
-    def add(self, before: Moment) -> None:
-        """Note what was in force before a change that has been made; what was undone is forgotten."""
-        self._before.append(before)
+    def add(self, before: Moment, joined: bool = False) -> None:
+        """Note what was in force before a change that has been made; what was undone is forgotten.
+
+        One that is ``joined``, a further ball of a stroke, is undone together with the change before it.
+        """
+        if not (joined and self._before and not self._undone):
+            self._before.append(before)
         self._undone.clear()
 
     def undo(self, now: Moment) -> Moment:

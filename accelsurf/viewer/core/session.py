@@ -163,17 +163,20 @@ class Session:
         """
         return self._do(lambda timeline: timeline.change(settings))
 
-    def edit_ball(self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None) -> Future[None]:
+    def edit_ball(
+        self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None, joined: bool = False
+    ) -> Future[None]:
         """Add a ball, ``ball:X,Y,Z,R``, to an object, or remove one from it.
 
-        Of several objects it is the one with this id, or else the one that is nearest to the ball's centre.
+        Of several objects it is the one with this id, or else the one that is nearest to the ball's centre. A ball
+        that is ``joined``, a further one of a stroke, is undone together with the change before it.
 
         Raises
         ------
         UsageError, InputError
             From the Future, when it is no ball or lies outside the volume, or there is no such object.
         """
-        return self._do(lambda timeline: timeline.edit_ball(kind, ball, object_id))
+        return self._do(lambda timeline: timeline.edit_ball(kind, ball, object_id, joined))
 
     def add_click(self, side: Side, where: str | Sequence[str], object_id: int | None = None) -> Future[None]:
         """Say of voxels that they are in the object, or are not: ``ball:X,Y,Z,R``, ``point:X,Y,Z``, ``stroke:FILE``.

@@ -238,16 +238,10 @@ class Timeline:
             self._replace_edits(altered)
         self._message = ", ".join(f"{key} {value}" for key, value in settings.items())
 
-    def edit_ball(self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None) -> None:
-        """Add a ball to an object (``add``), or remove one from it (``remove``).
-
-        Parameters
-        ----------
-        kind : {"add", "remove"}
-        ball : str
-            ``ball:X,Y,Z,R``.
-        object_id : int, optional
-            Of a run of objects with ids: the one that is nearest to the ball's centre unless given.
+    def edit_ball(
+        self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None, joined: bool = False
+    ) -> None:
+        """Add a ball to an object (``add``), or remove one from it (``remove``), see `Session.edit_ball`.
 
         Raises
         ------
@@ -257,7 +251,7 @@ class Timeline:
         (edit,) = RunConfig(edit=[{"step": self.step_number, kind: ball, "object": object_id}]).edit
         if object_id is None and self.run.has_ids:
             edit = edit.model_copy(update={"object": nearest_object(self.run, ball)})
-        self._replace_edits((*self._edits_so_far(), edit))
+        self._replace_edits((*self._edits_so_far(), edit), joined)
         whose = "" if edit.object is None else f" {'to' if kind == 'add' else 'from'} object {edit.object}"
         self._message = f"{'added' if kind == 'add' else 'removed'} {ball}{whose}"
 
@@ -370,7 +364,7 @@ class Timeline:
     def _edits_so_far(self) -> tuple[Edit, ...]:
         return tuple(edit for edit in self.run.config.edit if edit.step <= self.step_number)
 
-    def _replace_edits(self, edits: tuple[Edit, ...]) -> None:
+    def _replace_edits(self, edits: tuple[Edit, ...], joined: bool = False) -> None:
         """Continue with other edits from the present step; the steps made after it are forgotten."""
         run, step, before = self.run, self.step_number, self._now()
         if edits == before.config.edit and run.stop is None:
@@ -384,7 +378,7 @@ class Timeline:
         run.set_edits(edits)
         self.checkpoints.drop_after(step)
         self.corrections.leave()
-        self.log.add(before)
+        self.log.add(before, joined)
 
     # -- files --------------------------------------------------------------------------------------------
 

@@ -185,12 +185,12 @@ class CanvasTools(QObject):
             self._points.append(self._ball(world))
             self._session.start_from(self._points)
         elif self._center is None or np.linalg.norm(world - self._center) >= STROKE_STEP * self._radius():
-            self._center = world
+            goes_on, self._center = self._center is not None, world
             if self.tool in SIDES:
                 self._stroke.append(self._ball(world))
             else:
                 kind: Literal["add", "remove"] = "add" if self.tool == "grow" else "remove"
-                self._session.edit_ball(kind, self._ball(world), self._object_id())
+                self._session.edit_ball(kind, self._ball(world), self._object_id(), joined=goes_on)
         self._mark(world)
 
     def _apply_size(self, world: NDArray[np.float64]) -> None:
