@@ -6,7 +6,8 @@ outside click by what it changes in that balance, and by the balance itself wher
 labels towards its own side alone, and only in the piece that is connected to it: what was right elsewhere stays.
 
 What is shown is the mean of that learned answer and of the contests of the clicks alone, after the first click with as
-many voxels as the answer has. A later click changes labels towards its own side alone, and F by a part.
+many voxels as the answer has, later between the answer's size and its own. A later click changes labels towards its own
+side alone, and F by a part.
 """
 
 from __future__ import annotations
@@ -39,8 +40,11 @@ PATHS, WALKS = 1.0, 2.0
 INERTIA = (0.0, 0.2, 0.3, 0.4)
 #: |F| of a label that is kept is at least this: it has a side.
 MIN_FORCE = 1e-3
-#: The first click's field is moved by so much at most, so that it has the size.
+#: F is moved by so much at most, so that it has the learned answer's size.
 MAX_OFFSET = 0.5
+#: By the first click's field this is done in full, later by this part, where neither size is more than so many times
+#: the other: the contests know the boundary between clicks better, the answer the size where no click is near.
+SIZE_PART, MAX_RATIO = 0.5, 4.0
 
 
 class Shown(NamedTuple):
@@ -216,9 +220,12 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
         mixed += np.float32(weight / sum(weights)) * part.on(box)
+    count, own_count = int(np.count_nonzero(answer.inside)), int(np.count_nonzero(mixed < 0))
     if before is None:
-        mixed -= _offset(mixed, int(np.count_nonzero(answer.inside)))
+        mixed -= _offset(mixed, count)
     else:
+        if max(count, own_count) <= MAX_RATIO * min(count, own_count):
+            mixed -= np.float32(SIZE_PART) * _offset(mixed, count)
         shown = before.on(box)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
         mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
@@ -232,6 +239,8 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
 
 def _offset(force: Image, count: int) -> np.float32:
     """What F is to be lowered by so that F < 0 in so many voxels, as far as that is allowed."""
+    if np.count_nonzero(force < 0) == count:
+        return np.float32(0.0)
     rank = min(count, force.size - 1)
     return np.float32(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET))
 

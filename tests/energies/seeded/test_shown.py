@@ -89,6 +89,27 @@ def test_the_first_field_has_the_size_of_the_learned_answer():
     assert np.count_nonzero(far.inside) == 1
 
 
+def test_a_later_field_goes_half_way_to_the_size_of_the_learned_answer():
+    """The contests alone took in half of the scan where a large organ has neighbours of its own brightness."""
+    force = line([0.5, -0.4, -0.3, -0.2, -0.09, -0.05, -0.04, 0.3, 0.8, 0.8, 0.8, 0.8])
+    inside = line([0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]) > 0
+    clicks, far = [point("inside", 1), point("outside", 11)], Shown(WHOLE, force, force < 0)
+    # Two voxels would be inside below -0.2: F is moved by 0.1.
+    shown = mixed(force, clicks, far, inside)
+    np.testing.assert_allclose(shown.force.ravel()[2:5], [-0.2, -0.1, 0.01], atol=1e-6)
+    assert shown.inside.ravel().tolist() == [x in (1, 2, 3) for x in range(12)], shown.force
+    larger = line([0, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0]) > 0
+    shown = mixed(force, [point("inside", 1), point("inside", 2)], Shown(WHOLE, force, force < 0), larger)
+    np.testing.assert_allclose(shown.force.ravel()[4:8], force.ravel()[4:8] - 0.25, atol=1e-6)
+
+
+def test_a_size_far_from_that_of_the_contests_says_nothing():
+    force = line([0.5, -0.4, -0.3, -0.2, -0.1, -0.05, -0.04, 0.3, 0.8, 0.8, 0.8, 0.8])
+    inside = line([0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]) > 0
+    shown = mixed(force, [point("inside", 1), point("outside", 11)], Shown(WHOLE, force, force < 0), inside)
+    np.testing.assert_allclose(shown.force.ravel()[2:11], force.ravel()[2:11], rtol=1e-6)
+
+
 def on_grid(model):
     """Where what is shown is inside, before it is brought to the edges of the image."""
     out = np.zeros(SHAPE, bool)
