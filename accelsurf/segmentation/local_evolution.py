@@ -85,7 +85,9 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     for side, basin in problem.won:
         _win(dense, basin & problem.region.mask, side, spacing)
     bounds.apply(dense)
-    surface.reinitialize(setup.half_width)
+    _restore(surface, dense.copy())
+    surface.redistance()
+    surface.redistance()
     past = problem.history
     offsets = (past[-1].volume_mm3 - volume, past[-1].area_mm2 - area)
     # The last record of the run before has the final state, which is not final any more.
