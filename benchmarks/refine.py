@@ -53,7 +53,12 @@ PARTS = (
     ("accelsurf.energies.seeded.answers", "log_ratio", "likelihood"),
     ("accelsurf.energies.seeded.model", "first_answer", "learned answer"),
     ("accelsurf.segmentation.local_model", "with_click", "learned answer"),
-    ("accelsurf.segmentation.local_model", "mixed_answer", "learned answer"),
+    ("accelsurf.energies.seeded.model", "with_click", "learned answer"),
+    ("accelsurf.segmentation.local_model", "mixed_answer", "mean of the answers"),
+    ("accelsurf.energies.seeded.model", "mixed_answer", "mean of the answers"),
+    ("accelsurf.segmentation.local_model", "at_edges", "edges of the image"),
+    ("accelsurf.energies.seeded.model", "at_edges", "edges of the image"),
+    ("accelsurf.energies.seeded.model", "area_weight", "area's weight"),
     ("accelsurf.energies.seeded.contest", "around", "boxes of the contests"),
     ("accelsurf.energies.seeded.contest", "_by_paths", "paths"),
     ("accelsurf.energies.seeded.contest", "_by_walks", "walks"),
@@ -64,7 +69,8 @@ PARTS = (
     ("accelsurf.segmentation.local_evolution", "united", "region"),
     ("accelsurf.segmentation.local_evolution", "_distance_to", "region"),
     ("accelsurf.levelset.level_set", "LevelSet.__init__", "first band"),
-    ("accelsurf.levelset.level_set", "LevelSet.reinitialize", "first band"),
+    ("accelsurf.segmentation.local_evolution", "_restore", "first band"),
+    ("accelsurf.segmentation.local_evolution", "_redistance_all", "first band"),
     ("accelsurf.evolution.loop", "Evolution.step", "steps"),
 )
 ORDER = (*dict.fromkeys(part for _, _, part in PARTS), "rest")
