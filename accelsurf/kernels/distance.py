@@ -1,7 +1,7 @@
 """Euclidean distances to marked voxels, as far as they are asked for: one axis after the other, over short windows.
 
-d^2(z, y, x) = min over z' of (z - z')^2 hz^2 + min over y' of (y - y')^2 hy^2 + min over x' of (x - x')^2 hx^2. Within a
-few voxels this takes a tenth of the time of a transform that finds the nearest voxel at any distance.
+d^2(z, y, x) = min over z' of (z - z')^2 hz^2 + min over y' of (y - y')^2 hy^2 + min over x' of (x - x')^2 hx^2. Within
+six voxels this takes a fifth of the time of a transform that finds the nearest voxel at any distance.
 """
 
 from __future__ import annotations

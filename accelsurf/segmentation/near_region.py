@@ -31,8 +31,8 @@ RIM_SMALLEST, RIM_LARGEST = 6.0, 2.0
 AUTO_TIMES, MAX_NEAR = 1.5, 12.0
 #: The smallest automatic region, voxels of the largest spacing.
 MIN_NEAR = 4.0
-#: Distances are continued beyond the band by so many of the largest spacings; no surface comes so far from its old place
-#: that is held to it by a number.
+#: Distances are continued beyond the band by so many of the largest spacings: no surface that is held to its old place
+#: by a number comes so far from it.
 BEYOND_BAND = 6.0
 #: First half width, voxels, of the box in which the surface is searched around a click.
 FIRST_SEARCH = 8

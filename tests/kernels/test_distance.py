@@ -9,7 +9,11 @@ from accelsurf.kernels.distance import distances_within
 
 @pytest.mark.parametrize(
     "shape, spacing, reach",
-    [((12, 17, 23), (1.0, 1.0, 1.0), 6.0), ((9, 20, 21), (2.5, 0.7, 0.9765625), 5.0), ((1, 30, 31), (4.0, 0.8, 1.1), 4.0)],
+    [
+        ((12, 17, 23), (1.0, 1.0, 1.0), 6.0),
+        ((9, 20, 21), (2.5, 0.7, 0.9765625), 5.0),
+        ((1, 30, 31), (4.0, 0.8, 1.1), 4.0),
+    ],
 )
 def test_distances_are_scipy_s_as_far_as_asked(shape, spacing, reach):
     marked = np.random.default_rng(5).random(shape) < 0.004

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, radius_of, robust
-from accelsurf.grid.boxes import Box, corner_of, on_box
+from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.kernels.blocks import count_changes, sums_along
 from accelsurf.kernels.paths import shortest_paths
@@ -64,10 +64,6 @@ class Balance(NamedTuple):
 
     box: Box
     values: Image
-
-    def on(self, box: Box) -> Image:
-        """The same on another box."""
-        return on_box(self.values, self.box, box, 1.0)
 
 
 def contest(

@@ -233,5 +233,5 @@ def later_times(
     late = (answer.count, answer.last / faster) if ends else (0, np.inf)
     times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * answer.count), late=late)
     own = float(times[order[min(answer.count, len(order)) - 1]])
-    times *= np.float32(faster / own if own > 0.0 else 1.0)
+    times[order] *= np.float32(faster / own if own > 0.0 else 1.0)  # all others are inf
     return times, tissue
