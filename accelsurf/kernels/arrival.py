@@ -58,8 +58,7 @@ def march(times, medium, tissue, grid, seeds, cap, late, max_count):
     ----------
     times : ndarray (n,) float32
         At the seeds their times, at least 0, which are final; inf at all others. On return the times of the accepted
-        voxels, inf at those that the march did not accept. While it runs, a time that is not final is stored as its
-        negative.
+        voxels, inf at all others. While it runs, a time that is not final is stored as its negative.
     medium : Medium
     tissue : Tissue
     grid : Grid
@@ -68,8 +67,7 @@ def march(times, medium, tissue, grid, seeds, cap, late, max_count):
     cap : ndarray (n,) or (0,) float32
         A voxel is accepted only if its time is below its cap; without elements there is none.
     late : (count, factor)
-        Once so many voxels are accepted, the march goes on to ``factor`` times the time that it has come to, and at
-        most a bucket further. A count below that of the seeds says nothing.
+        Once so many voxels, more than the seeds, are accepted, it goes on to ``factor`` times the time it has come to.
     max_count : int
         No more voxels than these are accepted.
 
