@@ -70,7 +70,7 @@ PARTS = (
     ("accelsurf.segmentation.local_evolution", "_distance_to", "region"),
     ("accelsurf.levelset.level_set", "LevelSet.__init__", "first band"),
     ("accelsurf.segmentation.local_evolution", "_restore", "first band"),
-    ("accelsurf.segmentation.local_evolution", "_redistance_all", "first band"),
+    ("accelsurf.levelset.level_set", "LevelSet.reinitialize", "first band"),
     ("accelsurf.evolution.loop", "Evolution.step", "steps"),
 )
 ORDER = (*dict.fromkeys(part for _, _, part in PARTS), "rest")

@@ -85,7 +85,7 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     for side, basin in problem.won:
         _win(dense, basin & problem.region.mask, side, spacing)
     bounds.apply(dense)
-    _redistance_all(surface)
+    surface.reinitialize(setup.half_width)
     past = problem.history
     offsets = (past[-1].volume_mm3 - volume, past[-1].area_mm2 - area)
     # The last record of the run before has the final state, which is not final any more.
@@ -123,13 +123,6 @@ def _restore(surface: LevelSet, psi: NDArray[np.float32]) -> None:
     inside = psi < 0
     beyond = int(np.count_nonzero(inside)) - int(np.count_nonzero(band.psi < 0))
     surface.restore(band, inside.reshape(-1), beyond, surface.requested_half_width)
-
-
-def _redistance_all(surface: LevelSet) -> None:
-    """Make the band of a dense psi that is a distance but where pieces meet; there the second round finds it."""
-    _restore(surface, surface.psi.copy())
-    surface.redistance()
-    surface.redistance()
 
 
 def _win(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing: Spacing) -> None:
