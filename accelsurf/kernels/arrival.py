@@ -51,15 +51,14 @@ class Queue(NamedTuple):
 
 
 @kernel
-def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
+def march(times, medium, tissue, grid, seeds, cap, late, max_count):
     """Accept voxels in the order of their arrival times, from the seeds outwards.
 
     Parameters
     ----------
     times : ndarray (n,) float32
         At the seeds their times, at least 0, which are final; inf at all others. On return the times of the accepted
-        voxels, inf at those that the march did not accept. While it runs, a time that is not final is stored as its
-        negative.
+        voxels, inf at all others. While it runs, a time that is not final is stored as its negative.
     medium : Medium
     tissue : Tissue
     grid : Grid
@@ -67,8 +66,8 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
         Each once. A seed starts also where nothing passes.
     cap : ndarray (n,) or (0,) float32
         A voxel is accepted only if its time is below its cap; without elements there is none.
-    max_time : float
-        No voxel with a later time is accepted.
+    late : (count, factor)
+        Once so many voxels, more than the seeds, are accepted, it goes on to ``factor`` times the time it has come to.
     max_count : int
         No more voxels than these are accepted.
 
@@ -83,7 +82,7 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
     costs = np.empty(len(times))  # of the voxels that a front has come to; memory that nobody writes to costs nothing
     order = np.empty(max(FIRST_CAPACITY, len(seeds)), np.int64)
     order[: len(seeds)] = seeds
-    done, count, waiting, bucket = 0, len(seeds), 0, np.int64(0)
+    done, count, waiting, bucket, max_time = 0, len(seeds), 0, np.int64(0), np.inf
     while True:
         while done < count:
             if waiting + SIDES > len(queue.entries):
@@ -93,6 +92,8 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
         if waiting == 0 or count >= max_count:
             break
         bucket = first_filled(queue, bucket)
+        if bucket * width > max_time:
+            break
         cell = leave(queue, bucket)
         waiting -= 1
         if times[cell] < 0.0 and np.int64(-times[cell] / width) <= bucket:
@@ -101,6 +102,8 @@ def march(times, medium, tissue, grid, seeds, cap, max_time, max_count):
                 order = np.concatenate((order, np.empty(count, np.int64)))
             order[count] = cell
             count += 1
+            if count == late[0]:
+                max_time = late[1] * ((bucket + 1) * width)
     for _ in range(waiting):  # on their way, not arrived
         bucket = first_filled(queue, bucket)
         cell = leave(queue, bucket)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf.energies import Energy
 from accelsurf.energies.constraints.clicks import ClickConstraint
@@ -20,6 +19,7 @@ from accelsurf.grid.boxes import bounding_box, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.geometry import axis_steps
+from accelsurf.kernels.distance import distances_within
 from accelsurf.kernels.grid import Band
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.segmentation.near_region import NearRegion, near_bounds, signed_distance, united
@@ -137,13 +137,11 @@ def _win(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing
 
 
 def _distance_to(mask: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:
-    """Signed distance, mm, to some voxels, negative in them."""
-    half = 0.5 * min(axis_steps(mask.shape, spacing))
-    if mask.all():
-        return np.full(mask.shape, -1e6, np.float32)
-    outside = ndimage.distance_transform_edt(~mask, spacing) - half
-    inside = half - ndimage.distance_transform_edt(mask, spacing)
-    return np.where(mask, inside, outside).astype(np.float32)
+    """Signed distance, mm, to some voxels, negative in them; no number is larger than that of `WIN_REACH`."""
+    steps = axis_steps(mask.shape, spacing)
+    reach, half = np.float32(WIN_REACH * max(steps)), np.float32(0.5 * min(steps))
+    to_mask, to_others = (distances_within(side, spacing, float(reach)) for side in (np.array(mask), ~mask))
+    return np.where(mask, half - np.minimum(to_others, reach), np.minimum(to_mask, reach) - half)
 
 
 def _measures(surface: LevelSet) -> tuple[float, float]:

@@ -154,7 +154,7 @@ class LocalModel:
         here = dataclasses.replace(answer, box=counted_from(answer.box, corner), clicks=clicks)
         own = _click_counted_from(click, corner)
         marched = later_times(images, self.spacing, field, own, here)
-        if _is_near_border(np.isfinite(marched[0]).reshape(field.shape), box, self.state.clicks.shape):
+        if _is_near_border(marched[0].reshape(field.shape), box, self.state.clicks.shape):
             return None
         after = with_click(here, field, own, marched)
         back = (-corner[0], -corner[1], -corner[2])
@@ -213,12 +213,12 @@ def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:
     return click._replace(box=counted_from(click.box, corner))
 
 
-def _is_near_border(mask: Mask, box: Box, shape: Sequence[int]) -> bool:
-    """Whether a mask on a box comes near a border of the box that is none of the grid's."""
+def _is_near_border(times: Image, box: Box, shape: Sequence[int]) -> bool:
+    """Whether times on a box are known near a border of the box that is none of the grid's."""
     for axis, (side, n) in enumerate(zip(box, shape, strict=True)):
         ends = (slice(None),) * axis
-        if side.start > 0 and mask[(*ends, slice(None, CLEAR))].any():
+        if side.start > 0 and np.isfinite(times[(*ends, slice(None, CLEAR))]).any():
             return True
-        if side.stop < n and mask[(*ends, slice(-CLEAR, None))].any():
+        if side.stop < n and np.isfinite(times[(*ends, slice(-CLEAR, None))]).any():
             return True
     return False

@@ -22,6 +22,7 @@ from accelsurf.grid.boxes import Box, box_at, corner_of, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import axis_steps
+from accelsurf.kernels.distance import distances_within
 
 #: Width of the rim: at least so many voxels of the smallest spacing, and of the largest.
 RIM_SMALLEST, RIM_LARGEST = 6.0, 2.0
@@ -30,6 +31,9 @@ RIM_SMALLEST, RIM_LARGEST = 6.0, 2.0
 AUTO_TIMES, MAX_NEAR = 1.5, 12.0
 #: The smallest automatic region, voxels of the largest spacing.
 MIN_NEAR = 4.0
+#: Distances are continued beyond the band by so many of the largest spacings: no surface that is held to its old place
+#: by a number comes so far from it.
+BEYOND_BAND = 6.0
 #: First half width, voxels, of the box in which the surface is searched around a click.
 FIRST_SEARCH = 8
 
@@ -74,8 +78,8 @@ def around_clicks(
     first = (int(low[0]), int(low[1]), int(low[2]))
     room = [math.ceil((near + margin) / h) + 1 for h in spacing]
     box = widened(box_at(first, tuple(high - low)), shape, room)
-    distance = ndimage.distance_transform_edt(~_voxels(clicks, box), spacing)
-    return NearRegion(box, np.asarray(distance <= near), rim)
+    distance = distances_within(_voxels(clicks, box), spacing, float(near))
+    return NearRegion(box, np.isfinite(distance), rim)
 
 
 def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
@@ -129,12 +133,13 @@ def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing
 
 
 def signed_distance(psi: NDArray[np.float32], gamma: float, spacing: Spacing) -> NDArray[np.float32]:
-    """Psi with the distances beyond the band, where it is +-``gamma``, continued; mm."""
+    """Psi with the distances beyond the band, where it is +-``gamma``, continued as far as `BEYOND_BAND`; mm."""
     far = np.abs(psi) >= np.float32(gamma * (1.0 - 1e-6))
     if far.all():
         return np.where(psi < 0, np.float32(-1e6), np.float32(1e6))
-    beyond = gamma + ndimage.distance_transform_edt(far, spacing)
-    return np.where(far, np.copysign(beyond, psi), psi).astype(np.float32)
+    reach = BEYOND_BAND * max(axis_steps(psi.shape, spacing))
+    beyond = np.float32(gamma) + np.minimum(distances_within(~far, spacing, reach), np.float32(reach))
+    return np.where(far, np.copysign(beyond, psi), psi)
 
 
 def near_bounds(
@@ -152,13 +157,11 @@ def near_bounds(
     sides : collection of {"inside", "outside"}
         Those of the clicks: with one of them the surface moves to that side alone.
     """
-    depth = np.full(before.shape, np.inf)
-    if not region.mask.all():
-        depth = ndimage.distance_transform_edt(region.mask, spacing)
+    depth = distances_within(~region.mask, spacing, region.rim)
     beside = _beside(before < 0)
     # The rim; and where the surface may move to one side, everything. Beyond the region it cannot arise anew.
     bounded = beside | (region.mask & (depth < region.rim) if len(set(sides)) > 1 else region.mask)
-    u2 = np.minimum(depth[bounded] / region.rim, 1.0) ** 2
+    u2 = np.minimum(depth[bounded].astype(np.float64) / region.rim, 1.0) ** 2
     with np.errstate(divide="ignore"):
         room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
     values, shape = before[bounded], before.shape

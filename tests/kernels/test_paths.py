@@ -41,7 +41,23 @@ def test_without_seeds_nothing_is_reached():
     assert np.isinf(found).all()
 
 
-def test_more_waiting_voxels_than_the_queue_begins_with():
+def test_where_all_are_seeds_no_path_is_longer_than_nothing():
     shape = (20, 20, 30)
     found = shortest_paths(np.ones(shape, bool), np.zeros((1, *shape), np.float32), np.ones(3), 1.0)
     assert (found == 0.0).all()
+
+
+def test_a_path_that_winds_through_walls_is_followed_to_its_end():
+    values = np.full((1, 1, 21, 15), 9.0, np.float32)
+    values[0, 0, ::2] = 0.0
+    for wall in range(1, 21, 2):  # one gap in each, to the left and to the right in turns
+        values[0, 0, wall, 0 if wall % 4 == 1 else -1] = 0.0
+    seeds = np.zeros(values.shape[1:], bool)
+    seeds[0, 0, -1] = True
+    for turned in (lambda a: a, np.flipud, np.fliplr, np.transpose):
+        flat_values, flat_seeds = (np.ascontiguousarray(turned(a)) for a in (values[0, 0], seeds[0]))
+        found = shortest_paths(flat_seeds[None], flat_values[None, None], np.ones(3), 100.0)
+        way = flat_values == 0.0
+        assert found[0][way].max() == np.count_nonzero(way) - 1
+        expected = by_scipy(flat_seeds[None], flat_values[None, None], np.ones(3), 100.0)
+        np.testing.assert_allclose(found, expected, rtol=1e-5)

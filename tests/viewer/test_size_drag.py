@@ -14,7 +14,9 @@ from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import Dragging, SizeDrag
+from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.shapes import contour
+from tests.support import viewing
 
 SHAPE, SPACING = (20, 36, 40), (2.0, 1.0, 1.0)
 PRESS = "ball:18,18,20,3"
@@ -152,3 +154,30 @@ def test_a_slice_at_256_cubed_is_shown_within_50_milliseconds():
         radii = np.linalg.norm(lines[0].reshape(-1, 2) - 128, axis=1)
         assert np.abs(radii - mm).max() < 1.0
     assert np.median(took) < 0.05  # 3 ms on an idle machine
+
+
+def test_while_a_size_is_dragged_the_slices_alone_are_drawn(pressed):
+    viewing.needs_graphics()
+    drag, _ = pressed
+    scene = Scene(scan()[0], size=(640, 360))
+    scene.smooth_edges(False)
+    scene.cursor = (18.0, 18.0, 20.0)
+    slices = (slice(None), slice(320, None))  # the right half, with the chart in one of its quarters
+    space = (slice(None), slice(None, 320))
+    before = scene.screenshot()
+    scene.mark_size(drag, 6.0)
+    scene.look_from("front")  # would change the picture in 3D
+    first = scene.screenshot()
+    assert np.array_equal(first[space], before[space]) and not np.array_equal(first[slices], before[slices])
+    scene.mark_size(drag, 9.0)
+    second = scene.screenshot()
+    assert np.array_equal(second[space], before[space]) and not np.array_equal(second[slices], first[slices])
+    scene.smooth_edges(True)  # while the button is held: a new picture, in which nothing may be missing
+    scene.look_from("corner")
+    assert (scene.screenshot()[space].std(axis=(0, 1)) > 0).all()
+    scene.smooth_edges(False)
+    scene.mark_size(None)
+    assert np.array_equal(scene.screenshot(), before)
+    scene.look_from("front")
+    assert not np.array_equal(scene.screenshot()[space], before[space])
+    scene.close()

@@ -23,7 +23,7 @@ from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
-from accelsurf.grid.boxes import Box, bounding_box, enclosing, on_box
+from accelsurf.grid.boxes import Box, bounding_box, corner_of, enclosing, on_box, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to, holes_filled
 from accelsurf.kernels.arrival import Tissue
@@ -219,7 +219,11 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
     weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
-        mixed += np.float32(weight / sum(weights)) * part.on(box)
+        share = np.float32(weight / sum(weights))
+        here, _ = shared(corner_of(box), mixed.shape, corner_of(part.box), part.values.shape)
+        within = mixed[here] + share * part.values
+        mixed += share  # beyond its box it is 1
+        mixed[here] = within
     count, own_count = int(np.count_nonzero(answer.inside)), int(np.count_nonzero(mixed < 0))
     if before is None:
         mixed -= _offset(mixed, count)

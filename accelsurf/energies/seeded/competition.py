@@ -17,6 +17,7 @@ Times = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Order = NDArray[np.int64]
 _NO_CAP, _ALL_OPEN = np.zeros(0, np.float32), np.zeros(0, np.bool_)
+_NEVER_LATE = (0, np.inf)
 
 
 class Field(NamedTuple):
@@ -47,23 +48,30 @@ class Field(NamedTuple):
 
 
 def field_of(images: Sequence[NDArray[np.float32]], spacing: Sequence[float], mask: Mask | None) -> Field:
-    """The channels for marches on their grid."""
+    """The channels for marches on their grid; a single one is not copied."""
     nz, ny, nx = images[0].shape
-    values = np.stack([np.ravel(image) for image in images])
+    channels = [np.ravel(image) for image in images]
+    values = channels[0][None] if len(channels) == 1 else np.stack(channels)
     passes = np.zeros(0, np.bool_) if mask is None else np.ascontiguousarray(mask).ravel()
     return Field(Medium(values, passes), Grid(nz, ny, nx, *(float(h) for h in spacing)))
 
 
 def arrival(
-    field: Field, tissue: Tissue, seeds: NDArray[np.int64], max_count: int, cap: Times = _NO_CAP
+    field: Field,
+    tissue: Tissue,
+    seeds: NDArray[np.int64],
+    max_count: int,
+    cap: Times = _NO_CAP,
+    late: tuple[int, float] = _NEVER_LATE,
 ) -> tuple[Times, Order]:
     """Times from seeds (each at 0), inf where the march does not come, and its voxels in the order of their times.
 
-    It does not come where its time is not below ``cap`` (n,) float32.
+    It does not come where its time is not below ``cap`` (n,) float32, nor, with ``late`` = (count, factor), to times
+    later than a bucket after ``factor`` times that of the voxel number ``count``.
     """
     times = np.full(field.size, np.inf, np.float32)
     times[seeds] = 0.0
-    order = march(times, field.medium, tissue, field.grid, seeds, cap, np.inf, max(max_count, len(seeds)))
+    order = march(times, field.medium, tissue, field.grid, seeds, cap, late, max(max_count, len(seeds)))
     return times, order[np.argsort(times[order], kind="stable")]
 
 
@@ -75,7 +83,7 @@ def from_beyond(field: Field, tissue: Tissue, beyond: Mask) -> NDArray[np.float3
     times = np.where(beyond, np.float32(0.0), np.float32(np.inf)).ravel()
     seeds = np.flatnonzero(beyond & ndimage.binary_dilation(~beyond, ndimage.generate_binary_structure(3, 1)))
     edges = tissue._replace(weights=tissue.weights * np.array((1, 1, 1, 0, 1, 1)))
-    march(times, field.medium, edges, field.grid, seeds, _NO_CAP, np.inf, field.size)
+    march(times, field.medium, edges, field.grid, seeds, _NO_CAP, _NEVER_LATE, field.size)
     return times.reshape(beyond.shape)
 
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, radius_of, robust
-from accelsurf.grid.boxes import Box, on_box
+from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.kernels.blocks import sums_along
+from accelsurf.kernels.blocks import count_changes, sums_along
 from accelsurf.kernels.paths import shortest_paths
 from accelsurf.kernels.walker import walk
 
@@ -64,10 +64,6 @@ class Balance(NamedTuple):
 
     box: Box
     values: Image
-
-    def on(self, box: Box) -> Image:
-        """The same on another box."""
-        return on_box(self.values, self.box, box, 1.0)
 
 
 def contest(
@@ -135,12 +131,12 @@ def around(
     steps = coarsening(box, spacing, extent[1])
     inside = [click for click in clicks.clicks if click.side == "inside"]
     values = np.stack([block_means(_scaled(image, box, inside), steps) for image in images])
-    marks = {side: np.zeros([s.stop - s.start for s in box], np.bool_) for side in ("inside", "outside")}
+    held = {side: np.zeros(values.shape[1:], np.bool_) for side in ("inside", "outside")}
     if allowed is not None:
-        marks["outside"] |= ~allowed[box]
+        held["outside"] |= np.asarray(block_means((~allowed[box]).astype(np.float32), steps) > 0)
     for click in clicks.clicks:
-        marks[click.side] |= click.mask_on(box)
-    held = {side: _any_of_block(mask, steps) for side, mask in marks.items()}
+        voxels = np.argwhere(click.mask) + corner_of(click.box) - corner_of(box)
+        held[click.side][tuple((voxels // steps).T)] = True
     seeds = held["outside"].astype(np.float32) - held["inside"]
     for axis, end in outer_faces(inside, spacing, box, margin):
         face: list[slice] = [slice(None)] * 3
@@ -214,10 +210,6 @@ def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np
     return values
 
 
-def _any_of_block(mask: Mask, steps: Sequence[int]) -> Mask:
-    return np.asarray(block_means(mask.astype(np.float32), steps) > 0)
-
-
 def _on_grid(part: Around, values: Image) -> Balance:
     """Linearly between the centres of the blocks."""
     counts = [s.stop - s.start for s in part.box]
@@ -242,10 +234,10 @@ def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
 
 def _at_least_of_changes(part: Image, spread: float) -> float:
     """The spread, or `MIN_CHANGE` times the median change between neighbours where that is more."""
-    changes = [np.abs(np.diff(part, axis=axis)) for axis in range(3) if part.shape[axis] > 1]
     limit = np.nextafter(np.float32(spread / MIN_CHANGE), np.float32(0.0))
-    above = sum(np.count_nonzero(some > limit) for some in changes)
+    above, pairs = count_changes(part, limit)
     # Mostly less than half of them are above: the median is below then, whatever it is, and need not be found.
-    if not changes or 2 * above < sum(some.size for some in changes):
+    if 2 * above < pairs or pairs == 0:
         return spread
-    return max(spread, MIN_CHANGE * float(np.median(np.concatenate([some.ravel() for some in changes]))))
+    changes = [np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3) if part.shape[axis] > 1]
+    return max(spread, MIN_CHANGE * float(np.median(np.concatenate(changes))))

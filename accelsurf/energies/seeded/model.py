@@ -223,9 +223,15 @@ def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
 def later_times(
     images: Sequence[Image], spacing: Spacing, field: Field, click: Click, answer: Answer
 ) -> tuple[Times, Tissue]:
-    """Arrival times from a later click, on the scale of the first one's."""
-    tissue = learn(images, spacing, click)
-    times, order = arrival(field, tissue, _seeds(click, field), int(1.05 * BEYOND * answer.count))
+    """Arrival times from a later click, on the scale of the first one's.
+
+    From an inside click the march ends where the surroundings begin: later times say nothing more.
+    """
+    tissue, seeds = learn(images, spacing, click), _seeds(click, field)
+    faster = LATER[click.side] * answer.level
+    ends = click.side == "inside" and faster > 0.0 and len(seeds) < answer.count
+    late = (answer.count, answer.last / faster) if ends else (0, np.inf)
+    times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * answer.count), late=late)
     own = float(times[order[min(answer.count, len(order)) - 1]])
-    scale = LATER[click.side] * answer.level / own if own > 0.0 else 1.0
-    return times * np.float32(scale), tissue
+    times[order] *= np.float32(faster / own if own > 0.0 else 1.0)  # all others are inf
+    return times, tissue

@@ -17,8 +17,8 @@ from accelsurf.viewer.core.size_drag import Dragging
 from accelsurf.viewer.scene.mouse import STROKE_STEP, ball_text
 from accelsurf.viewer.scene.scene import Scene
 
-#: Samples of a pixel, and the names of renderers without a graphics card.
-SAMPLES, SOFTWARE = 8, ("llvmpipe", "softpipe", "SWR", "Software")
+#: Names of renderers without a graphics card.
+SOFTWARE = ("llvmpipe", "softpipe", "SWR", "Software")
 
 
 class CanvasTools(QObject):
@@ -91,10 +91,7 @@ class CanvasTools(QObject):
 
     def smooth_edges(self, on: bool) -> None:
         """Smooth edges while nothing moves; a processor that draws needs three times as long for it."""
-        window = self._canvas.render_window
-        samples = SAMPLES if on or not self.is_software else 0
-        if window.GetMultiSamples() != samples:
-            window.SetMultiSamples(samples)
+        self._scene.smooth_edges(on or not self.is_software)
 
     # -- events -------------------------------------------------------------------------------------------
 

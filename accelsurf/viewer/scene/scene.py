@@ -43,6 +43,8 @@ from accelsurf.viewer.scene.space import VIEWS, SpaceTile
 
 #: Lines of the legend at most.
 MAX_LEGEND = 20
+#: Samples of a pixel where edges are drawn smoothly.
+SAMPLES = 8
 #: Size of a window or picture unless another is asked for, pixels.
 SIZE = (1280, 720)
 TILES = ("axial", "coronal", "sagittal")
@@ -275,14 +277,24 @@ class Scene:
             tile.mark_ball(middle, radius, self.geometry)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
-        """Draw in the slices what belongs to the object if it has the size that a drag stands for; None removes it."""
+        """Draw in the slices what belongs to the object if it has the size that a drag stands for; None removes it.
+
+        Until then only the slices are drawn, which change: the surface, and still more the image in 3D, takes longer
+        where there is no graphics card.
+        """
         volume = None if drag is None else drag.volume_of(drag_mm)
-        for tile in self.slice_tiles.values():
-            tile.mark_size(drag, volume)
-        if drag is not None and volume is not None and self.space is not None:
-            self.space.title.text = "\n".join(line for line in (self.title, f"size {_number(volume)} mm3") if line)
-        elif drag is None and self.frame is not None:
+        self._draw_beside_slices(drag is None)
+        if drag is None:
+            self._show_slices()
             self._show_frame()
+        for tile in self.slice_tiles.values():
+            tile.mark_size(drag, volume, "" if volume is None else f"size {_number(volume)} mm3")
+
+    def _draw_beside_slices(self, on: bool) -> None:
+        """Draw everything from now on, or the slices alone: what was drawn beside them stays as it was."""
+        slices = [tile.renderer for tile in self.slice_tiles.values()]
+        for renderer in self.plotter.renderers:
+            renderer.SetDraw(on or renderer in slices)
 
     def paint(self, theme: str) -> None:
         """Use a theme.
@@ -335,10 +347,14 @@ class Scene:
 
     def smooth_edges(self, on: bool) -> None:
         """Draw edges smoothly (the default), or not: two to four times faster where there is no graphics card."""
-        self.plotter.render_window.SetMultiSamples(8 if on else 0)
+        window, samples = self.plotter.render_window, SAMPLES if on else 0
+        if window.GetMultiSamples() != samples:
+            window.SetMultiSamples(samples)
+            self._draw_beside_slices(True)  # the next picture begins empty
 
     def resize(self, width: int, height: int) -> None:
         """Change the size of the picture, pixels."""
+        self._draw_beside_slices(True)
         before = None if self.space is None else self.space.fitted_scale()
         self.plotter.render_window.SetSize(width, height)
         if self.space is not None and before is not None:

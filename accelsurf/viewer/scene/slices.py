@@ -184,8 +184,9 @@ class SliceTile:
                 lines = np.stack([ring[:-1], ring[1:]], axis=1)
         self._draw_lines("ball", lines, MARK, 2.2)
 
-    def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None) -> None:
-        """Draw the outline that a drag shows in this slice; nothing for None."""
+    def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None, text: str = "") -> None:
+        """Draw the outline that a drag shows in this slice, and write a text below the title; nothing for None."""
+        self.title.text = "\n".join(line for line in (self.title.text.partition("\n")[0], text) if line)
         lines = np.zeros((0, 2, 2))
         if drag is not None and volume_mm3 is not None:
             plane = drag.plane(self.axis, self.index, volume_mm3)
