@@ -2,8 +2,7 @@
 
 ITK repairs, guesses and forgets: it reads a file without voxels as zeros, takes a negative pixdim as a mirrored axis,
 falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is read here first,
-and the fields that place the grid are put back after writing. nibabel takes the header apart; its own checks, which
-repair too, are not used.
+and the fields that place the grid are put back after writing.
 """
 
 from __future__ import annotations
@@ -33,8 +32,24 @@ _BEGINNINGS = {
     struct.pack(order + "i", count): (version, order) for version, count in HEADER_BYTES.items() for order in "<>"
 }
 _MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
-_QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
-_REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
+#: Offset and form (as `struct` writes it, without byte order) of the fields that are read, by version: as in nifti1.h
+#: and nifti2.h. ``qform`` is the quaternion's b, c, d and the offset x, y, z; ``sform`` the three rows of the affine.
+_LAYOUT = {
+    1: {
+        "dim": (40, "8h"), "datatype": (70, "h"), "pixdim": (76, "8f"), "vox_offset": (108, "f"),
+        "scl_slope": (112, "f"), "scl_inter": (116, "f"), "xyzt_units": (123, "B"),
+        "qform_code": (252, "h"), "sform_code": (254, "h"), "qform": (256, "6f"), "sform": (280, "12f"),
+    },
+    2: {
+        "dim": (16, "8q"), "datatype": (12, "h"), "pixdim": (104, "8d"), "vox_offset": (168, "q"),
+        "scl_slope": (176, "d"), "scl_inter": (184, "d"), "xyzt_units": (500, "i"),
+        "qform_code": (344, "i"), "sform_code": (348, "i"), "qform": (352, "6d"), "sform": (400, "12d"),
+    },
+}
+#: Types of real numbers by their code: integers of 1 to 8 bytes, floats of 4 and 8.
+_REAL = {
+    2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",
+}
 _NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
 
 
@@ -147,9 +162,6 @@ def parse(raw: bytes) -> NiftiHeader:
     GeometryError
         When a voxel size is zero, negative or not finite.
     """
-    from nibabel.nifti1 import Nifti1Header
-    from nibabel.nifti2 import Nifti2Header
-
     version, order = _BEGINNINGS.get(raw[:4], (1, ""))
     if len(raw) < HEADER_BYTES[version]:
         raise InputError(
@@ -159,40 +171,35 @@ def parse(raw: bytes) -> NiftiHeader:
     at, magic = _MAGIC[version]
     if not order or raw[at : at + len(magic)] != magic:
         raise InputError("this is not a NIfTI image: its header lacks the NIfTI marks", hint="is it the right file?")
-    kind = Nifti1Header if version == 1 else Nifti2Header
-    header = kind(raw[: HEADER_BYTES[version]], order, check=False)
-
-    def number(key: str) -> float:
-        return float(header[key])
-
-    dim = tuple(header["dim"].tolist())
-    vox_offset = number("vox_offset")
-    codes = int(header["qform_code"]), int(header["sform_code"])
+    fields = {key: struct.unpack_from(order + form, raw, place) for key, (place, form) in _LAYOUT[version].items()}
+    dim, vox_offset = fields["dim"], float(fields["vox_offset"][0])
+    codes = fields["qform_code"][0], fields["sform_code"][0]
     if not 1 <= dim[0] <= 7 or any(n < 1 for n in dim[1 : dim[0] + 1]) or not 0 <= vox_offset < 2**31:
         raise InputError(f"the NIfTI header is damaged: dim = {dim}", hint="copy or export the file again")
     if not all(-(2**15) <= code < 2**15 for code in codes):
         raise InputError(f"the NIfTI header is damaged: form codes {codes}", hint="copy or export the file again")
-    size = _real_size(dim[1 : dim[0] + 1], int(header["datatype"]))
-    p0, p1, p2, p3 = header["pixdim"][:4].tolist()
+    size = _real_size(dim[1 : dim[0] + 1], fields["datatype"][0])
+    p0, p1, p2, p3 = fields["pixdim"][:4]
     if not is_finite((p1, p2, p3)) or min(p1, p2, p3) <= 0:
         raise GeometryError(
             f"the header gives spacing (x,y,z) = ({p1:g}, {p2:g}, {p3:g}), three positive numbers expected",
             hint="correct pixdim[1..3] in the header",
         )
     # As in ITK: what is not finite is not there, and a slope of 0 is none.
-    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (number("scl_slope"), number("scl_inter")))
+    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (*fields["scl_slope"], *fields["scl_inter"]))
     # Zero is what some writers leave in vox_offset; the voxels of a single file cannot start before its header ends.
     offset = max(int(vox_offset), HEADER_BYTES[version] + 4)
     grid = NiftiGrid(
         shape=(size[2], size[1], size[0]),
         pixdim=(p0, p1, p2, p3),
-        units=int(header["xyzt_units"]) & 0xFF,
+        units=fields["xyzt_units"][0] & 0xFF,
         qform_code=codes[0],
         sform_code=codes[1],
-        qform=tuple(number(key) for key in _QFORM),
-        sform=tuple(np.concatenate([header[key] for key in ("srow_x", "srow_y", "srow_z")]).tolist()),
+        qform=fields["qform"],
+        sform=fields["sform"],
     )
-    return NiftiHeader(version, size, header.get_data_dtype(), offset, slope or 1.0, intercept, grid)
+    voxel_type = np.dtype(_REAL[fields["datatype"][0]]).newbyteorder(order)
+    return NiftiHeader(version, size, voxel_type, offset, slope or 1.0, intercept, grid)
 
 
 def _real_size(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:

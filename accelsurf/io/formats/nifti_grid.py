@@ -78,10 +78,7 @@ class NiftiGrid:
 
     def qform_geometry(self) -> Geometry:
         """The grid that quaternion, offset and pixdim describe."""
-        from nibabel.quaternions import quat2mat
-
-        b, c, d = self.qform[:3]
-        rotation = quat2mat([math.sqrt(max(0.0, 1.0 - b * b - c * c - d * d)), b, c, d])
+        rotation = _rotation(*self.qform[:3])
         if self.pixdim[0] < 0:  # qfac: the z axis is mirrored
             rotation[:, 2] *= -1
         return self._geometry(rotation, np.array(self.pixdim[1:]), np.array(self.qform[3:]))
@@ -194,6 +191,15 @@ class NiftiGrid:
 def is_finite(values: Sequence[float]) -> bool:
     """Whether all are numbers of single precision, which NIfTI-1 has; NIfTI-2 has doubles, whose squares overflow."""
     return bool((np.abs(values) <= np.finfo(np.float32).max).all())
+
+
+def _rotation(b: float, c: float, d: float) -> Floats:
+    """The matrix of a rotation by its unit quaternion a + ib + jc + kd, whose a >= 0 is not stored."""
+    a = math.sqrt(max(0.0, 1.0 - b * b - c * c - d * d))
+    across = np.array([[0.0, -d, c], [d, 0.0, -b], [-c, b, 0.0]])
+    # I + 2 a [v] + 2 [v]^2 with v = (b, c, d); rounded quaternions may be a little longer than 1.
+    matrix: Floats = np.eye(3) + 2.0 * (a * across + across @ across) / (a * a + b * b + c * c + d * d)
+    return matrix
 
 
 def put_grid(path: Path, grid_fields: str) -> None:
