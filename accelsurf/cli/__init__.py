@@ -70,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     """
     interrupts = Interrupts()
     code = 1
+    # Nothing here uses the linear algebra of numpy and SciPy, each of which brings threads that spin while they start.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         interrupts.install()
         open_missing()

@@ -24,22 +24,22 @@ def warmup(
     """
     import time
 
-    from accelsurf.kernels.storage import STORAGE, stored
-    from accelsurf.segmentation.warmup import small_runs
+    from accelsurf.kernels import storage
+    from accelsurf.segmentation import warmup as runs
 
     began = time.perf_counter()
-    if STORAGE is None:
+    if storage.STORAGE is None:
         raise OutputError(
             "compiled kernels: there is no folder that they can be stored in",
             "set NUMBA_CACHE_DIR to a folder that may be written to",
         )
-    before = stored()
-    for name, run in small_runs().items():
+    before = storage.stored()
+    for name, run in runs.small_runs().items():
         if not quiet:
             print(f"  {time.perf_counter() - began:5.1f} s  {name}", flush=True)
         run()
     if not quiet:
-        new = len(stored() - before)
+        new = len(storage.stored() - before)
         print(f"{new} kernels compiled and stored, {len(before)} were there, {time.perf_counter() - began:.1f} s")
-        print(f"folder {STORAGE}")
+        print(f"folder {storage.STORAGE}")
     return 0

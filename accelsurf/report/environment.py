@@ -8,7 +8,7 @@ from importlib import metadata
 
 #: Packages that a result can depend on.
 PACKAGES = (
-    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "nibabel", "trimesh", "Pillow", "pydantic",
+    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "trimesh", "Pillow", "pydantic",
     "matplotlib",
 )
 

@@ -14,8 +14,8 @@ from accelsurf.phantoms import recipes
 OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
 #: What only studies, other formats and the viewer need.
 OF_OTHERS = {"matplotlib", "pandas", "pyvista", "vtkmodules", "trame", "trimesh", "IPython", "pytest"}
-#: Kernels that a run calls, each loaded from the disk in 3 ms; 39 and 46 when this was written.
-MOST_KERNELS = {"start": 42, "inside": 49}
+#: Kernels that a run calls, each loaded from the disk in 3 ms: 42 and 44 when this was written.
+MOST_KERNELS = {"start": 43, "inside": 45}
 
 #: Runs a command; prints its exit code, the packages that it loaded, and the kernels that were compiled or loaded.
 CODE = """
@@ -75,3 +75,15 @@ def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, b
     assert code == 0
     assert not packages & (OF_OTHERS | {"nibabel"})
     assert 20 < len(kernels) <= MOST_KERNELS[given[0].strip("-")], sorted(kernels)
+
+
+@pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("3", "3")])
+def test_the_program_starts_no_threads_for_linear_algebra(given, expected):
+    code = (
+        "import atexit, os; atexit.register(lambda: print(os.environ['OPENBLAS_NUM_THREADS'], flush=True)); "
+        "from accelsurf.cli import main; main(['--version'])"
+    )
+    environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert ended.stdout.splitlines()[-1] == expected

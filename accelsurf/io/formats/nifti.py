@@ -198,7 +198,7 @@ def parse(raw: bytes) -> NiftiHeader:
         qform=fields["qform"],
         sform=fields["sform"],
     )
-    voxel_type = np.dtype(_REAL[fields["datatype"][0]]).newbyteorder(order)
+    voxel_type = np.dtype(order + _REAL[fields["datatype"][0]])
     return NiftiHeader(version, size, voxel_type, offset, slope or 1.0, intercept, grid)
 
 
