@@ -56,6 +56,7 @@ app.command("accelsurf.cli.compare:compare", name="compare", help="Run several f
 app.command("accelsurf.cli.movie:movie", name="movie", help="Make a movie of a run, without a screen.")
 app.command("accelsurf.cli.evaluate:evaluate", name="evaluate", help="Measure how well two label maps agree.")
 app.command("accelsurf.cli.view:view", name="view", help="Watch and steer a segmentation in a window.")
+app.command("accelsurf.cli.warmup:warmup", name="warmup", help="Compile all kernels now, so that no run waits for it.")
 app.command("accelsurf.cli.info:info", name="info", help="Show versions, names, exit codes and settings.")
 
 
@@ -69,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     """
     interrupts = Interrupts()
     code = 1
+    # Nothing here uses the linear algebra of numpy and SciPy, each of which brings threads that spin while they start.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         interrupts.install()
         open_missing()

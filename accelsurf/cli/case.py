@@ -19,7 +19,7 @@ from accelsurf.cli.outcome import shortcoming
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, object_files, output_folder, outputs, result_sets
+from accelsurf.report import document, object_files, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.settings.run_config import RunConfig
 
@@ -78,11 +78,11 @@ class Place:
         """The format of the label map."""
         from accelsurf.io import split_name
 
-        return outputs.label_format(config, split_name(self.source)[1])
+        return output_names.label_format(config, split_name(self.source)[1])
 
     def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
         """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
-        names = outputs.names(config, self.label_format(config), is_2d)
+        names = output_names.names(config, self.label_format(config), is_2d)
         return {kind: f"{self.name}_{name}" for kind, name in names.items()}
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
@@ -199,6 +199,8 @@ def _write(
     place: Place, config: RunConfig, result: Result, log: Log, files: FileSet, strict: bool, watcher: Watcher
 ) -> Finished:
     """Write the outputs of a result; those of a failed run beside a result that stands."""
+    from accelsurf.report import outputs
+
     title = outputs.outcome_title(place.name, result)
     # The picture shows the surface, which is extracted here.
     content = log.timed("mesh", lambda: outputs.preview_content(result, title))
@@ -272,7 +274,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     if note := volume.metadata.get(io.WARNING_KEY):
         log.warnings.append(note)
     labels = place.label_format(config)
-    outputs.check(config, labels, volume.geometry)
+    output_names.check(config, labels, volume.geometry)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
     return [volume, *more]

@@ -49,7 +49,6 @@ def look(
     from accelsurf.io import channels
     from accelsurf.io.files import write_bytes
     from accelsurf.report.grey_window import parse_window
-    from accelsurf.report.look import look_png
     from accelsurf.report.output_folder import make_writable
 
     source = required(input, "IMAGE")
@@ -58,6 +57,8 @@ def look(
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes = channels.read(source)
+    from accelsurf.report.look import look_png  # loads what draws
+
     geometry = volumes[0].geometry
     place = None if at is None else _place(at, geometry)
     drawn = None if labels is None else _labels(labels, geometry)

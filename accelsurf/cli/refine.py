@@ -145,7 +145,6 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     from accelsurf.io import sha256
     from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.report import result_sets
-    from accelsurf.segmentation.state_file import read_state
 
     folder = path if path.is_dir() else path.parent
     if not path.exists():
@@ -168,6 +167,8 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     state_path = report.parent / name
     if not state_path.is_file() or sha256(state_path) != checksum:
         raise InputError(f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE)
+    from accelsurf.segmentation.state_file import read_state  # loads what a run needs
+
     state = read_state(state_path)
     where = image if image is not None else Path(source)
     if not where.is_file():

@@ -18,6 +18,7 @@ from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, psi_of
+from accelsurf.settings.budgets import MAX_RESTS
 
 if TYPE_CHECKING:
     from accelsurf.evolution.state import LoopState
@@ -29,8 +30,6 @@ WINDOW, SLOW, BURST, GROWTH = 5, 0.5, 0.04, 0.05
 STILL = 0.01
 #: A front without momentum is slow for this many steps: no rest.
 AFTER_RESTART = 10
-#: So many rests of a run are kept.
-MAX_RESTS = 3
 #: Why a run ends at one.
 WHY = "it rested at step {}, before it broke through to something else"
 

@@ -2,43 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, overload
 
 import numba
 
 from accelsurf.kernels.stages import STAGE_OF_KERNEL, Stage
+from accelsurf.kernels.storage import STORAGE
 
 # No nnan/ninf: the code tests for NaN. No reassoc: a sum must not depend on how a loop was vectorised.
 FASTMATH = {"contract", "arcp", "nsz"}
-
-
-def _cache_folder() -> str | None:
-    """Folder of the compiled kernels, named by the source of all of them; None where nothing can be written.
-
-    Numba compares only the file of a kernel to decide whether its compiled form is current, not at the kernels
-    that it calls and that were compiled into it: after a change in one of those it would run the old code.
-    """
-    here = Path(__file__).parent
-    source = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(here.rglob("*.py")))).hexdigest()[:12]
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    home = os.path.expanduser("~")  # as it is for a user who has none
-    others = () if home == "~" else (Path(home) / ".cache" / "accelsurf",)
-    for base in (Path(given),) if given else (here / "__pycache__", *others):
-        folder = base / f"kernels-{source}"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return str(folder)
-    return None
-
-
-_CACHE_FOLDER = _cache_folder()
 
 
 @overload
@@ -78,10 +51,11 @@ def kernel(function: Callable[..., Any] | None = None, *, stage: Stage | None = 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     usual = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _CACHE_FOLDER or usual
+    numba.config.CACHE_DIR = usual if STORAGE is None else str(STORAGE)
     try:
+        # Nothing calls a kernel as a C function: without that wrapper a tenth less is compiled and loaded.
         compile_ = numba.njit(
-            cache=_CACHE_FOLDER is not None, nogil=True, error_model="numpy", fastmath=FASTMATH
+            cache=STORAGE is not None, nogil=True, error_model="numpy", fastmath=FASTMATH, no_cfunc_wrapper=True
         )
         compiled: Callable[..., Any] = compile_(function)
     finally:

@@ -29,7 +29,7 @@ SOLID: Dashes = ()
 RUN_DASHES: tuple[Dashes, ...] = (SOLID, (9, 4), (4, 3), (9, 3, 2, 3))
 #: Shapes are drawn at so many times the resolution.
 _FINE = 2
-_COMPRESSION = 4
+_COMPRESSION = 3
 
 #: Left, top, right, bottom, pixels.
 Box = tuple[float, float, float, float]

@@ -63,15 +63,15 @@ class LateGrowth:
         area = float(np.prod(level.factors)) ** (2 / 3)
         motion = -fields.speed * np.float32(step.record.dt * area)
         places = np.unravel_index(fields.cells, step.surface.shape)
-        cube = [
-            np.clip(((at + a) * factor + b + c).astype(np.int64) // BLOCK, 0, n - 1)
-            for at, a, factor, b, c, n in zip(
-                places, corner, level.factors, level.first, first, self._cubes, strict=True
-            )
-        ]
-        names, place = np.unique(np.ravel_multi_index(tuple(cube), self._cubes), return_inverse=True)
-        sums = np.bincount(place, motion, len(names)).astype(np.float32)
-        self._growth[step.object_id].append(_Growth(step.record.volume_mm3, names.astype(np.int64), sums))
+        cube = np.zeros(len(motion), np.int64)
+        layout = step.surface.shape, corner, level.factors, level.first, first, self._cubes
+        for at, n, a, factor, b, c, count in zip(places, *layout, strict=True):
+            # Of each row of voxels once, not of each cell.
+            rows = np.clip(((np.arange(n) + a) * factor + b + c).astype(np.int64) // BLOCK, 0, count - 1)
+            cube = cube * count + rows[at]
+        names = np.flatnonzero(np.bincount(cube))
+        sums = np.bincount(cube, motion)[names].astype(np.float32)
+        self._growth[step.object_id].append(_Growth(step.record.volume_mm3, names, sums))
 
     def place(self) -> tuple[float, float, float] | None:
         """Index (z, y, x) of the middle of the cube that grew most in the last part; None when no object grew."""

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 
 from accelsurf.errors import AccelsurfError, InputError
 
+#: So many rests of a run are kept, and written as label maps.
+MAX_RESTS = 3
+
 
 @dataclass(frozen=True)
 class Budget:

@@ -1,7 +1,9 @@
-"""`start`: seconds of the whole commands `accelsurf --help` and `accelsurf segment`, warm and without compiled code."""
+"""`start`: seconds of whole commands as a person waits for them, and where the processor's seconds of a run go."""
 
 from __future__ import annotations
 
+import json
+import statistics
 import sys
 import tempfile
 from pathlib import Path
@@ -13,6 +15,8 @@ from benchmarks.peers.measure import Options, Timing, goal, run_process, set_thr
 from benchmarks.peers.work import noisy_cube
 
 COLD_RUNS = 2
+#: Seconds that a person shall wait at most, by command.
+WANTED = {"help": 0.2, "look": 0.5, "start": 2.0, "click": 2.0, "refine": 2.0, "cold": 30.0}
 
 
 def start(options: Options) -> dict[str, Any]:
@@ -23,30 +27,65 @@ def start(options: Options) -> dict[str, Any]:
         folder = Path(name)
         image, _, begin, _ = noisy_cube(side)
         io.write(Volume.from_array(image, 1.0), folder / "cube.nii.gz")
-        python = [sys.executable, "-m", "accelsurf"]
-        call = [*python, "segment", str(folder / "cube.nii.gz"), "-o", str(folder / "out"), "--start", begin]
-        call += ["--presmooth", "1", "--threads", str(options.threads), "--overwrite", "--quiet"]
-
-        def repeated(command: list[str], count: int, cold: bool = False) -> Timing:
-            seconds = []
-            for i in range(count):
-                more = {"NUMBA_CACHE_DIR": str(folder / f"cache{i}")} if cold else {}
-                seconds.append(run_process(command, options.threads, **more)[0])
-            return Timing(seconds)
-
-        run_process(call, options.threads)  # compile
-        times = {
-            "accelsurf --help": repeated([*python, "--help"], options.repeats),
-            f"accelsurf segment, {side}^3, warm": repeated(call, options.repeats),
-            f"accelsurf segment, {side}^3, cold": repeated(call, 1 if options.quick else COLD_RUNS, cold=True),
-        }
-    wanted = dict(zip(times, (0.5, 3.0, 40.0), strict=True))
-    return {
-        "work": f"whole commands, the cube in noise in {side}^3, presmooth 1, {options.threads} threads, files written",
-        "threads": options.threads, "times": {n: t.to_dict() for n, t in times.items()}, "pairs": [],
-        "goals": [goal(n, wanted[n], t.median, "<=", "s") for n, t in times.items()],
-        "tables": [table(
-            "Commands", ("command", "seconds", "runs"), [(n, t.median, len(t.seconds)) for n, t in times.items()]
-        )],
-        "bars": [[n, t.median] for n, t in times.items()],
+        words = commands(folder, side, begin)
+        for command in ("start", "click", "refine"):  # compile
+            run_process(words[command], options.threads)
+        times = {which: _repeated(command, options, folder) for which, command in words.items()}
+        times["cold"] = _repeated(words["start"], options, folder, cold=True)
+        parts = {which: parts_of(words[which], options) for which in ("start", "click")}
+    titles = {
+        "help": "accelsurf --help", "look": "accelsurf look", "start": f"accelsurf segment --start, {side}^3",
+        "click": f"accelsurf segment --inside, {side}^3", "refine": "accelsurf refine",
+        "cold": f"accelsurf segment --start, {side}^3, nothing compiled",
     }
+    return {
+        "work": f"whole commands, the cube in noise in {side}^3, {options.threads} threads, files written",
+        "threads": options.threads,
+        "times": {titles[which]: time.to_dict() for which, time in times.items()}, "pairs": [],
+        "goals": [goal(titles[which], WANTED[which], time.median, "<=", "s") for which, time in times.items()],
+        "tables": [
+            table(
+                "Commands", ("command", "seconds", "runs"),
+                [(titles[which], time.median, len(time.seconds)) for which, time in times.items()],
+            ),
+            table(
+                "Where the processor's seconds go, one thread", ("part", titles["start"], titles["click"]),
+                [(part, *(parts[which].get(part) for which in parts)) for part in parts["click"]],
+            ),
+        ],
+        "bars": [[titles[which], time.median] for which, time in times.items()],
+    }
+
+
+def commands(folder: Path, side: int, begin: str) -> dict[str, list[str]]:
+    """The words of each command by its short name; `refine` corrects what `click` has written, elsewhere."""
+    python, cube = [sys.executable, "-m", "accelsurf"], str(folder / "cube.nii.gz")
+    segment = [*python, "segment", cube, "--overwrite", "--quiet", "-o"]
+    middle = ",".join([f"{side / 2:g}"] * 3)
+    beside = f"{side / 2 + 0.3 * side:g},{side / 2:g},{side / 2:g}"
+    return {
+        "help": [*python, "--help"],
+        "look": [*python, "look", cube, "-o", str(folder / "look.png"), "--overwrite"],
+        "start": [*segment, str(folder / "start"), "--start", begin, "--presmooth", "1"],
+        "click": [*segment, str(folder / "click"), "--inside", f"point:{middle}"],
+        "refine": [
+            *python, "refine", str(folder / "click"), "-o", str(folder / "refined"), "--overwrite", "--quiet",
+            "--outside", f"point:{beside}",
+        ],
+    }
+
+
+def parts_of(command: list[str], options: Options) -> dict[str, float]:
+    """Seconds of the processor by part of a command, on one thread: the median of each."""
+    call = [sys.executable, "-m", "benchmarks.start_parts", *command[3:], "--threads", "1"]
+    runs = [json.loads(run_process(call, 1)[1].splitlines()[-1]) for _ in range(options.repeats)]
+    return {part: statistics.median(run.get(part, 0.0) for run in runs) for part in runs[0]}
+
+
+def _repeated(command: list[str], options: Options, folder: Path, cold: bool = False) -> Timing:
+    count = options.repeats if not cold else 1 if options.quick else COLD_RUNS
+    seconds = []
+    for i in range(count):
+        more = {"NUMBA_CACHE_DIR": str(folder / f"cache{i}")} if cold else {}
+        seconds.append(run_process(command, options.threads, **more)[0])
+    return Timing(seconds)

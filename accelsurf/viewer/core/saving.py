@@ -11,7 +11,7 @@ from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, file_entries, object_files, output_folder, outputs, result_sets
+from accelsurf.report import document, file_entries, object_files, output_folder, output_names, outputs, result_sets
 from accelsurf.segmentation.api import Result, result_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -65,11 +65,11 @@ def save(
     if empty and set(what) & {"labels", "mesh"}:
         raise UsageError("there is no surface to save", "go back, or restart")
     suffix = "" if source is None else io.split_name(source)[1]
-    labels = outputs.label_format(config, suffix)
-    outputs.check(config, labels, run.volume.geometry)
+    labels = output_names.label_format(config, suffix)
+    output_names.check(config, labels, run.volume.geometry)
     with output_folder.opened_set(folder, name) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
-        all_names = outputs.names(config, labels, run.volume.geometry.slice_axis is not None).items()
+        all_names = output_names.names(config, labels, run.volume.geometry.slice_axis is not None).items()
         names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
         paths = _result_paths(result, folder, names)
         paths |= {"run": folder / RUN_FILE} if "run" in what else {}

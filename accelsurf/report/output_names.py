@@ -1,0 +1,111 @@
+"""Which files a run writes for its image, a mesh for a volume, contours for an image of one slice, and their names.
+
+Nothing of a run is loaded here: a command knows its files, and can refuse, before anything is computed.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from accelsurf.errors import UsageError
+from accelsurf.settings.budgets import MAX_RESTS
+from accelsurf.settings.file_formats import (
+    DEFAULT_IMAGE_FORMAT,
+    IMAGE_FORMATS,
+    Shape,
+    automatic_mesh_formats,
+    image_format,
+    mesh_formats,
+)
+from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.grid.geometry import Geometry
+
+
+def label_format(config: RunConfig, source_suffix: str) -> str:
+    """Return the format of the label map: the one of the settings, else the input's, else nii.gz.
+
+    Parameters
+    ----------
+    config : RunConfig
+    source_suffix : str
+        Of the input, as ".nii"; may be empty.
+
+    Examples
+    --------
+    >>> label_format(RunConfig(), ".tiff"), label_format(RunConfig(format="png"), ".nii")
+    ('tif', 'png')
+    """
+    followed = image_format(source_suffix)
+    return config.format or (DEFAULT_IMAGE_FORMAT if followed is None else followed.name)
+
+
+def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
+    """Return the last part of every output's name by its kind, without the report.
+
+    Parameters
+    ----------
+    config : RunConfig
+    labels : str
+        From `label_format`.
+    is_2d : bool or None
+        Whether the image has one slice; None when that is not known yet: then all possible files.
+
+    Examples
+    --------
+    >>> [name for kind, name in names(RunConfig(), "png", True).items() if kind.startswith("contour")]
+    ['contour.vtp', 'contour.csv']
+    """
+    files = {"labels": f"seg.{labels}"}
+    if is_2d is not True:
+        wanted = automatic_mesh_formats("surface") if config.mesh == "auto" else config.mesh
+        files |= {f"surface-{kind}": f"surface.{kind}" for kind in wanted if kind in mesh_formats("surface")}
+    if is_2d is not False:
+        wanted = automatic_mesh_formats("contour") if config.mesh == "auto" else config.mesh
+        files |= {f"contour-{kind}": f"contour.{kind}" for kind in mesh_formats("contour") if kind in wanted}
+    if config.save_sdf:
+        files["sdf"] = f"sdf.{IMAGE_FORMATS[labels].distances or labels}"
+    if config.objects is not None:
+        files["objects"] = "objects.csv"
+    if keeps_state(config):
+        files |= {"state": "state.npz", "config": "run.toml"}
+    files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_RESTS + 1)}
+    return files | {"trace": "trace.csv", "preview": "preview.png"}
+
+
+def keeps_state(config: RunConfig) -> bool:
+    """Whether the state of a run is written, from which it can be refined, and the settings that repeat it.
+
+    Examples
+    --------
+    >>> keeps_state(RunConfig()), keeps_state(RunConfig(inside="point:1,2,3")), keeps_state(RunConfig(keep_state="yes"))
+    (False, True, True)
+    """
+    clicked = bool(config.inside or config.outside or config.refine)
+    return config.keep_state == "yes" or (config.keep_state == "auto" and clicked)
+
+
+def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
+    """Refuse formats that cannot hold the results on this grid.
+
+    Raises
+    ------
+    UsageError
+        With those that can.
+    """
+    is_2d = geometry.slice_axis is not None
+    shape: Shape = "contour" if is_2d else "surface"
+    possible = mesh_formats(shape)
+    image = "an image of one slice, whose contours are written" if is_2d else "a volume, whose surface is written"
+    for kind in () if config.mesh == "auto" else config.mesh:
+        if kind not in possible:
+            raise UsageError(
+                f"mesh: {kind} was given for {image}, expected {', '.join(possible)}",
+                f"--mesh auto is {','.join(automatic_mesh_formats(shape))} for {'one slice' if is_2d else 'a volume'}",
+            )
+    if IMAGE_FORMATS[labels].only_2d and geometry.shape[0] > 1:
+        raise UsageError(
+            f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
+            "use --format tif for a stack, or a volume format",
+        )

@@ -1,0 +1,89 @@
+"""What a command loads before it begins: nothing that it does not need. Counted, as seconds depend on the machine."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from accelsurf import io
+from accelsurf.phantoms import recipes
+
+#: What only a run needs: compiled code, numerics, readers of images, drawing.
+OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
+#: What only studies, other formats and the viewer need.
+OF_OTHERS = {"matplotlib", "pandas", "pyvista", "vtkmodules", "trame", "trimesh", "IPython", "pytest"}
+#: Kernels that a run calls, each loaded from the disk in 3 ms: 42 and 44 when this was written.
+MOST_KERNELS = {"start": 43, "inside": 45}
+
+#: Runs a command; prints its exit code, the packages that it loaded, and the kernels that were compiled or loaded.
+CODE = """
+import json, sys
+from accelsurf.cli import execute
+code = execute(sys.argv[1:])
+numba = sys.modules.get("numba")
+kernels = []
+if numba is not None:
+    import gc
+
+    for one in gc.get_objects():
+        if isinstance(one, numba.core.dispatcher.Dispatcher) and one.__module__.startswith("accelsurf"):
+            kernels += [one.__name__] * sum(one.stats.cache_hits.values())
+print(json.dumps([code, sorted({name.partition(".")[0] for name in sys.modules}), kernels]))
+"""
+
+
+def loaded(*words):
+    """Exit code of a command in a process of its own, packages that it loaded, and kernels that it called."""
+    ended = subprocess.run([sys.executable, "-c", CODE, *map(str, words)], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    code, packages, kernels = json.loads(ended.stdout.splitlines()[-1])
+    return code, set(packages), kernels
+
+
+@pytest.fixture
+def ball(tmp_path):
+    io.write(recipes.make(recipes.load_recipe("ball_small")).image, tmp_path / "ball.nii.gz")
+    return tmp_path / "ball.nii.gz"
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("--version",), 0),
+        (("segment", "--help"), 0),
+        (("segment", "FOLDER/absent.nii.gz", "-o", "FOLDER/out"), 3),
+        (("segment", "FOLDER/ball.nii.gz", "-o", "FOLDER/out", "--cfl", "7"), 2),
+        (("segment", "FOLDER/ball.nii.gz"), 2),
+        (("look", "FOLDER/absent.nii.gz"), 3),
+        (("refine", "FOLDER/absent", "--inside", "point:0,0,0"), 3),
+    ],
+)
+def test_what_is_refused_or_told_at_once_loads_nothing_of_a_run(words, code, ball):
+    words = [word.replace("FOLDER", str(ball.parent)) for word in words]
+    got, packages, _ = loaded(*words)
+    assert got == code
+    assert not packages & (OF_A_RUN | OF_OTHERS)
+
+
+@pytest.mark.parametrize("given", [("--start", "ball:0,0,0,4"), ("--inside", "point:0,0,0")])
+def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, ball):
+    words = ("segment", ball, "-o", ball.parent / "out", "--max-steps", "5", *given)
+    loaded(*words)  # compiles what nobody has compiled before
+    code, packages, kernels = loaded(*words, "--overwrite")
+    assert code == 0
+    assert not packages & (OF_OTHERS)
+    assert 20 < len(kernels) <= MOST_KERNELS[given[0].strip("-")], sorted(kernels)
+
+
+@pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("3", "3")])
+def test_the_program_starts_no_threads_for_linear_algebra(given, expected):
+    code = (
+        "import atexit, os; atexit.register(lambda: print(os.environ['OPENBLAS_NUM_THREADS'], flush=True)); "
+        "from accelsurf.cli import main; main(['--version'])"
+    )
+    environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert ended.stdout.splitlines()[-1] == expected
