@@ -49,7 +49,13 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]: ...
 def kernel(*, stage: Stage) -> Callable[[Callable[..., Any]], Callable[..., Any]]: ...
 
 
-def kernel(function: Callable[..., Any] | None = None, *, stage: Stage | None = None) -> Callable[..., Any]:
+@overload
+def kernel(*, inlined: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]: ...
+
+
+def kernel(
+    function: Callable[..., Any] | None = None, *, stage: Stage | None = None, inlined: bool = False
+) -> Callable[..., Any]:
     """Compile a function without the Python lock, cached on disk; arithmetic errors follow IEEE.
 
     Parameters
@@ -58,6 +64,9 @@ def kernel(function: Callable[..., Any] | None = None, *, stage: Stage | None = 
         What is compiled, with ``@kernel``: a kernel that other kernels call.
     stage : Stage
         With ``@kernel(stage=...)``: a kernel that the package calls, and the stage that ``--profile`` counts it in.
+    inlined : bool
+        With ``@kernel(inlined=True)``: a kernel that other kernels call for each cell, compiled into them. A call takes
+        5 ns, as every array is five arguments of it.
 
     Raises
     ------
@@ -71,17 +80,17 @@ def kernel(function: Callable[..., Any] | None = None, *, stage: Stage | None = 
         name = function.__name__
         if stage is not None and STAGE_OF_KERNEL.setdefault(name, stage) is not stage:
             raise ValueError(f"kernel {name} has stage {STAGE_OF_KERNEL[name]} elsewhere, {stage} was given")
-        return _compiled(function)
+        return _compiled(function, inlined)
 
     return compiled_with_stage
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def _compiled(function: Callable[..., Any], inlined: bool = False) -> Callable[..., Any]:
     usual = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _CACHE_FOLDER or usual
     try:
         compile_ = numba.njit(
-            cache=_CACHE_FOLDER is not None, nogil=True, error_model="numpy", fastmath=FASTMATH
+            cache=_CACHE_FOLDER is not None, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=inlined
         )
         compiled: Callable[..., Any] = compile_(function)
     finally:

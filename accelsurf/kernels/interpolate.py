@@ -175,7 +175,7 @@ def linear_at(array, grid, pz, py, px):
     return (1.0 - tz) * near + tz * far
 
 
-@kernel
+@kernel(inlined=True)
 def band_rows(slot, n_slots, at, sy, sz, rows):
     """Slots where the sixteen rows of four nodes from cell ``at`` on begin, into ``rows`` (16,) int64.
 

@@ -265,7 +265,7 @@ def sort_changes(on, changed, was_open, refined_later):
     return sources[:count], first[:n_first]
 
 
-@kernel
+@kernel(inlined=True)
 def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     """The neighbour's foot that is closest to slot ``s``, when closer than its own by `MIN_GAIN`, into ``out``.
 

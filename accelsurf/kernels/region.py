@@ -132,7 +132,7 @@ def measure_band(start, stop, psi, grid, band, within, out):
             variation[s] = curvature[s]
 
 
-@kernel
+@kernel(inlined=True)
 def measures(grid, d, voxels, level, within, diagonal, most):
     """Share, area and curvature, see `measure_band`, of a cell.
 

@@ -68,7 +68,7 @@ def godunov_norms(count, grid, rows, sign, out):
         out[i] = np.sqrt(total)
 
 
-@kernel
+@kernel(inlined=True)
 def gather_block(cell, iz, iy, ix, psi, grid, rows, i):
     """Psi at a cell and at the 18 neighbours that share a face or an edge, into column ``i`` of ``rows`` (19, m).
 
