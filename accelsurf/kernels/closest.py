@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import BATCH, unravel
+from accelsurf.kernels.grid import BATCH, unravel, unravel_in_vectors
 from accelsurf.kernels.interpolate import value_and_gradient
 from accelsurf.kernels.limited import limited_value_and_gradient
 from accelsurf.kernels.simd.cubic import cubic
@@ -83,7 +83,7 @@ def places_of(count, grid, cells, nodes):
     place = nodes[0]
     for n in range(count):
         i = np.uint64(n)
-        place[i], place[i + NEXT], place[i + NEXT + NEXT] = unravel(cells[n], grid)
+        place[i], place[i + NEXT], place[i + NEXT + NEXT] = unravel_in_vectors(cells[n], grid)
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import BATCH, neighbours, unravel
+from accelsurf.kernels.grid import BATCH, neighbours, unravel, unravel_in_vectors
 from accelsurf.kernels.ridge import MIN_LENGTH, beyond_ridges, sides_beyond
 
 #: Rows of the memory of `guess_feet`, `BATCH` long each: psi at the cell and around it (-z, +z, -y, +y, -x, +x);
@@ -96,7 +96,7 @@ def gather_around(slots, psi, grid, band, residue, rows):
         s = slots[n]
         i = np.uint64(n)
         cell = band.cells[s]
-        iz, iy, ix = unravel(cell, grid)
+        iz, iy, ix = unravel_in_vectors(cell, grid)
         at = PSI + i
         rows[at] = psi[cell]
         rows[at + NEXT] = psi[cell - (plane if iz > 0 else 0)]
