@@ -220,15 +220,24 @@ def band_value_at(values, slot, n_slots, grid, position, w):
     return value, True
 
 
-@kernel
-def linear_band_value(values, slot, n_slots, grid, position):
-    """Linear interpolation of a band field over those of the eight surrounding cells that are in the band."""
+@kernel(inlined=True)
+def linear_band_value(values, slot, n_slots, grid, position, first=0):
+    """Linear interpolation of a band field over those of the eight surrounding cells that are in the band.
+
+    The field begins at ``first`` in ``values``.
+    """
+    if n_slots == 0:
+        return 0.0, False
     pz = min(max(position[0], 0.0), grid.nz - 1.0)
     py = min(max(position[1], 0.0), grid.ny - 1.0)
     px = min(max(position[2], 0.0), grid.nx - 1.0)
     iz, iy, ix = int(pz), int(py), int(px)
+    at = (iz * grid.ny + iy) * grid.nx + ix
+    dz = grid.ny * grid.nx if iz < grid.nz - 1 else 0
+    dy, dx = grid.nx if iy < grid.ny - 1 else 0, 1 if ix < grid.nx - 1 else 0
     total = 0.0
     weight = 0.0
+    # Without branches, which nobody could predict: a cell that does not count counts with weight 0.
     for i in range(2):
         wz = pz - iz if i == 1 else 1.0 - (pz - iz)
         for j in range(2):
@@ -236,12 +245,11 @@ def linear_band_value(values, slot, n_slots, grid, position):
             for k in range(2):
                 wx = px - ix if k == 1 else 1.0 - (px - ix)
                 share = wz * wy * wx
-                if share <= 1e-6:
-                    continue
-                s = slot[((iz + i) * grid.ny + iy + j) * grid.nx + ix + k]
-                if s >= 0 and s < n_slots:
-                    total += share * values[s]
-                    weight += share
+                s = slot[at + i * dz + j * dy + k * dx]
+                known = (share > 1e-6) & (s >= 0) & (s < n_slots)
+                share = share if known else 0.0
+                total += share * values[first + (s if known else 0)]
+                weight += share
     if weight <= 0.0:
         return 0.0, False
     return total / weight, True
