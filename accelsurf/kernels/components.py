@@ -20,13 +20,14 @@ def find_peaks(start, stop, dense, grid, band, depth, peak):
         peak[s] = abs(value) <= depth
         if peak[s]:
             iz, iy, ix = unravel(cell, grid)
+            at = np.uint64(cell)
             # As `is_peak`, without branches: beyond the border is the cell itself, which does not exceed it.
-            higher = exceeds(psi[cell - (plane if iz > 0 else 0)], value)
-            higher |= exceeds(psi[cell + (plane if iz < grid.nz - 1 else 0)], value)
-            higher |= exceeds(psi[cell - (row if iy > 0 else 0)], value)
-            higher |= exceeds(psi[cell + (row if iy < grid.ny - 1 else 0)], value)
-            higher |= exceeds(psi[cell - (1 if ix > 0 else 0)], value)
-            higher |= exceeds(psi[cell + (1 if ix < grid.nx - 1 else 0)], value)
+            higher = exceeds(psi[at - np.uint64(plane if iz > 0 else 0)], value)
+            higher |= exceeds(psi[at + np.uint64(plane if iz < grid.nz - 1 else 0)], value)
+            higher |= exceeds(psi[at - np.uint64(row if iy > 0 else 0)], value)
+            higher |= exceeds(psi[at + np.uint64(row if iy < grid.ny - 1 else 0)], value)
+            higher |= exceeds(psi[at - np.uint64(1 if ix > 0 else 0)], value)
+            higher |= exceeds(psi[at + np.uint64(1 if ix < grid.nx - 1 else 0)], value)
             peak[s] = not higher
 
 

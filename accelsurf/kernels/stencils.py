@@ -24,7 +24,7 @@ def gather_cross(first, count, psi, grid, cells, wanted, rows, well_inside):
     Rows of ``rows`` (15, m): per axis -2, -1, 0, 1, 2. ``well_inside`` is False where one is beyond the border, and
     where the cell is not ``wanted`` (n,): these columns are not changed.
     """
-    plane = grid.ny * grid.nx
+    plane, row = np.uint64(grid.ny * grid.nx), np.uint64(grid.nx)
     for i in range(count):
         well_inside[i] = False
         if not wanted[first + i]:
@@ -34,10 +34,10 @@ def gather_cross(first, count, psi, grid, cells, wanted, rows, well_inside):
         if iz < 2 or iy < 2 or ix < 2 or iz >= grid.nz - 2 or iy >= grid.ny - 2 or ix >= grid.nx - 2:
             continue
         well_inside[i] = True
-        for k in range(5):
-            rows[k, i] = psi[cell + (k - 2) * plane]
-            rows[5 + k, i] = psi[cell + (k - 2) * grid.nx]
-            rows[10 + k, i] = psi[cell + (k - 2)]
+        z, y, x = np.uint64(cell) - plane - plane, np.uint64(cell) - row - row, np.uint64(cell - 2)
+        for k in range(np.uint64(5)):
+            rows[k, i], rows[np.uint64(5) + k, i], rows[np.uint64(10) + k, i] = psi[z], psi[y], psi[x]
+            z, y, x = z + plane, y + row, x + np.uint64(1)
 
 
 @kernel
@@ -93,17 +93,19 @@ def gather_block(cell, iz, iy, ix, psi, grid, memory, i):
     """
     if not (0 < iz < grid.nz - 1 and 0 < iy < grid.ny - 1 and 0 < ix < grid.nx - 1):
         return False
-    plane, row = grid.ny * grid.nx, grid.nx
-    memory[i] = psi[cell]
-    memory[BATCH + i], memory[2 * BATCH + i] = psi[cell - plane], psi[cell + plane]
-    memory[3 * BATCH + i], memory[4 * BATCH + i] = psi[cell - row], psi[cell + row]
-    memory[5 * BATCH + i], memory[6 * BATCH + i] = psi[cell - 1], psi[cell + 1]
-    memory[7 * BATCH + i], memory[8 * BATCH + i] = psi[cell - plane - row], psi[cell - plane + row]
-    memory[9 * BATCH + i], memory[10 * BATCH + i] = psi[cell + plane - row], psi[cell + plane + row]
-    memory[11 * BATCH + i], memory[12 * BATCH + i] = psi[cell - plane - 1], psi[cell - plane + 1]
-    memory[13 * BATCH + i], memory[14 * BATCH + i] = psi[cell + plane - 1], psi[cell + plane + 1]
-    memory[15 * BATCH + i], memory[16 * BATCH + i] = psi[cell - row - 1], psi[cell - row + 1]
-    memory[17 * BATCH + i], memory[18 * BATCH + i] = psi[cell + row - 1], psi[cell + row + 1]
+    i, at, one = np.uint64(i), np.uint64(cell), np.uint64(1)
+    plane, row = np.uint64(grid.ny * grid.nx), np.uint64(grid.nx)
+    below, above = at - plane, at + plane
+    memory[i] = psi[at]
+    memory[ROW[1] + i], memory[ROW[2] + i] = psi[below], psi[above]
+    memory[ROW[3] + i], memory[ROW[4] + i] = psi[at - row], psi[at + row]
+    memory[ROW[5] + i], memory[ROW[6] + i] = psi[at - one], psi[at + one]
+    memory[ROW[7] + i], memory[ROW[8] + i] = psi[below - row], psi[below + row]
+    memory[ROW[9] + i], memory[ROW[10] + i] = psi[above - row], psi[above + row]
+    memory[ROW[11] + i], memory[ROW[12] + i] = psi[below - one], psi[below + one]
+    memory[ROW[13] + i], memory[ROW[14] + i] = psi[above - one], psi[above + one]
+    memory[ROW[15] + i], memory[ROW[16] + i] = psi[at - row - one], psi[at - row + one]
+    memory[ROW[17] + i], memory[ROW[18] + i] = psi[at + row - one], psi[at + row + one]
     return True
 
 
