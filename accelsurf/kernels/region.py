@@ -16,7 +16,7 @@ from accelsurf.kernels.differences import (
 )
 from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
 from accelsurf.kernels.stages import Stage
-from accelsurf.kernels.stencils import CURVATURES, ROW, SLOPE, block_curvatures, block_memory, gather_block
+from accelsurf.kernels.stencils import CURVATURES, ROW, block_curvatures, block_memory, gather_block
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane
 #: along an axis add up to 1 exactly.
