@@ -173,7 +173,8 @@ def measures_alike(grid, distance, memory, limits, measured):
         # The width by a row: divided by what does not change it would be rounded otherwise than in `smeared_area`.
         d, voxels, width = distance[i], measured[i], measured[ROW[1] + i]
         mean, gauss = memory[CURVATURES + i], memory[CURVATURES + ROW[1] + i]
-        mm = abs(d) / voxels
+        # Nothing is divided by 0, also where the result is not used.
+        mm = max(abs(d) / max(voxels, MIN_DIRECTION), 1e-30)
         delta = bump(voxels / width) / (2.0 * width * mm)
         area = delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
         measured[ROW[2] + i] = area if voxels < width else 0.0
