@@ -22,7 +22,13 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]: ...
 def kernel(*, stage: Stage) -> Callable[[Callable[..., Any]], Callable[..., Any]]: ...
 
 
-def kernel(function: Callable[..., Any] | None = None, *, stage: Stage | None = None) -> Callable[..., Any]:
+@overload
+def kernel(*, inlined: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]: ...
+
+
+def kernel(
+    function: Callable[..., Any] | None = None, *, stage: Stage | None = None, inlined: bool = False
+) -> Callable[..., Any]:
     """Compile a function without the Python lock, cached on disk; arithmetic errors follow IEEE.
 
     Parameters
@@ -31,6 +37,9 @@ def kernel(function: Callable[..., Any] | None = None, *, stage: Stage | None = 
         What is compiled, with ``@kernel``: a kernel that other kernels call.
     stage : Stage
         With ``@kernel(stage=...)``: a kernel that the package calls, and the stage that ``--profile`` counts it in.
+    inlined : bool
+        With ``@kernel(inlined=True)``: a kernel that other kernels call for each cell, compiled into them. A call takes
+        5 ns, as every array is five arguments of it.
 
     Raises
     ------
@@ -44,18 +53,23 @@ def kernel(function: Callable[..., Any] | None = None, *, stage: Stage | None = 
         name = function.__name__
         if stage is not None and STAGE_OF_KERNEL.setdefault(name, stage) is not stage:
             raise ValueError(f"kernel {name} has stage {STAGE_OF_KERNEL[name]} elsewhere, {stage} was given")
-        return _compiled(function)
+        return _compiled(function, inlined)
 
     return compiled_with_stage
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def _compiled(function: Callable[..., Any], inlined: bool = False) -> Callable[..., Any]:
     usual = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = usual if STORAGE is None else str(STORAGE)
     try:
         # Nothing calls a kernel as a C function: without that wrapper a tenth less is compiled and loaded.
         compile_ = numba.njit(
-            cache=STORAGE is not None, nogil=True, error_model="numpy", fastmath=FASTMATH, no_cfunc_wrapper=True
+            cache=STORAGE is not None,
+            nogil=True,
+            error_model="numpy",
+            fastmath=FASTMATH,
+            forceinline=inlined,
+            no_cfunc_wrapper=True,
         )
         compiled: Callable[..., Any] = compile_(function)
     finally:

@@ -82,12 +82,13 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
     rows = np.empty(16, np.int64)
     position = np.empty(3)
     hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
+    cells, foot = band.cells, band.to_closest
     for s in range(start, stop):
         if not front[s]:
             continue
-        cell = band.cells[s]
+        cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
-        pz, py, px = iz + band.to_closest[s, 0] * hz, iy + band.to_closest[s, 1] * hy, ix + band.to_closest[s, 2] * hx
+        pz, py, px = iz + foot[s, 0] * hz, iy + foot[s, 1] * hy, ix + foot[s, 2] * hx
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
         inside = 0 <= bz <= grid.nz - 4 and 0 <= by <= grid.ny - 4 and 0 <= bx <= grid.nx - 4
         if inside:
@@ -103,7 +104,7 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
         own = slot[cell]
         for field in range(m):
             if inside:
-                value, found = linear_band_value(values[field], slot, n_old, grid, position)
+                value, found = linear_band_value(flat, slot, n_old, grid, position, field * n_old)
             else:
                 value, found = band_value_at(values[field], slot, n_old, grid, position, w)
             if not found:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import BATCH, unravel
+from accelsurf.kernels.grid import BATCH, unravel, unravel_in_vectors
 from accelsurf.kernels.interpolate import value_and_gradient
-from accelsurf.kernels.limited import limited_value_and_gradient
+from accelsurf.kernels.limited import limited_memory, limited_value_and_gradient
 from accelsurf.kernels.simd.cubic import cubic
 
 MAX_ITERATIONS = 6
@@ -83,7 +83,7 @@ def places_of(count, grid, cells, nodes):
     place = nodes[0]
     for n in range(count):
         i = np.uint64(n)
-        place[i], place[i + NEXT], place[i + NEXT + NEXT] = unravel(cells[n], grid)
+        place[i], place[i + NEXT], place[i + NEXT + NEXT] = unravel_in_vectors(cells[n], grid)
 
 
 @kernel
@@ -139,6 +139,7 @@ def levels_at(count, psi, grid, nodes, memory, w):
 def limited_levels_at(count, psi, grid, cells, memory, w):
     """As `levels_at`, of the limited interpolant: apart, as no loop with it is fast."""
     active = 0
+    lines = limited_memory()
     for n in range(count):
         i = np.uint64(n)
         if memory[STATUS + i] != ACTIVE:
@@ -147,7 +148,7 @@ def limited_levels_at(count, psi, grid, cells, memory, w):
         iz, iy, ix = unravel(cells[n], grid)
         pz, py = iz + memory[FOOT + i] / grid.hz, iy + memory[FOOT + NEXT + i] / grid.hy
         px = ix + memory[FOOT + NEXT + NEXT + i] / grid.hx
-        level, gz, gy, gx = limited_value_and_gradient(psi, grid, pz, py, px, w)
+        level, gz, gy, gx = limited_value_and_gradient(psi, grid, pz, py, px, w, lines)
         at = LEVEL + i
         memory[at], memory[at + NEXT], memory[at + NEXT + NEXT], memory[at + NEXT + NEXT + NEXT] = level, gz, gy, gx
     return active

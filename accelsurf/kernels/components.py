@@ -12,9 +12,29 @@ from accelsurf.kernels.stages import Stage
 @kernel(stage=Stage.BAND)
 def find_peaks(start, stop, dense, grid, band, depth, peak):
     """Mark in ``peak`` (n,) the slots of the range with |psi| up to ``depth`` (mm) that no neighbour exceeds."""
-    near = np.empty(6, np.int64)
+    psi, cells = dense.psi, band.cells
+    plane, row = grid.ny * grid.nx, grid.nx
     for s in range(start, stop):
-        peak[s] = abs(dense.psi[band.cells[s]]) <= depth and is_peak(dense.psi, grid, band.cells[s], near)
+        cell = cells[s]
+        value = psi[cell]
+        peak[s] = abs(value) <= depth
+        if peak[s]:
+            iz, iy, ix = unravel(cell, grid)
+            at = np.uint64(cell)
+            # As `is_peak`, without branches: beyond the border is the cell itself, which does not exceed it.
+            higher = exceeds(psi[at - np.uint64(plane if iz > 0 else 0)], value)
+            higher |= exceeds(psi[at + np.uint64(plane if iz < grid.nz - 1 else 0)], value)
+            higher |= exceeds(psi[at - np.uint64(row if iy > 0 else 0)], value)
+            higher |= exceeds(psi[at + np.uint64(row if iy < grid.ny - 1 else 0)], value)
+            higher |= exceeds(psi[at - np.uint64(1 if ix > 0 else 0)], value)
+            higher |= exceeds(psi[at + np.uint64(1 if ix < grid.nx - 1 else 0)], value)
+            peak[s] = not higher
+
+
+@kernel
+def exceeds(other, value):
+    """Whether ``other`` is on the same side of the surface as ``value``, and larger."""
+    return ((other < 0.0) == (value < 0.0)) & (abs(other) > abs(value))
 
 
 @kernel
@@ -25,7 +45,7 @@ def is_peak(psi, grid, cell, near):
     value = psi[cell]
     for side in range(6):
         other = near[side]
-        if other >= 0 and (psi[other] < 0.0) == (value < 0.0) and abs(psi[other]) > abs(value):
+        if other >= 0 and exceeds(psi[other], value):
             return False
     return True
 

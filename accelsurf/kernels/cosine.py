@@ -5,7 +5,7 @@ from __future__ import annotations
 from accelsurf.kernels._jit import kernel
 
 
-@kernel
+@kernel(inlined=True)
 def sine_of_pi(x):
     """sin(pi x) for -1/2 <= x <= 1/2, within 1e-11: its series up to x^15."""
     t = 3.141592653589793 * x
@@ -20,7 +20,7 @@ def sine_of_pi(x):
     return t * series
 
 
-@kernel
+@kernel(inlined=True)
 def bump(x):
     """1 + cos(pi x) for 0 <= x <= 1; a square, so never below 0."""
     s = sine_of_pi(0.5 - 0.5 * x)

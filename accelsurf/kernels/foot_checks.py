@@ -27,7 +27,7 @@ def is_near_volume(grid, iz, iy, ix, foot, margin):
     return (lz <= z) & (z <= uz) & (ly <= y) & (y <= uy) & (lx <= x) & (x <= ux)
 
 
-@kernel
+@kernel(inlined=True)
 def is_between_signs(psi, grid, iz, iy, ix, foot):
     """Whether psi changes its sign among the voxels around a foot.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import BATCH, neighbours, unravel
+from accelsurf.kernels.grid import BATCH, neighbours, unravel, unravel_in_vectors
 from accelsurf.kernels.ridge import MIN_LENGTH, beyond_ridges, sides_beyond
 
 #: Rows of the memory of `guess_feet`, `BATCH` long each: psi at the cell and around it (-z, +z, -y, +y, -x, +x);
@@ -93,18 +93,18 @@ def gather_around(slots, psi, grid, band, residue, rows):
     """
     plane, row = grid.ny * grid.nx, grid.nx
     for n in range(slots.shape[0]):
-        s = slots[n]
+        s = np.uint64(slots[n])
         i = np.uint64(n)
         cell = band.cells[s]
-        iz, iy, ix = unravel(cell, grid)
-        at = PSI + i
-        rows[at] = psi[cell]
-        rows[at + NEXT] = psi[cell - (plane if iz > 0 else 0)]
-        rows[at + np.uint64(2) * NEXT] = psi[cell + (plane if iz < grid.nz - 1 else 0)]
-        rows[at + np.uint64(3) * NEXT] = psi[cell - (row if iy > 0 else 0)]
-        rows[at + np.uint64(4) * NEXT] = psi[cell + (row if iy < grid.ny - 1 else 0)]
-        rows[at + np.uint64(5) * NEXT] = psi[cell - (1 if ix > 0 else 0)]
-        rows[at + np.uint64(6) * NEXT] = psi[cell + (1 if ix < grid.nx - 1 else 0)]
+        iz, iy, ix = unravel_in_vectors(cell, grid)
+        at, here = PSI + i, np.uint64(cell)
+        rows[at] = psi[here]
+        rows[at + NEXT] = psi[here - np.uint64(plane if iz > 0 else 0)]
+        rows[at + np.uint64(2) * NEXT] = psi[here + np.uint64(plane if iz < grid.nz - 1 else 0)]
+        rows[at + np.uint64(3) * NEXT] = psi[here - np.uint64(row if iy > 0 else 0)]
+        rows[at + np.uint64(4) * NEXT] = psi[here + np.uint64(row if iy < grid.ny - 1 else 0)]
+        rows[at + np.uint64(5) * NEXT] = psi[here - np.uint64(1 if ix > 0 else 0)]
+        rows[at + np.uint64(6) * NEXT] = psi[here + np.uint64(1 if ix < grid.nx - 1 else 0)]
         rows[OLD + i], rows[RESIDUE + i] = band.psi[s], residue[s]
         at = OLD_FOOT + i
         rows[at], rows[at + NEXT] = band.to_closest[s, 0], band.to_closest[s, 1]

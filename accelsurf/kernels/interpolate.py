@@ -148,10 +148,12 @@ def value_at(array, grid, pz, py, px, w):
 @kernel
 def linear_cell(array, at, dy, dz, tz, ty, tx):
     """Linear interpolation among node ``at`` and the next along z, y (strides ``dz``, ``dy``) and x."""
-    a, b = array[at] + tx * (array[at + 1] - array[at]), array[at + dy] + tx * (array[at + dy + 1] - array[at + dy])
+    # Unsigned: a signed index is tested for being negative at every read.
+    at, dy, dz, one = np.uint64(at), np.uint64(dy), np.uint64(dz), np.uint64(1)
+    a, b = array[at] + tx * (array[at + one] - array[at]), array[at + dy] + tx * (array[at + dy + one] - array[at + dy])
     near = a + ty * (b - a)
     at += dz
-    a, b = array[at] + tx * (array[at + 1] - array[at]), array[at + dy] + tx * (array[at + dy + 1] - array[at + dy])
+    a, b = array[at] + tx * (array[at + one] - array[at]), array[at + dy] + tx * (array[at + dy + one] - array[at + dy])
     return near + tz * (a + ty * (b - a) - near)
 
 
@@ -175,23 +177,28 @@ def linear_at(array, grid, pz, py, px):
     return (1.0 - tz) * near + tz * far
 
 
-@kernel
+@kernel(inlined=True)
 def band_rows(slot, n_slots, at, sy, sz, rows):
     """Slots where the sixteen rows of four nodes from cell ``at`` on begin, into ``rows`` (16,) int64.
 
     Rows of cells have consecutive slots. False where a node is not in the band. No branches: nearly all are.
     """
     odd = np.int32(0)
-    for i in range(4):
-        a = at + i * sz
-        b, c, d = a + sy, a + 2 * sy, a + 3 * sy
+    # Unsigned: a signed index is tested for being negative at every read.
+    a, sy, sz = np.uint64(at), np.uint64(sy), np.uint64(sz)
+    three = np.uint64(3)
+    for i in range(np.uint64(4)):
+        b, c, d = a + sy, a + sy + sy, a + three * sy
         first_a, first_b, first_c, first_d = slot[a], slot[b], slot[c], slot[d]
-        last_a, last_b, last_c, last_d = slot[a + 3], slot[b + 3], slot[c + 3], slot[d + 3]
+        last_a, last_b, last_c, last_d = slot[a + three], slot[b + three], slot[c + three], slot[d + three]
+        a += sz
         # -1 is no slot: a negative first or a last that is not three further leaves bits.
         odd |= (first_a | first_b | first_c | first_d) & np.int32(-0x80000000)
         odd |= ((last_a - first_a) ^ 3) | ((last_b - first_b) ^ 3) | ((last_c - first_c) ^ 3) | ((last_d - first_d) ^ 3)
         odd |= np.int32(max(max(last_a, last_b), max(last_c, last_d)) >= n_slots)
-        rows[4 * i], rows[4 * i + 1], rows[4 * i + 2], rows[4 * i + 3] = first_a, first_b, first_c, first_d
+        row = i << np.uint64(2)
+        rows[row], rows[row | np.uint64(1)] = first_a, first_b
+        rows[row | np.uint64(2)], rows[row | three] = first_c, first_d
     return odd == 0
 
 
@@ -220,15 +227,24 @@ def band_value_at(values, slot, n_slots, grid, position, w):
     return value, True
 
 
-@kernel
-def linear_band_value(values, slot, n_slots, grid, position):
-    """Linear interpolation of a band field over those of the eight surrounding cells that are in the band."""
+@kernel(inlined=True)
+def linear_band_value(values, slot, n_slots, grid, position, first=0):
+    """Linear interpolation of a band field over those of the eight surrounding cells that are in the band.
+
+    The field begins at ``first`` in ``values``.
+    """
+    if n_slots == 0:
+        return 0.0, False
     pz = min(max(position[0], 0.0), grid.nz - 1.0)
     py = min(max(position[1], 0.0), grid.ny - 1.0)
     px = min(max(position[2], 0.0), grid.nx - 1.0)
     iz, iy, ix = int(pz), int(py), int(px)
+    at = (iz * grid.ny + iy) * grid.nx + ix
+    dz = grid.ny * grid.nx if iz < grid.nz - 1 else 0
+    dy, dx = grid.nx if iy < grid.ny - 1 else 0, 1 if ix < grid.nx - 1 else 0
     total = 0.0
     weight = 0.0
+    # Without branches, which nobody could predict: a cell that does not count counts with weight 0.
     for i in range(2):
         wz = pz - iz if i == 1 else 1.0 - (pz - iz)
         for j in range(2):
@@ -236,12 +252,11 @@ def linear_band_value(values, slot, n_slots, grid, position):
             for k in range(2):
                 wx = px - ix if k == 1 else 1.0 - (px - ix)
                 share = wz * wy * wx
-                if share <= 1e-6:
-                    continue
-                s = slot[((iz + i) * grid.ny + iy + j) * grid.nx + ix + k]
-                if s >= 0 and s < n_slots:
-                    total += share * values[s]
-                    weight += share
+                s = slot[at + i * dz + j * dy + k * dx]
+                known = (share > 1e-6) & (s >= 0) & (s < n_slots)
+                share = share if known else 0.0
+                total += share * values[first + (s if known else 0)]
+                weight += share
     if weight <= 0.0:
         return 0.0, False
     return total / weight, True

@@ -43,13 +43,24 @@ def outer_node(way, more, b, c, d):
 
 
 @kernel
-def limited_value_and_gradient(psi, grid, pz, py, px, w):
-    """`interpolate.value_and_gradient`, with the second differences of every line of four nodes limited."""
+def limited_memory():
+    """Memory for `limited_value_and_gradient`.
+
+    Rows: the values of four nodes, and then the slopes along x, y, z that are known by then.
+    """
+    return np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+
+
+@kernel
+def limited_value_and_gradient(psi, grid, pz, py, px, w, memory):
+    """`interpolate.value_and_gradient`, with the second differences of every line of four nodes limited.
+
+    ``memory`` = `limited_memory`.
+    """
     bz, mz, ez = axis_weights(pz, grid.nz, w, 0)
     by, my, ey = axis_weights(py, grid.ny, w, 8)
     bx, mx, ex = axis_weights(px, grid.nx, w, 16)
-    # Rows: the values of four nodes, and then the slopes along x, y, z that are known by then.
-    nodes, lines, planes, out = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    nodes, lines, planes, out = memory
     for i in range(mz):
         for j in range(my):
             at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
@@ -63,7 +74,7 @@ def limited_value_and_gradient(psi, grid, pz, py, px, w):
     return value, gz / grid.hz, gy / grid.hy, gx / grid.hx
 
 
-@kernel
+@kernel(inlined=True)
 def combine(nodes, rows, count, weights, most, out, to):
     """Interpolate the first ``rows`` of ``nodes`` (4, 4), and the slope of row 0, into column ``to`` of ``out``.
 

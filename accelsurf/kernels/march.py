@@ -145,20 +145,16 @@ def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
 
 
 @kernel
-def grown(array, size):
-    """``array`` with room for at least one entry more than ``size``, half as long again when full."""
-    if size < array.shape[0]:
-        return array
+def grown(array):
+    """``array`` with room for half as many entries again."""
     larger = np.empty(array.shape[0] + array.shape[0] // 2 + 1024, array.dtype)
     larger[: array.shape[0]] = array
     return larger
 
 
 @kernel
-def grown_rows(array, size):
+def grown_rows(array):
     """As ``grown``, for rows of three."""
-    if size < array.shape[0]:
-        return array
     larger = np.empty((array.shape[0] + array.shape[0] // 2 + 1024, 3), array.dtype)
     larger[: array.shape[0]] = array
     return larger
@@ -183,19 +179,36 @@ def tangent_foot(foot, via, grid, cz, cy, cx, out):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def activate_neighbours(dense, grid, known, n, sources, half_width):
+def activate_neighbours(slot, grid, known, n, sources, half_width):
     """Activate the neighbours of the slots ``sources``, whose feet are new or at the band's edge; serial.
 
     Neighbours that are not in the band enter it, as OPEN slots from ``n`` on, when the tangent plane at the source's
     foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked as active, as they
-    may get a closer foot. ``dense.slot`` is extended. ``known`` = (cells, foot, state, active (m,) bool) of the first
+    may get a closer foot. ``slot`` is extended. ``known`` = (cells, foot, state, active (m,) bool) of the first
     ``n`` slots, with room for more. Returns it, perhaps with more room, and the new n.
     """
-    slot = dense.slot
+    done, n = activate_some(slot, grid, known, n, sources, half_width, 0)
+    while done < sources.shape[0]:
+        cells, foot, state, active = known
+        known = grown(cells), grown_rows(foot), grown(state), grown(active)
+        done, n = activate_some(slot, grid, known, n, sources, half_width, done)
+    return known, n
+
+
+@kernel
+def activate_some(slot, grid, known, n, sources, half_width, first):
+    """`activate_neighbours` of the sources from row ``first`` on, as many as ``known`` has room for.
+
+    Returns the first row that is left over, and the new n. Apart from what grows: a loop in which an array may become
+    another counts the references to it each time round.
+    """
     cells, foot, state, active = known
     near = np.empty(6, np.int64)
     guess = np.empty(3)
-    for source in sources:
+    for row in range(first, sources.shape[0]):
+        if n + 6 > cells.shape[0]:
+            return row, n
+        source = sources[row]
         if voxels_along(foot[source, 0], foot[source, 1], foot[source, 2], grid) > half_width:
             continue
         cell = cells[source]
@@ -212,12 +225,10 @@ def activate_neighbours(dense, grid, known, n, sources, half_width):
             cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
             if tangent_foot(foot, source, grid, cz, cy, cx, guess) > half_width + SLACK:
                 continue
-            cells, foot = grown(cells, n), grown_rows(foot, n)
-            state, active = grown(state, n), grown(active, n)
             cells[n], state[n], active[n] = near[side], OPEN, True
             slot[near[side]] = n
             n += 1
-    return (cells, foot, state, active), n
+    return sources.shape[0], n
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
@@ -254,7 +265,7 @@ def sort_changes(on, changed, was_open, refined_later):
     return sources[:count], first[:n_first]
 
 
-@kernel
+@kernel(inlined=True)
 def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     """The neighbour's foot that is closest to slot ``s``, when closer than its own by `MIN_GAIN`, into ``out``.
 

@@ -16,11 +16,13 @@ from accelsurf.kernels.differences import (
 )
 from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
 from accelsurf.kernels.stages import Stage
-from accelsurf.kernels.stencils import block_curvatures, gather_block
+from accelsurf.kernels.stencils import CURVATURES, ROW, block_curvatures, block_memory, gather_block
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane
 #: along an axis add up to 1 exactly.
 AREA_WIDTH = 1.5
+#: Below this distance, voxels, the vector to the closest point does not tell the direction of the normal.
+MIN_DIRECTION = 0.01
 
 
 @kernel
@@ -67,7 +69,7 @@ def smeared_area(d, voxels, gz, gy, gx, gauss, grid, width):
     """
     if voxels >= width:
         return 0.0
-    if voxels > 0.01:
+    if voxels > MIN_DIRECTION:
         mm = abs(d) / voxels
     else:
         along = voxels_along(gz, gy, gx, grid)
@@ -95,9 +97,11 @@ def measure_band(start, stop, psi, grid, band, within, out):
     fraction, area, curvature, variation = out
     diagonal = 0.51 * np.sqrt(grid.hz**2 + grid.hy**2 + grid.hx**2)
     most = 2.0 / min(grid.hz, min(grid.hy, grid.hx))
-    rows = np.empty((19, BATCH), np.float32)
-    shape = np.empty((6, BATCH), np.float32)
-    which = np.empty(BATCH, np.int64)
+    memory = block_memory()
+    slope, shape = memory[19 * BATCH : 22 * BATCH].reshape(3, BATCH), memory[22 * BATCH :].reshape(3, BATCH)
+    which, distance = np.empty(BATCH, np.int64), np.zeros(BATCH, np.float32)
+    # Rows: distance in voxels, width of the layer; area, curvature.
+    measured = np.full(4 * BATCH, AREA_WIDTH)
     at = start
     while at < stop:
         count = 0
@@ -109,11 +113,9 @@ def measure_band(start, stop, psi, grid, band, within, out):
             if abs(d) > diagonal and voxels > max(within, AREA_WIDTH):
                 fraction[s], area[s], curvature[s], variation[s] = 1.0 if d < 0.0 else 0.0, 0.0, 0.0, 0.0
                 continue
-            # Stored here until the area takes its place.
-            area[s] = voxels
             iz, iy, ix = unravel(band.cells[s], grid)
-            if gather_block(band.cells[s], iz, iy, ix, psi, grid, rows, count):
-                which[count] = s
+            if gather_block(band.cells[s], iz, iy, ix, psi, grid, memory, count):
+                which[count], distance[count], measured[count] = s, d, voxels
                 count += 1
             else:
                 gz, gy, gx = gradient(psi, band.cells[s], iz, iy, ix, grid)
@@ -124,15 +126,19 @@ def measure_band(start, stop, psi, grid, band, within, out):
                 if is_at_border(iz, iy, ix, grid) and voxels <= within:
                     mirrored, _ = mirrored_curvatures(psi, band.cells[s], iz, iy, ix, grid)
                     variation[s] = min(max(curvature[s] + mirrored - mean, -most), most)
-        block_curvatures(count, grid, rows, shape)
+        block_curvatures(grid, memory)
+        measures_alike(grid, distance, memory, (within, most), measured)
         for i in range(count):
-            s = which[i]
-            level = (shape[0, i], shape[1, i], shape[2, i], shape[3, i], shape[4, i], shape[5, i])
-            fraction[s], area[s], curvature[s] = measures(grid, band.psi[s], area[s], level, within, diagonal, most)
+            s, d = which[i], distance[i]
+            gz, gy, gx = slope[0, i], slope[1, i], slope[2, i]
+            fraction[s] = share_inside(grid, d, shape[2, i], gz, gy, gx, diagonal)
+            area[s], curvature[s] = measured[2 * BATCH + i], measured[3 * BATCH + i]
+            if measured[i] <= MIN_DIRECTION:
+                area[s] = smeared_area(d, measured[i], gz, gy, gx, shape[1, i], grid, AREA_WIDTH)
             variation[s] = curvature[s]
 
 
-@kernel
+@kernel(inlined=True)
 def measures(grid, d, voxels, level, within, diagonal, most):
     """Share, area and curvature, see `measure_band`, of a cell.
 
@@ -141,11 +147,41 @@ def measures(grid, d, voxels, level, within, diagonal, most):
     0.25 (h/R)^2 too large.
     """
     gz, gy, gx, mean, gauss, above = level
-    fraction = 1.0 if d < 0.0 else 0.0
-    if abs(d) <= diagonal:
-        fraction = fraction_below_plane(d + above, gz, gy, gx, grid)
+    fraction = share_inside(grid, d, above, gz, gy, gx, diagonal)
     curvature = curvature_at_foot(mean, gauss, d, most) if voxels <= within else 0.0
     return fraction, smeared_area(d, voxels, gz, gy, gx, gauss, grid, AREA_WIDTH), curvature
+
+
+@kernel(inlined=True)
+def share_inside(grid, d, above, gz, gy, gx, diagonal):
+    """Share of a voxel inside, see `measures`."""
+    if abs(d) <= diagonal:
+        return fraction_below_plane(d + above, gz, gy, gx, grid)
+    return 1.0 if d < 0.0 else 0.0
+
+
+@kernel
+def measures_alike(grid, distance, memory, limits, measured):
+    """Area and curvature as `measures` has them, of `BATCH` cells alike, so that it runs in vectors.
+
+    Not the area of those at `MIN_DIRECTION`. ``distance`` (`BATCH`,) as d there; ``memory`` of `block_curvatures`;
+    ``limits`` = (within, most). ``measured`` (4 x `BATCH`,) float64 holds the rows voxels, width of the layer; area and
+    curvature, which are written.
+    """
+    within, most = limits
+    for i in range(np.uint64(BATCH)):
+        # The width by a row: divided by what does not change it would be rounded otherwise than in `smeared_area`.
+        d, voxels, width = distance[i], measured[i], measured[ROW[1] + i]
+        mean, gauss = memory[CURVATURES + i], memory[CURVATURES + ROW[1] + i]
+        # Nothing is divided by 0, also where the result is not used.
+        mm = max(abs(d) / max(voxels, MIN_DIRECTION), 1e-30)
+        delta = bump(voxels / width) / (2.0 * width * mm)
+        area = delta * (1.0 - min(max(d * d * gauss, -0.25), 0.25)) * grid.hz * grid.hy * grid.hx
+        measured[ROW[2] + i] = area if voxels < width else 0.0
+        denominator = 1.0 - d * mean + d * d * gauss
+        bend = (mean - 2.0 * d * gauss) / denominator
+        bend = min(max(bend if denominator > 0.2 else mean, -most), most)
+        measured[ROW[3] + i] = bend if voxels <= within else 0.0
 
 
 @kernel

@@ -9,7 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import unravel
+from accelsurf.kernels.grid import BATCH, unravel
+
+#: Where rows of `BATCH` begin in a memory, and rows of `block_memory`. Unsigned: numba tests a signed index for being
+#: negative, and so the loop would not run in vectors.
+ROW = tuple(np.uint64(row * BATCH) for row in range(26))
+SLOPE, CURVATURES = ROW[19], ROW[22]
 
 
 @kernel
@@ -19,7 +24,7 @@ def gather_cross(first, count, psi, grid, cells, wanted, rows, well_inside):
     Rows of ``rows`` (15, m): per axis -2, -1, 0, 1, 2. ``well_inside`` is False where one is beyond the border, and
     where the cell is not ``wanted`` (n,): these columns are not changed.
     """
-    plane = grid.ny * grid.nx
+    plane, row = np.uint64(grid.ny * grid.nx), np.uint64(grid.nx)
     for i in range(count):
         well_inside[i] = False
         if not wanted[first + i]:
@@ -29,10 +34,10 @@ def gather_cross(first, count, psi, grid, cells, wanted, rows, well_inside):
         if iz < 2 or iy < 2 or ix < 2 or iz >= grid.nz - 2 or iy >= grid.ny - 2 or ix >= grid.nx - 2:
             continue
         well_inside[i] = True
-        for k in range(5):
-            rows[k, i] = psi[cell + (k - 2) * plane]
-            rows[5 + k, i] = psi[cell + (k - 2) * grid.nx]
-            rows[10 + k, i] = psi[cell + (k - 2)]
+        z, y, x = np.uint64(cell) - plane - plane, np.uint64(cell) - row - row, np.uint64(cell - 2)
+        for k in range(np.uint64(5)):
+            rows[k, i], rows[np.uint64(5) + k, i], rows[np.uint64(10) + k, i] = psi[z], psi[y], psi[x]
+            z, y, x = z + plane, y + row, x + np.uint64(1)
 
 
 @kernel
@@ -69,59 +74,73 @@ def godunov_norms(count, grid, rows, sign, out):
 
 
 @kernel
-def gather_block(cell, iz, iy, ix, psi, grid, rows, i):
-    """Psi at a cell and at the 18 neighbours that share a face or an edge, into column ``i`` of ``rows`` (19, m).
+def block_memory():
+    """Memory for `gather_block` and `block_curvatures`: rows of `BATCH`, one array for the compiler to see that they
+    are apart.
 
-    Rows: the cell; -z, +z, -y, +y, -x, +x; then for zy, zx, yx the edges --, -+, +-, ++. Returns False, with nothing
-    written, where one is beyond the border.
+    19 rows of psi: the cell; -z, +z, -y, +y, -x, +x; then for zy, zx, yx the edges --, -+, +-, ++. Then `SLOPE`, the
+    gradient z, y, x, and `CURVATURES`: H and K as `differences.gradient` and `differences.curvatures`, and
+    `differences.mean_above_centre`.
+    """
+    return np.zeros(25 * BATCH, np.float32)
+
+
+@kernel(inlined=True)
+def gather_block(cell, iz, iy, ix, psi, grid, memory, i):
+    """Psi at a cell and at the 18 neighbours that share a face or an edge, into column ``i`` of `block_memory`.
+
+    Returns False, with nothing written, where one is beyond the border.
     """
     if not (0 < iz < grid.nz - 1 and 0 < iy < grid.ny - 1 and 0 < ix < grid.nx - 1):
         return False
-    plane, row = grid.ny * grid.nx, grid.nx
-    rows[0, i] = psi[cell]
-    rows[1, i], rows[2, i] = psi[cell - plane], psi[cell + plane]
-    rows[3, i], rows[4, i] = psi[cell - row], psi[cell + row]
-    rows[5, i], rows[6, i] = psi[cell - 1], psi[cell + 1]
-    rows[7, i], rows[8, i] = psi[cell - plane - row], psi[cell - plane + row]
-    rows[9, i], rows[10, i] = psi[cell + plane - row], psi[cell + plane + row]
-    rows[11, i], rows[12, i] = psi[cell - plane - 1], psi[cell - plane + 1]
-    rows[13, i], rows[14, i] = psi[cell + plane - 1], psi[cell + plane + 1]
-    rows[15, i], rows[16, i] = psi[cell - row - 1], psi[cell - row + 1]
-    rows[17, i], rows[18, i] = psi[cell + row - 1], psi[cell + row + 1]
+    i, at, one = np.uint64(i), np.uint64(cell), np.uint64(1)
+    plane, row = np.uint64(grid.ny * grid.nx), np.uint64(grid.nx)
+    below, above = at - plane, at + plane
+    memory[i] = psi[at]
+    memory[ROW[1] + i], memory[ROW[2] + i] = psi[below], psi[above]
+    memory[ROW[3] + i], memory[ROW[4] + i] = psi[at - row], psi[at + row]
+    memory[ROW[5] + i], memory[ROW[6] + i] = psi[at - one], psi[at + one]
+    memory[ROW[7] + i], memory[ROW[8] + i] = psi[below - row], psi[below + row]
+    memory[ROW[9] + i], memory[ROW[10] + i] = psi[above - row], psi[above + row]
+    memory[ROW[11] + i], memory[ROW[12] + i] = psi[below - one], psi[below + one]
+    memory[ROW[13] + i], memory[ROW[14] + i] = psi[above - one], psi[above + one]
+    memory[ROW[15] + i], memory[ROW[16] + i] = psi[at - row - one], psi[at - row + one]
+    memory[ROW[17] + i], memory[ROW[18] + i] = psi[at + row - one], psi[at + row + one]
     return True
 
 
 @kernel
-def block_curvatures(count, grid, rows, out):
-    """Gradient, curvatures and mean of ``count`` columns of `gather_block`: rows of ``out`` (6, m).
-
-    Rows z, y, x, H, K as `differences.gradient` and `differences.curvatures`, then `differences.mean_above_centre`.
-    """
+def block_curvatures(grid, memory):
+    """Gradient, curvatures and mean of all columns of `block_memory`, into its last rows."""
     half, quarter, two = np.float32(0.5), np.float32(0.25), np.float32(2.0)
     hz, hy, hx = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
-    c, zm, zp, ym, yp, xm, xp = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6]
-    zy0, zy1, zy2, zy3 = rows[7], rows[8], rows[9], rows[10]
-    zx0, zx1, zx2, zx3 = rows[11], rows[12], rows[13], rows[14]
-    yx0, yx1, yx2, yx3 = rows[15], rows[16], rows[17], rows[18]
-    out_z, out_y, out_x, out_h, out_k, out_mean = out[0], out[1], out[2], out[3], out[4], out[5]
-    part = np.float32(1.0 / 24.0)
-    for i in range(np.uint64(count)):
-        z, y, x = half * hz * (zp[i] - zm[i]), half * hy * (yp[i] - ym[i]), half * hx * (xp[i] - xm[i])
-        zz = (zp[i] - c[i]) - (c[i] - zm[i])
-        yy = (yp[i] - c[i]) - (c[i] - ym[i])
-        xx = (xp[i] - c[i]) - (c[i] - xm[i])
-        out_mean[i] = part * (zz + yy + xx)
+    part, huge = np.float32(1.0 / 24.0), np.float32(1e30)
+    for i in range(np.uint64(BATCH)):
+        c, zm, zp = memory[i], memory[ROW[1] + i], memory[ROW[2] + i]
+        ym, yp, xm, xp = memory[ROW[3] + i], memory[ROW[4] + i], memory[ROW[5] + i], memory[ROW[6] + i]
+        z, y, x = half * hz * (zp - zm), half * hy * (yp - ym), half * hx * (xp - xm)
+        zz = (zp - c) - (c - zm)
+        yy = (yp - c) - (c - ym)
+        xx = (xp - c) - (c - xm)
+        memory[CURVATURES + ROW[2] + i] = part * (zz + yy + xx)
         zz, yy, xx = hz * hz * zz, hy * hy * yy, hx * hx * xx
-        zy = quarter * hz * hy * ((zy3[i] - zy1[i]) - (zy2[i] - zy0[i]))
-        zx = quarter * hz * hx * ((zx3[i] - zx1[i]) - (zx2[i] - zx0[i]))
-        yx = quarter * hy * hx * ((yx3[i] - yx1[i]) - (yx2[i] - yx0[i]))
+        zy, zx, yx = mixed(memory, ROW[7] + i), mixed(memory, ROW[11] + i), mixed(memory, ROW[15] + i)
+        zy, zx, yx = quarter * hz * hy * zy, quarter * hz * hx * zx, quarter * hy * hx * yx
         z2, y2, x2 = z * z, y * y, x * x
         g2 = z2 + y2 + x2
-        mean = xx * (y2 + z2) + yy * (x2 + z2) + zz * (x2 + y2) - two * (x * y * yx + x * z * zx + y * z * zy)
+        # A bound that nothing exceeds: so the compiler cannot choose which of two products it rounds before their sum.
+        apart = max(x * z * zx, -huge)
+        mean = xx * (y2 + z2) + yy * (x2 + z2) + zz * (x2 + y2) - two * (x * y * yx + apart + y * z * zy)
         gauss = x2 * (yy * zz - zy * zy) + y2 * (xx * zz - zx * zx) + z2 * (xx * yy - yx * yx)
-        mixed = x * y * (zx * zy - yx * zz) + y * z * (yx * zx - zy * xx) + x * z * (yx * zy - zx * yy)
+        products = x * y * (zx * zy - yx * zz) + y * z * (yx * zx - zy * xx) + x * z * (yx * zy - zx * yy)
         has_slope = g2 >= np.float32(1e-8)
         inverse = np.float32(1.0) / (g2 if has_slope else np.float32(1.0))
-        out_z[i], out_y[i], out_x[i] = z, y, x
-        out_h[i] = mean * inverse * np.sqrt(inverse) if has_slope else np.float32(0.0)
-        out_k[i] = (gauss + two * mixed) * inverse * inverse if has_slope else np.float32(0.0)
+        memory[SLOPE + i], memory[SLOPE + ROW[1] + i], memory[SLOPE + ROW[2] + i] = z, y, x
+        memory[CURVATURES + i] = mean * inverse * np.sqrt(inverse) if has_slope else np.float32(0.0)
+        memory[CURVATURES + ROW[1] + i] = (gauss + two * products) * inverse * inverse if has_slope else np.float32(0.0)
+
+
+@kernel
+def mixed(memory, at):
+    """Sum of the edges ++ and -- less those of +- and -+, the first of them at ``at``."""
+    return (memory[ROW[3] + at] - memory[ROW[1] + at]) - (memory[ROW[2] + at] - memory[at])

@@ -53,7 +53,7 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
     for _ in range(MAX_ROUNDS):
         known = cells, to_closest, state, active
         (cells, to_closest, state, active), size = surface.workers.serial(
-            march.activate_neighbours, dense, grid, known, size, sources, surface.half_width
+            march.activate_neighbours, dense.slot, grid, known, size, sources, surface.half_width
         )
         if cells.size > residue.size:
             more = cells.size - residue.size

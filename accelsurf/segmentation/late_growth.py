@@ -62,16 +62,21 @@ class LateGrowth:
         # The speed is along the inward normal: below 0 the surface grows. What swings back and forth cancels.
         area = float(np.prod(level.factors)) ** (2 / 3)
         motion = -fields.speed * np.float32(step.record.dt * area)
-        places = np.unravel_index(fields.cells, step.surface.shape)
-        cube = np.zeros(len(motion), np.int64)
-        layout = step.surface.shape, corner, level.factors, level.first, first, self._cubes
-        for at, n, a, factor, b, c, count in zip(places, *layout, strict=True):
-            # Of each row of voxels once, not of each cell.
-            rows = np.clip(((np.arange(n) + a) * factor + b + c).astype(np.int64) // BLOCK, 0, count - 1)
-            cube = cube * count + rows[at]
+        # The cube of each index along an axis, by a table.
+        along = [
+            np.clip(((np.arange(size) + a) * factor + b + c).astype(np.int64) // BLOCK, 0, n - 1)
+            for size, a, factor, b, c, n in zip(
+                step.surface.shape, corner, level.factors, level.first, first, self._cubes, strict=True
+            )
+        ]
+        _, ny, nx = self._cubes
+        z, y, x = np.unravel_index(fields.cells, step.surface.shape)
+        cube = (along[0] * (ny * nx))[z] + (along[1] * nx)[y] + along[2][x]
+        lowest = int(cube.min())
+        cube -= lowest
         names = np.flatnonzero(np.bincount(cube))
         sums = np.bincount(cube, motion)[names].astype(np.float32)
-        self._growth[step.object_id].append(_Growth(step.record.volume_mm3, names, sums))
+        self._growth[step.object_id].append(_Growth(step.record.volume_mm3, names + lowest, sums))
 
     def place(self) -> tuple[float, float, float] | None:
         """Index (z, y, x) of the middle of the cube that grew most in the last part; None when no object grew."""

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.kernels import closest, march, surface_voxels
-from accelsurf.kernels.grid import Band, neighbours, unravel, voxels_along
+from accelsurf.kernels.grid import Band, neighbours, unravel, unravel_in_vectors, voxels_along
 from accelsurf.kernels.guesses import first_guess, guess_feet, guess_memory
 from accelsurf.levelset import Workers
 from accelsurf.levelset.closest_points import find_closest_points
@@ -698,7 +698,7 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         dense.slot[:] = slot
         arrays = [band.cells, foot, state, np.zeros(n, bool)]
         arrays = [np.concatenate([a, np.zeros((room, *a.shape[1:]), a.dtype)]) for a in arrays]
-        arrays, total = march.activate_neighbours(dense, grid, tuple(arrays), n, sources, half_width)
+        arrays, total = march.activate_neighbours(dense.slot, grid, tuple(arrays), n, sources, half_width)
         assert all(a.shape[0] >= total for a in arrays)
         assert total == n + len(entered)
         cells, feet, states, marked = (a[:total] for a in arrays)
@@ -932,13 +932,24 @@ def test_front_cells_and_their_count():
 
 def test_arrays_grow_and_keep_what_they_held():
     small = np.arange(4)
-    assert march.grown(small, 3) is small
-    larger = march.grown(small, 4)
-    assert larger.size > 4
+    larger = march.grown(small)
+    assert larger.size > 4 and larger.dtype == small.dtype
     np.testing.assert_array_equal(larger[:4], small)
-    rows = march.grown_rows(np.ones((2, 3), np.float32), 2)
-    assert rows.shape[0] > 2
+    rows = march.grown_rows(np.ones((2, 3), np.float32))
+    assert rows.shape[0] == march.grown(np.ones(2)).size and rows.dtype == np.float32
     assert (rows[:2] == 1).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 5, 7), (2, 1, 9), (1024, 3000, 2999), (70000, 1, 70001)])
+def test_indices_by_products_are_those_by_divisions(shape):
+    """At the ends of rows and planes too, where rounding would show."""
+    grid = reference.grid_of(shape, UNEQUAL)
+    size, row, plane = int(np.prod(shape)), shape[2], shape[1] * shape[2]
+    rng = np.random.default_rng(23)
+    ends = np.concatenate([rng.integers(0, size // row, 200) * row, rng.integers(0, size // plane, 200) * plane])
+    cells = np.concatenate([ends, ends + row - 1, rng.integers(0, size, 200), [0, size - 1]])
+    for cell in cells:
+        assert unravel_in_vectors(int(cell), grid) == unravel(int(cell), grid)
 
 
 def test_a_range_of_slots_writes_nothing_outside_itself():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import region
-from accelsurf.kernels.grid import BLOCK, Band, DenseArrays
+from accelsurf.kernels.grid import BATCH, BLOCK, Band, DenseArrays
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -280,6 +280,24 @@ def test_measures_are_the_same_bytes_however_the_range_is_cut():
         region.measure_band(start, stop, dense.psi, grid, band, 1.0, parts)
     for one, other in zip(whole, parts, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_area_and_curvature_of_many_cells_are_those_of_single_ones():
+    """Up to float32: a cell at the border is measured alone, and must not differ from its neighbours."""
+    rng, grid = np.random.default_rng(31), reference.grid_of((9, 9, 9), (2.0, 1.0, 0.7))
+    memory = rng.normal(0, 0.6, 25 * BATCH).astype(np.float32)
+    columns = memory[19 * BATCH :].reshape(6, BATCH)
+    distance, voxels = rng.uniform(-1.5, 1.5, BATCH).astype(np.float32), rng.uniform(0.011, 2.0, BATCH)
+    measured = np.full(4 * BATCH, region.AREA_WIDTH)
+    measured[:BATCH] = voxels
+    region.measures_alike(grid, distance, memory, (1.58, 2.9), measured)
+    areas, curvatures = measured[2 * BATCH :].reshape(2, BATCH)
+    for i in range(BATCH):
+        level = tuple(columns[:, i])
+        _, area, curvature = region.measures(grid, distance[i], voxels[i], level, 1.58, 0.9, 2.9)
+        assert areas[i] == pytest.approx(area, rel=1e-6) and curvatures[i] == pytest.approx(curvature, rel=1e-6)
+    assert 0 < np.count_nonzero(areas) < BATCH and 0 < np.count_nonzero(curvatures) < BATCH
+    assert (np.abs(curvatures) == 2.9).any() and (np.abs(curvatures) < 2.9).any()
 
 
 @pytest.mark.parametrize("epsilon", [1.0, 1.5, 2.5])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import differences, stencils
-from accelsurf.kernels.grid import unravel
+from accelsurf.kernels.grid import BATCH, unravel
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -36,13 +36,17 @@ def gathered(psi, wanted, first, count):
 def blocks(psi, spacing=SPACING):
     """(cells, rows, gradient z y x, H, K, mean as rows) of every cell that `gather_block` takes."""
     grid = reference.grid_of(psi.shape, spacing)
-    rows, cells = np.zeros((19, psi.size), np.float32), []
+    memory, count, cells, batches = stencils.block_memory(), 0, [], []
     for cell in range(psi.size):
-        if stencils.gather_block(cell, *unravel(cell, grid), psi.ravel(), grid, rows, len(cells)):
+        if stencils.gather_block(cell, *unravel(cell, grid), psi.ravel(), grid, memory, count):
             cells.append(cell)
-    out = np.full((6, psi.size), np.nan, np.float32)
-    stencils.block_curvatures(len(cells), grid, rows, out)
-    return np.array(cells, int), rows[:, : len(cells)], out
+            count += 1
+        if count == BATCH or (cell == psi.size - 1 and count):
+            stencils.block_curvatures(grid, memory)
+            batches.append(memory.reshape(-1, BATCH)[:, :count])
+            memory, count = stencils.block_memory(), 0
+    both = np.concatenate([*batches, np.zeros((25, 0), np.float32)], axis=1)
+    return np.array(cells, int), both[:19], both[19:]
 
 
 @pytest.mark.parametrize("shape", [*SHAPES, *THIN])
@@ -120,11 +124,12 @@ def test_blocks_are_gathered_where_all_18_neighbours_are(shape):
 
 def test_at_the_border_nothing_is_gathered():
     psi = np.ones((3, 4, 5), np.float32)
-    grid, rows = reference.grid_of(psi.shape, SPACING), np.full((19, 3), np.float32(-7))
-    assert not stencils.gather_block(0, 0, 0, 0, psi.ravel(), grid, rows, 1)
-    assert (rows == -7).all()
-    assert stencils.gather_block(26, 1, 1, 1, psi.ravel(), grid, rows, 1)
-    assert (rows[:, 1] == 1).all() and (rows[:, [0, 2]] == -7).all()
+    grid, memory = reference.grid_of(psi.shape, SPACING), np.full(25 * BATCH, np.float32(-7))
+    assert not stencils.gather_block(0, 0, 0, 0, psi.ravel(), grid, memory, 1)
+    assert (memory == -7).all()
+    assert stencils.gather_block(26, 1, 1, 1, psi.ravel(), grid, memory, 1)
+    rows = memory.reshape(25, BATCH)
+    assert (rows[:19, 1] == 1).all() and (np.delete(rows, 1, axis=1) == -7).all() and (rows[19:] == -7).all()
 
 
 @pytest.mark.parametrize("spacing", [SPACING, (1.0, 1.0, 1.0)])
@@ -133,8 +138,7 @@ def test_curvatures_as_cell_by_cell_and_as_the_reference(shape, spacing):
     """Within what float32 may lose: the sums of the formulas' terms without their signs, times their operations."""
     psi = 2 * reference.smooth_noise(shape, 1)
     cells, rows, out = blocks(psi, spacing)
-    assert np.isnan(out[:, cells.size :]).all()
-    out = out[:, : cells.size].astype(float)
+    out = out.astype(float)
     gradient, _ = (d.reshape(psi.size, *d.shape[3:])[cells] for d in reference.derivatives(psi, spacing))
     k = reference.principal_curvatures(psi, spacing).reshape(-1, 2)[cells]
     h = np.array(spacing)
@@ -193,17 +197,19 @@ def test_a_column_is_the_same_bytes_wherever_it_stands():
     grid = reference.grid_of((9, 9, 9), SPACING)
     cross, block = (rng.standard_normal((n, 128)).astype(np.float32) for n in (15, 19))
     way = rng.choice(np.array([-1, 1], np.float32), 128)
-    norms, shape = np.empty(128, np.float32), np.empty((6, 128), np.float32)
+    norms, memory = np.empty(128, np.float32), stencils.block_memory()
     stencils.godunov_norms(128, grid, cross, way, norms)
-    stencils.block_curvatures(128, grid, block, shape)
+    memory[: block.size] = block.ravel()
+    stencils.block_curvatures(grid, memory)
+    shape = memory[block.size :].reshape(6, 128)
     for first, count in ((0, 1), (1, 7), (5, 13), (100, 28), (64, 63)):
         part = slice(first, first + count)
-        rows, more = np.zeros((15, 128), np.float32), np.zeros((19, 128), np.float32)
+        rows, more = np.zeros((15, 128), np.float32), np.zeros((25, 128), np.float32)
         ways = np.ones(128, np.float32)
-        rows[:, :count], more[:, :count], ways[:count] = cross[:, part], block[:, part], way[part]
-        some, other = np.full(128, np.nan, np.float32), np.full((6, 128), np.nan, np.float32)
+        rows[:, :count], more[:19, :count], ways[:count] = cross[:, part], block[:, part], way[part]
+        some = np.full(128, np.nan, np.float32)
         stencils.godunov_norms(count, grid, rows, ways, some)
-        stencils.block_curvatures(count, grid, more, other)
+        stencils.block_curvatures(grid, more.ravel())
         np.testing.assert_array_equal(some[:count], norms[part])
-        np.testing.assert_array_equal(other[:, :count], shape[:, part])
-        assert np.isnan(some[count:]).all() and np.isnan(other[:, count:]).all()
+        np.testing.assert_array_equal(more[19:, :count], shape[:, part])
+        assert np.isnan(some[count:]).all()
