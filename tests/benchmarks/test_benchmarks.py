@@ -15,8 +15,9 @@ from scipy import ndimage
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from benchmarks import benchmark, defaults, real_scans
-from benchmarks.peers import baselines, contest, hard_works, objects, programs, render, scans
+from benchmarks.peers import baselines, contest, hard_works, march, objects, programs, render, scans
 from benchmarks.peers.advance import grow, sparse_field
+from benchmarks.peers.check import changes
 from benchmarks.peers.clock import Clock
 from benchmarks.peers.measure import (
     MissingError,
@@ -247,11 +248,40 @@ def test_the_command_writes_json_with_machine_and_raw_times(
     assert benchmark.main(["advance", "--quick", "--results", str(tmp_path)]) == 0
     result = json.loads((tmp_path / "benchmark_advance.json").read_text())
     assert result["machine"]["cores"] >= 1 and result["machine"]["packages"]["numpy"] == np.__version__
-    assert len(result["programs"]["accelsurf"]["seconds"]) == 1 and result["quick"]
+    by_threads = result["programs"]["accelsurf"]["threads"]
+    assert [len(by_threads[n]["seconds"]) for n in ("1", "2")] == [1, 1] and result["quick"]
+    assert {pair["pair"].rpartition(", ")[2] for pair in result["pairs"]} == {"1 thread", "2 threads"}
     assert (tmp_path / "RESULTS.md").is_file() and (tmp_path / "benchmark_advance.png").is_file()
     with pytest.raises(SystemExit):
         benchmark.main(["no-such"])
     assert "no such benchmark" in capsys.readouterr().err
+
+
+def test_a_check_names_what_fell_and_keeps_what_was_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = result_of(12.0, pairs=[{"pair": "a / own", "ratio": 10.0}, {"pair": "gone / own", "ratio": 1.0}])
+    path = render.json_path(tmp_path, "march")
+    path.write_text(json.dumps(kept))
+    ratio = 9.5
+    monkeypatch.setattr(
+        march, "march", lambda options: result_of(9.0, pairs=[{"pair": "a / own", "ratio": ratio}])
+    )
+    command = ["march", "--check", "--results", str(tmp_path)]
+    assert benchmark.main(command) == 0
+    assert "march: a / own: 10 -> 9.5\n" in capsys.readouterr().out
+    ratio = 8.5
+    assert benchmark.main(command) == 1
+    assert "march: a / own: 10 -> 8.5, FELL" in capsys.readouterr().out
+    assert json.loads(path.read_text()) == kept and not (tmp_path / "RESULTS.md").exists()
+    assert benchmark.main(["step", "--check", "--results", str(tmp_path)]) == 1
+    assert "step: no kept result" in capsys.readouterr().out
+
+
+def test_a_ratio_that_should_be_small_fell_when_it_rose() -> None:
+    kept, now = ({"pairs": [{"pair": "own / copy", "ratio": ratio, "sense": "<="}]} for ratio in (2.0, 2.3))
+    assert [change.fell for change in changes(kept, now)] == [True]
+    assert [change.fell for change in changes(now, kept)] == [False]
 
 
 @pytest.mark.parametrize(("study", "entries"), [(defaults, "rows"), (real_scans, "cases")])
