@@ -1,9 +1,10 @@
 """Whether results know how good they are: calibrates the probability of a good result, and shows how reliable it is.
 
 Results are made on phantoms (several energies, noises and starts) and on the objects of the clicks benchmark, by the
-simulated person's first clicks. By default only its tuning half; ``--half report`` measures the other half with the
-model as it is, and calibrates nothing. One call writes the features of each result and its Dice into
-benchmarks/results/quality.json, the model into accelsurf/analysis/good_result.json, and the page's figure and table.
+simulated person's first clicks: an exact game and a jittered one of each object, ``accelsurf segment`` at the first
+click and ``accelsurf refine`` at each later one. By default only its tuning half; ``--half report`` measures the other
+half with the models as they are, and calibrates nothing. One call writes the features of each result and its Dice into
+benchmarks/results/quality.json, the models into accelsurf/analysis/good_result.json, and the page's figure and table.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from scipy import ndimage
 import accelsurf
 from accelsurf.analysis import good_result
 from accelsurf.analysis.metrics import dice
-from accelsurf.analysis.quality import features
+from accelsurf.analysis.quality import click_features, image_features
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms import recipes
 from benchmarks.clicks.objects import HALVES, chosen, load
-from benchmarks.clicks.own import text_of as click_text
+from benchmarks.clicks.own import Refined
 from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
 
@@ -39,8 +40,8 @@ PAGE, PICTURE = ROOT / "docs" / "explanation" / "quality.md", ROOT / "docs" / "i
 #: A result is good from this Dice on. Silent failures are below the second without a warning, false alarms are above
 #: the third with one.
 GOOD, FAILED, FINE = 0.8, 0.7, 0.85
-#: Clicks of each object.
-CLICKS = 5
+#: Clicks of each game, and the games of each object: None for exact clicks, a seed for jittered ones.
+CLICKS, GAMES = 5, (None, 0)
 #: Phantoms, noise in parts of the contrast, and energies.
 PHANTOMS = ("ball", "ball_anisotropic", "ball_small", "box", "cube", "disc", "torus", "two_balls")
 NOISE = (0.3, 1.0)
@@ -52,7 +53,10 @@ ENERGIES: tuple[dict[str, Any], ...] = (
 SIGNS = {
     "contrast": 1.0, "evidence": 1.0, "beyond_clicks": 1.0, "compactness": 1.0, "clicked": -1.0, "inside_like": -1.0,
     "drift": -1.0, "border": -1.0, "burst": -1.0, "growth": -1.0, "no_edge": -1.0, "unconverged": -1.0,
+    "level_overlap": 1.0, "click_count": 1.0, "correction": -1.0, "size_spread": -1.0,
 }
+#: Rows that have each kind of features, and so make its model, and are judged by it; all rows have those of the image.
+KINDS: tuple[good_result.Kind, ...] = ("clicks", "image")
 #: Weight of the squares of the weights, and folds of the cross-validation: whole objects are left out.
 RIDGE, FOLDS = 0.5, 17
 
@@ -76,10 +80,10 @@ def main() -> None:
             print("the time is over", file=sys.stderr)
             break
     if options.half == "tune":
-        facts["model"] = fit(rows["tune"])
-        MODEL.write_text(json.dumps(facts["model"], indent=1) + "\n")
-        good_result.model.cache_clear()
-    facts["figures"] = {half: figures(own, cross=half == "tune") for half, own in rows.items() if own}
+        facts["models"] = {kind: fit(rows_of(rows["tune"], kind), kind) for kind in KINDS}
+        MODEL.write_text(json.dumps(facts["models"], indent=1) + "\n")
+        good_result.models.cache_clear()
+    facts["figures"] = every_figure(rows)
     FACTS.write_text(json.dumps(facts, indent=0) + "\n")
     put_table(PAGE, "quality", text_of(facts["figures"]))
     picture(facts["figures"])
@@ -124,39 +128,46 @@ def halves(truth: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
 
 
 def by_clicks(image: Volume, truth: NDArray[np.bool_]) -> Iterator[dict[str, Any]]:
-    """Results after each of the person's first clicks."""
-    texts: dict[str, list[str]] = {"inside": [], "outside": []}
-    labels = None
-    for _ in range(CLICKS):
-        click = next_click(truth, labels, image.geometry)
-        if click is None:
-            return
-        texts[click.side].append(click_text(click, image))
-        found = list(measured(image, truth, {side: tuple(own) for side, own in texts.items()}))
-        if not found:
-            return
-        labels = found[0].pop("labels")
-        yield found[0]
+    """Results after each of the person's first clicks, game after game."""
+    for seed in GAMES:
+        random = None if seed is None else np.random.default_rng(seed)
+        player, labels = Refined(image, None), None
+        for _ in range(CLICKS):
+            click = next_click(truth, labels, image.geometry, random)
+            if click is None:
+                break
+            try:
+                labels = player.click(click)
+            except AccelsurfError:
+                break
+            found = row_from(player.result, truth, image)
+            if found is None:
+                break
+            yield {"game": "exact" if seed is None else "jittered", **found}
 
 
 def measured(image: Volume, truth: NDArray[np.bool_], options: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The features of a run's result, its Dice, and how far the doubtful place lies from what is wrong."""
+    """The row of a run; none where it failed."""
     try:
-        result = accelsurf.segment(image, threads=1, **options)
+        found = row_from(accelsurf.segment(image, threads=1, **options), truth, image)
     except AccelsurfError:
         return
-    labels = np.asarray(result.labels > 0)
-    if not result.objects[0].has_surface or result.quality is None:
-        return
-    quality = result.quality
-    row: dict[str, Any] = {
-        "dice": dice(labels, truth), "features": features(quality, result.stop.reason, result.volume_mm3),
+    if found is not None:
+        yield found
+
+
+def row_from(result: accelsurf.Result, truth: NDArray[np.bool_], image: Volume) -> dict[str, Any] | None:
+    """The features of a result, its Dice, and how far the doubtful place lies from what is wrong; None of nothing."""
+    labels, quality = np.asarray(result.labels > 0), result.quality
+    if not result.objects[0].has_surface or quality is None:
+        return None
+    said = click_features(quality)
+    return {
+        "dice": dice(labels, truth), "image": image_features(quality, result.stop.reason, result.volume_mm3),
+        **({} if said is None else {"clicks": said}),
         "other_warnings": [text.split(":")[0] for text in quality.warnings if not text.startswith("doubt")],
         **doubtful(quality.next_click, labels, truth, image),
     }
-    if "inside" in options:
-        row["labels"] = labels
-    yield row
 
 
 def doubtful(
@@ -185,23 +196,31 @@ def doubtful(
 # -- the model ----------------------------------------------------------------------------------------------
 
 
-def fit(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+Rows = Mapping[str, Sequence[Mapping[str, Any]]]
+
+
+def rows_of(rows: Rows, kind: good_result.Kind) -> Rows:
+    """The rows that make a model: those with clicks, or all."""
+    return rows if kind == "image" else {name: own for name, own in rows.items() if all(kind in row for row in own)}
+
+
+def fit(rows: Rows, kind: good_result.Kind) -> dict[str, Any]:
     """The logistic model of all rows; each object or phantom counts the same. Its threshold by cross-validation."""
-    found = trained(rows)
+    found = trained(rows, kind)
     values, truth, weights = [], [], []
     for name, own in rows.items():
-        values += list(crossed(rows, name))
+        values += list(crossed(rows, name, kind))
         truth += [row["dice"] for row in own]
         weights += [1.0 / len(own) for _ in own]
     found["threshold"] = best_threshold(np.array(values), np.array(truth), np.array(weights))
     return found
 
 
-def trained(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+def trained(rows: Rows, kind: good_result.Kind) -> dict[str, Any]:
     """Means, deviations and weights of the features by Newton's method with a ridge."""
     every = [(row, 1.0 / len(own)) for own in rows.values() for row in own]
-    names = sorted(every[0][0]["features"])
-    table = np.array([[row["features"][name] for name in names] for row, _ in every])
+    names = sorted(every[0][0][kind])
+    table = np.array([[row[kind][name] for name in names] for row, _ in every])
     weight = np.array([w for _, w in every])
     weight *= len(every) / weight.sum()
     target = np.array([float(row["dice"] >= GOOD) for row, _ in every])
@@ -231,24 +250,26 @@ def _solved(x: NDArray[Any], weight: NDArray[Any], target: NDArray[Any], ridge: 
     return np.asarray(beta)
 
 
-def probabilities(model: Mapping[str, Any], own: Sequence[Mapping[str, Any]]) -> list[float]:
+def probabilities(
+    model: Mapping[str, Any], own: Sequence[Mapping[str, Any]], kind: good_result.Kind
+) -> list[float]:
     """The probability of a good result of each row."""
     out = []
     for row in own:
         total = model["constant"] + sum(
-            weight * (row["features"][name] - mean) / deviation
+            weight * (row[kind][name] - mean) / deviation
             for name, (mean, deviation, weight) in model["features"].items()
         )
         out.append(float(1.0 / (1.0 + np.exp(-np.clip(total, -50, 50)))))
     return out
 
 
-def crossed(rows: Mapping[str, Sequence[Mapping[str, Any]]], name: str) -> list[float]:
+def crossed(rows: Rows, name: str, kind: good_result.Kind) -> list[float]:
     """The probabilities of an object's rows by a model that was made without the objects of its fold."""
     order = sorted(rows)
     fold = order.index(name) % FOLDS
     others = {key: own for i, key in enumerate(order) if i % FOLDS != fold for own in [rows[key]]}
-    return probabilities(trained(others or rows), rows[name])
+    return probabilities(trained(others or rows, kind), rows[name], kind)
 
 
 def best_threshold(values: NDArray[Any], truth: NDArray[Any], weights: NDArray[Any]) -> float:
@@ -268,24 +289,43 @@ def shares(quiet: NDArray[Any], truth: NDArray[Any], weights: NDArray[Any]) -> t
     )
 
 
-def figures(rows: Mapping[str, Sequence[Mapping[str, Any]]], cross: bool) -> dict[str, Any]:
+def every_figure(rows: Mapping[str, Rows]) -> dict[str, Any]:
+    """The figures of each half's games, and of the phantoms."""
+    models = json.loads(MODEL.read_text())
+    out = {}
+    for half, own in rows.items():
+        clicked = rows_of(own, "clicks")
+        phantoms = [name for name in own if name not in clicked]
+        cases: tuple[tuple[str, good_result.Kind, Rows, list[str]], ...] = (
+            (f"{half}, clicks", "clicks", clicked, list(clicked)), (f"{half}, phantoms", "image", own, phantoms),
+        )
+        for label, kind, among, names in cases:
+            if names:
+                crossing = {name: crossed(among, name, kind) for name in names} if half == "tune" else {}
+                said = {name: crossing.get(name) or probabilities(models[kind], own[name], kind) for name in names}
+                out[label] = figures({name: own[name] for name in names}, said, models[kind]["threshold"])
+    return out
+
+
+def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -> dict[str, Any]:
     """Silent failures, false alarms, the reliability curve, and how well the doubtful place finds what is wrong."""
-    model = json.loads(MODEL.read_text())
-    values, truth, weights, place = [], [], [], []
+    values: list[float] = []
+    truth, weights, place = [], [], []
     for name, own in rows.items():
-        values += crossed(rows, name) if cross else probabilities(model, own)
+        values += said[name]
         truth += [row["dice"] for row in own]
         weights += [1.0 / len(own) for _ in own]
         place += [row for row in own if row["at_wrong"] is not None and row["dice"] < FINE]
     p, d, w = np.array(values), np.array(truth), np.array(weights)
-    silent, false = shares(p >= model["threshold"], d, w)
+    silent, false = shares(p >= threshold, d, w)
     failed, fine = float(w[d < FAILED].sum()), float(w[d >= FINE].sum())
     curve = []
     for low in np.arange(0.0, 1.0, 0.2):
-        own = (p >= low) & ((p < low + 0.2) | (low > 0.75))
-        if own.any():
-            good = float(np.average(d[own] >= GOOD, weights=w[own]))
-            curve.append({"stated": float(np.average(p[own], weights=w[own])), "good": good, "results": int(own.sum())})
+        here = (p >= low) & ((p < low + 0.2) | (low > 0.75))
+        if here.any():
+            good = float(np.average((d[here] >= GOOD).astype(float), weights=w[here]))
+            stated = float(np.average(p[here], weights=w[here]))
+            curve.append({"stated": stated, "good": good, "results": int(here.sum())})
     return {
         "results": len(p), "objects": len(rows), "silent": silent, "false": false,
         "silent_of_failures": silent * w.sum() / failed if failed else None,
@@ -300,7 +340,7 @@ def figures(rows: Mapping[str, Sequence[Mapping[str, Any]]], cross: bool) -> dic
 
 def text_of(found: Mapping[str, Mapping[str, Any]]) -> str:
     """The page's table."""
-    columns = ("half", "results", "silent failures", "false alarms", "doubtful place is wrong", "a random one",
+    columns = ("results of", "number", "silent failures", "false alarms", "doubtful place is wrong", "a random one",
                "surface farther from the next click")
     lines = head_of(columns)
     for half, own in found.items():

@@ -19,6 +19,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
+    from accelsurf.energies.seeded import Sureness
     from accelsurf.evolution.records import StepRecord, Stop
 
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
 #: A rest is noted where the object has grown to so many times its size since.
 MIN_BURST = 1.1
-#: What counts for an object without clicks as its volume over theirs.
-USUAL_BEYOND = 20.0
+#: What counts for an object without clicks as its volume over theirs, and for a first click as its correction, radii.
+USUAL_BEYOND, USUAL_CORRECTION = 20.0, 0.37
 
 
 class RestNote(NamedTuple):
@@ -80,6 +81,11 @@ class Quality(NamedTuple):
         Volume at the end over that of the start.
     late_growth : float
         Relative change of the volume over the last 20 steps.
+    level_overlap, correction : float or None
+    click_count : int or None
+    size_spread : float or None
+        How sure the model of the clicks is: ``overlap``, ``correction``, ``clicks`` and ``spread`` of
+        `accelsurf.energies.seeded.Sureness`; None without one.
     unlike_learned : float or None
         Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
         deviations from the mean of those that it was learned from; None where no model was learned once.
@@ -108,6 +114,10 @@ class Quality(NamedTuple):
     parts_beyond_necks: int
     growth: float
     late_growth: float
+    level_overlap: float | None
+    correction: float | None
+    click_count: int | None
+    size_spread: float | None
     unlike_learned: float | None
     leaked: bool
     rests: tuple[RestNote, ...]
@@ -124,6 +134,7 @@ def assess(
     learned: tuple[float, float] | None = None,
     rests: Sequence[RestNote] = (),
     clicked: NDArray[np.bool_] | None = None,
+    sureness: Sureness | None = None,
 ) -> Quality:
     """Measure the quality of a result.
 
@@ -142,6 +153,8 @@ def assess(
     rests : sequence of RestNote, optional
     clicked : ndarray (nz, ny, nx) of bool, optional
         Voxels that a person clicked, on either side.
+    sureness : Sureness, optional
+        Of the model of the clicks.
     """
     inside, spacing = labels > 0, geometry.spacing
     own = [row for row in history if row.level == 0]
@@ -166,18 +179,48 @@ def assess(
         parts_beyond_necks=parts_beyond_necks(inside),
         growth=last / first if first > 0 else 0.0,
         late_growth=(last - before) / last if last > 0 else 0.0,
+        level_overlap=None if sureness is None else sureness.overlap,
+        correction=None if sureness is None else sureness.correction,
+        click_count=None if sureness is None else sureness.clicks,
+        size_spread=None if sureness is None else sureness.spread,
         unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
         leaked=stop.reason == "leaked",
         rests=tuple(rests),
         warnings=(),
         notes=(),
     )
-    measured = measured._replace(probability=good_result.probability(features(measured, stop.reason, last)))
+    probability = good_result.probability(kind_of(measured), features(measured, stop.reason, last))
+    measured = measured._replace(probability=probability)
     return measured._replace(warnings=tuple(_warnings(measured, stop, last)), notes=tuple(_notes(measured, last)))
+
+
+def kind_of(found: Quality) -> good_result.Kind:
+    """Which model tells the probability."""
+    return "image" if found.level_overlap is None else "clicks"
 
 
 def features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
     """What the probability of a good result depends on, by name."""
+    clicks = click_features(found)
+    return image_features(found, reason, volume_mm3) if clicks is None else clicks
+
+
+def click_features(found: Quality) -> dict[str, float] | None:
+    """Those of the model of the clicks; None without one."""
+    if found.level_overlap is None or found.size_spread is None:
+        return None
+    overlap = min(max(found.level_overlap, 0.01), 0.99)
+    correction = USUAL_CORRECTION if found.correction is None else found.correction
+    return {
+        "level_overlap": math.log(overlap / (1.0 - overlap)),
+        "correction": math.log(min(max(correction, 0.03), 5.0)),
+        "click_count": math.log(min(found.click_count or 1, 10)),
+        "size_spread": min(found.size_spread, 3.0),
+    }
+
+
+def image_features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
+    """Those of the surface, the image and the run."""
     burst = max((volume_mm3 / rest.volume_mm3 for rest in found.rests[:1] if rest.volume_mm3 > 0), default=1.0)
     return {
         "contrast": math.log(min(max(found.contrast, 0.1), 100.0)),
@@ -222,7 +265,7 @@ def _warnings(found: Quality, stop: Stop, last: float) -> list[str]:
     there = "" if found.next_click is None else _point(found.next_click)
     if found.leaked:
         warnings.append(f"leak: {stop.message}; try --outside point:X,Y,Z in what it ran into")
-    if found.probability < good_result.threshold() and found.next_click is not None:
+    if found.probability < good_result.threshold(kind_of(found)) and found.next_click is not None:
         click = f"look at {there} first and try --inside point:{there}, or --outside if it is not the object"
         sure = f"{found.probability:.0%} likely to be good"
         warnings.append(f"doubt: probably not right ({_why(found)}; {sure}); {click}")
@@ -250,9 +293,13 @@ def _why(found: Quality) -> str:
         "growth": f"it grew {found.growth:.3g} times",
         "no_edge": f"under {found.no_edge_fraction:.0%} of the surface the image has no edge",
         "unconverged": "it did not converge",
+        "level_overlap": "slightly more or less would be another object",
+        "correction": f"the last click was {found.correction or 0.0:.2g} radii away from what was found before",
+        "click_count": "few clicks say what it is",
+        "size_spread": "other sizes are likely too",
     }
     last = found.rests[0].volume_mm3 if found.rests else 0.0
-    return words[good_result.lowest_term(features(found, "converged", last))]
+    return words[good_result.lowest_term(kind_of(found), features(found, "converged", last))]
 
 
 def _notes(found: Quality, last: float) -> list[str]:

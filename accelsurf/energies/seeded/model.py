@@ -17,6 +17,7 @@ from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.evidence import edges_of
 from accelsurf.energies.seeded.proposal import Prior, Proposal, by_evidence, of_size, prior_of
+from accelsurf.energies.seeded.sureness import correction_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
@@ -64,6 +65,8 @@ class SeededModel:
     shown : Shown or None
         F and start before they were brought to the edges of the image, from which the next click goes on; None of a
         partition.
+    correction : float or None
+        Of the last click, see `accelsurf.energies.seeded.sureness.correction_of`; None where there is one click.
     """
 
     field: Image
@@ -77,6 +80,7 @@ class SeededModel:
     images: tuple[Image, ...]
     sized: bool = False
     shown: Shown | None = None
+    correction: float | None = None
 
 
 def seeded_model(
@@ -124,21 +128,25 @@ def seeded_model(
         smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
         field = field_of(smooth, spacing, allowed)
         known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
+        correction = previous.correction
     else:
         smooth = _smoothed(images, spacing)
         field = field_of(smooth, spacing, allowed)
         answer, proposal = _first(smooth, spacing, field, clicks, size_mm3, box is not None)
         known, left = Clicks((inside[0],), clicks.shape), [one for one in clicks.clicks if one is not inside[0]]
-        shown = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, None))
+        shown, correction = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, None)), None
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         marched = pool.map(partial(later_times, smooth, spacing, field, answer=answer), left)
         for click, times in zip(left, marched, strict=True):
             answer, known = with_click(answer, field, click, times), known.with_more([click])
-            shown = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, shown), pool)
-    assert shown is not None  # an answer was shown
+            assert shown is not None  # an answer was shown
+            before = shown
+            shown = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, before), pool)
+            correction = correction_of(click, before, shown, spacing, clicks.shape)
+    assert shown is not None
     arrays = on_whole_grid(answer, at_edges(shown, images, smooth, spacing, clicks, allowed), clicks.shape)
     area = area_weight(images, spacing, arrays[1], allowed)
-    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, size_mm3 is not None, shown)
+    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, size_mm3 is not None, shown, correction)
 
 
 def _shown(
