@@ -53,9 +53,9 @@ ENERGIES: tuple[dict[str, Any], ...] = (
 SIGNS = {
     "contrast": 1.0, "evidence": 1.0, "beyond_clicks": 1.0, "compactness": 1.0, "clicked": -1.0, "inside_like": -1.0,
     "drift": -1.0, "border": -1.0, "burst": -1.0, "growth": -1.0, "no_edge": -1.0, "unconverged": -1.0,
-    "level_overlap": 1.0, "click_count": 1.0, "correction": -1.0, "size_spread": -1.0,
+    "level_overlap": 1.0, "corrections": 1.0, "correction": -1.0, "size_spread": -1.0,
 }
-#: Rows that have each kind of features, and so make its model, and are judged by it; all rows have those of the image.
+#: The models. Rows with clicks make the first one and are judged by it; all rows make the other, which judges the rest.
 KINDS: tuple[good_result.Kind, ...] = ("clicks", "image")
 #: Weight of the squares of the weights, and folds of the cross-validation: whole objects are left out.
 RIDGE, FOLDS = 0.5, 17
@@ -66,6 +66,7 @@ def main() -> None:
     parser.add_argument("--half", choices=HALVES, default="tune")
     parser.add_argument("--only", default="", help="objects and phantoms, separated by commas; the others are kept")
     parser.add_argument("--fit", action="store_true", help="no runs: calibrate on the rows of the JSON")
+    parser.add_argument("--kind", choices=KINDS, default="clicks", help="the model that is calibrated")
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no object after so many")
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")
@@ -80,8 +81,9 @@ def main() -> None:
             print("the time is over", file=sys.stderr)
             break
     if options.half == "tune":
-        facts["models"] = {kind: fit(rows_of(rows["tune"], kind), kind) for kind in KINDS}
-        MODEL.write_text(json.dumps(facts["models"], indent=1) + "\n")
+        models = json.loads(MODEL.read_text())
+        models[options.kind] = fit(rows_of(rows["tune"], options.kind), options.kind)
+        MODEL.write_text(json.dumps(models, indent=1) + "\n")
         good_result.models.cache_clear()
     facts["figures"] = every_figure(rows)
     FACTS.write_text(json.dumps(facts, indent=0) + "\n")
@@ -290,32 +292,41 @@ def shares(quiet: NDArray[Any], truth: NDArray[Any], weights: NDArray[Any]) -> t
 
 
 def every_figure(rows: Mapping[str, Rows]) -> dict[str, Any]:
-    """The figures of each half's games, and of the phantoms."""
+    """The figures of each half's exact and jittered games, and of the phantoms."""
     models = json.loads(MODEL.read_text())
     out = {}
     for half, own in rows.items():
         clicked = rows_of(own, "clicks")
-        phantoms = [name for name in own if name not in clicked]
-        cases: tuple[tuple[str, good_result.Kind, Rows, list[str]], ...] = (
-            (f"{half}, clicks", "clicks", clicked, list(clicked)), (f"{half}, phantoms", "image", own, phantoms),
-        )
-        for label, kind, among, names in cases:
-            if names:
-                crossing = {name: crossed(among, name, kind) for name in names} if half == "tune" else {}
-                said = {name: crossing.get(name) or probabilities(models[kind], own[name], kind) for name in names}
-                out[label] = figures({name: own[name] for name in names}, said, models[kind]["threshold"])
+        said = {
+            name: crossed(clicked, name, "clicks") if half == "tune" else probabilities(models["clicks"], few, "clicks")
+            for name, few in clicked.items()
+        }
+        # The model of the image may be older than the rows: they are judged by it as it is.
+        said |= {name: probabilities(models["image"], own[name], "image") for name in own if name not in clicked}
+        for game in ("exact clicks", "jittered clicks", "phantoms"):
+            judged = {
+                name: [pair for pair in zip(few, said[name], strict=True) if pair[0].get("game", "phantoms") in game]
+                for name, few in own.items()
+            }
+            judged = {name: pairs for name, pairs in judged.items() if pairs}
+            if judged:
+                limit = models["image" if game == "phantoms" else "clicks"]["threshold"]
+                out[f"{half}, {game}"] = figures(judged, limit)
     return out
 
 
-def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -> dict[str, Any]:
-    """Silent failures, false alarms, the reliability curve, and how well the doubtful place finds what is wrong."""
+def figures(judged: Mapping[str, Sequence[tuple[Mapping[str, Any], float]]], threshold: float) -> dict[str, Any]:
+    """Silent failures, false alarms, the reliability curve, and how well the doubtful place finds what is wrong.
+
+    ``judged`` has the rows of each object, each with its probability.
+    """
     values: list[float] = []
     truth, weights, place = [], [], []
-    for name, own in rows.items():
-        values += said[name]
-        truth += [row["dice"] for row in own]
-        weights += [1.0 / len(own) for _ in own]
-        place += [row for row in own if row["at_wrong"] is not None and row["dice"] < FINE]
+    for pairs in judged.values():
+        values += [said for _, said in pairs]
+        truth += [row["dice"] for row, _ in pairs]
+        weights += [1.0 / len(pairs) for _ in pairs]
+        place += [row for row, _ in pairs if row["at_wrong"] is not None and row["dice"] < FINE]
     p, d, w = np.array(values), np.array(truth), np.array(weights)
     silent, false = shares(p >= threshold, d, w)
     failed, fine = float(w[d < FAILED].sum()), float(w[d >= FINE].sum())
@@ -327,7 +338,7 @@ def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -
             stated = float(np.average(p[here], weights=w[here]))
             curve.append({"stated": stated, "good": good, "results": int(here.sum())})
     return {
-        "results": len(p), "objects": len(rows), "silent": silent, "false": false,
+        "results": len(p), "objects": len(judged), "silent": silent, "false": false,
         "silent_of_failures": silent * w.sum() / failed if failed else None,
         "false_of_good": false * w.sum() / fine if fine else None, "curve": curve,
         **{key: float(np.mean([row[key] for row in place])) if place else None

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib import resources
 from typing import Any, Literal
 
@@ -39,10 +39,10 @@ def probability(kind: Kind, features: Mapping[str, float]) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(total, 50.0), -50.0)))
 
 
-def lowest_term(kind: Kind, features: Mapping[str, float]) -> str:
-    """Return the name of the feature that lowers the probability most."""
+def lowest_term(kind: Kind, features: Mapping[str, float], names: Collection[str]) -> str:
+    """Return which of the features that are named lowers the probability most."""
     terms = _terms(kind, features)
-    return min(terms, key=terms.__getitem__)
+    return min((name for name in terms if name in names), key=terms.__getitem__)
 
 
 def _terms(kind: Kind, features: Mapping[str, float]) -> dict[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
+    from accelsurf.analysis.evidence import Evidence
     from accelsurf.energies.seeded import Sureness
     from accelsurf.evolution.records import StepRecord, Stop
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
 #: A rest is noted where the object has grown to so many times its size since.
 MIN_BURST = 1.1
-#: What counts for an object without clicks as its volume over theirs, and for a first click as its correction, radii.
+#: What counts for an object without clicks as its volume over theirs, and where no click has corrected it (radii).
 USUAL_BEYOND, USUAL_CORRECTION = 20.0, 0.37
 
 
@@ -81,10 +82,10 @@ class Quality(NamedTuple):
         Volume at the end over that of the start.
     late_growth : float
         Relative change of the volume over the last 20 steps.
-    level_overlap, correction : float or None
-    click_count : int or None
-    size_spread : float or None
-        How sure the model of the clicks is: ``overlap``, ``correction``, ``clicks`` and ``spread`` of
+    level_overlap : float or None
+    corrections : int or None
+    correction, size_spread : float or None
+        How sure the model of the clicks is: ``overlap``, ``corrections``, ``correction`` and ``spread`` of
         `accelsurf.energies.seeded.Sureness`; None without one.
     unlike_learned : float or None
         Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
@@ -115,8 +116,8 @@ class Quality(NamedTuple):
     growth: float
     late_growth: float
     level_overlap: float | None
+    corrections: int | None
     correction: float | None
-    click_count: int | None
     size_spread: float | None
     unlike_learned: float | None
     leaked: bool
@@ -168,21 +169,14 @@ def assess(
         next_click=None if place is None else _world(geometry, place),
         next_doubt=doubt,
         border_fraction=_border_fraction(inside, spacing),
-        contrast=0.0 if found is None else found.contrast,
+        **_along_surface(found),
         no_edge_fraction=no_edge_fraction(inside, image, spacing),
-        evidence=0.0 if found is None else float(found.of_image.mean()),
-        clicked=0.0 if found is None else float(found.click.mean()),
         beyond_clicks=None if clicked is None else _beyond(inside, clicked),
-        inside_like=1.0 if found is None else found.inside_like,
-        drift=0.0 if found is None else found.drift,
         compactness=_compactness(history[-1] if history else None, geometry),
         parts_beyond_necks=parts_beyond_necks(inside),
         growth=last / first if first > 0 else 0.0,
         late_growth=(last - before) / last if last > 0 else 0.0,
-        level_overlap=None if sureness is None else sureness.overlap,
-        correction=None if sureness is None else sureness.correction,
-        click_count=None if sureness is None else sureness.clicks,
-        size_spread=None if sureness is None else sureness.spread,
+        **_by_clicks(sureness),
         unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
         leaked=stop.reason == "leaked",
         rests=tuple(rests),
@@ -192,6 +186,20 @@ def assess(
     probability = good_result.probability(kind_of(measured), features(measured, stop.reason, last))
     measured = measured._replace(probability=probability)
     return measured._replace(warnings=tuple(_warnings(measured, stop, last)), notes=tuple(_notes(measured, last)))
+
+
+def _along_surface(found: Evidence | None) -> dict[str, Any]:
+    """The measures along the surface; those of a result of which nothing is known where it has none."""
+    if found is None:
+        return {"contrast": 0.0, "evidence": 0.0, "clicked": 0.0, "inside_like": 1.0, "drift": 0.0}
+    means = {"evidence": float(found.of_image.mean()), "clicked": float(found.click.mean())}
+    return {"contrast": found.contrast, **means, "inside_like": found.inside_like, "drift": found.drift}
+
+
+def _by_clicks(sureness: Sureness | None) -> dict[str, Any]:
+    """The measures by the model of the clicks; without one they are None."""
+    overlap, corrections, last, spread = sureness or (None, None, None, None)
+    return {"level_overlap": overlap, "corrections": corrections, "correction": last, "size_spread": spread}
 
 
 def kind_of(found: Quality) -> good_result.Kind:
@@ -214,7 +222,7 @@ def click_features(found: Quality) -> dict[str, float] | None:
     return {
         "level_overlap": math.log(overlap / (1.0 - overlap)),
         "correction": math.log(min(max(correction, 0.03), 5.0)),
-        "click_count": math.log(min(found.click_count or 1, 10)),
+        "corrections": math.log1p(min(found.corrections or 0, 9)),
         "size_spread": min(found.size_spread, 3.0),
     }
 
@@ -295,11 +303,10 @@ def _why(found: Quality) -> str:
         "unconverged": "it did not converge",
         "level_overlap": "slightly more or less would be another object",
         "correction": f"the last click was {found.correction or 0.0:.2g} radii away from what was found before",
-        "click_count": "few clicks say what it is",
         "size_spread": "other sizes are likely too",
     }
     last = found.rests[0].volume_mm3 if found.rests else 0.0
-    return words[good_result.lowest_term(kind_of(found), features(found, "converged", last))]
+    return words[good_result.lowest_term(kind_of(found), features(found, "converged", last), words)]
 
 
 def _notes(found: Quality, last: float) -> list[str]:

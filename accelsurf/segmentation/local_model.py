@@ -17,7 +17,7 @@ from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.model import BEYOND, later_times
-from accelsurf.energies.seeded.sureness import Sureness, correction_of, sureness_of
+from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to
@@ -44,7 +44,7 @@ class LocalState(NamedTuple):
     ``clicks`` that it was made from and the ``answer`` to them (None of a partition), on the whole grid's indices;
     ``images``, the channels as the model sees them, on the whole grid; ``field`` F and ``start`` on the box; ``sized``,
     whether a size was stated; ``shown``, F and start before they were brought to the edges of the image; ``proposal``
-    of the first click; ``correction`` of the last one, as of `SeededModel`.
+    of the first click; ``corrections``, as of `SeededModel`.
     """
 
     clicks: Clicks
@@ -56,7 +56,7 @@ class LocalState(NamedTuple):
     sized: bool = False
     shown: Shown | None = None
     proposal: Proposal | None = None
-    correction: float | None = None
+    corrections: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, model: SeededModel) -> LocalState:
@@ -65,7 +65,7 @@ class LocalState(NamedTuple):
             return cls(model.clicks, None, model.images, whole_box(model.field.shape), model.field, model.start)
         box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
         field, start = model.field[box].copy(), model.start[box].copy()
-        said = model.sized, model.shown, model.proposal, model.correction
+        said = model.sized, model.shown, model.proposal, model.corrections
         return cls(model.clicks, model.answer, model.images, box, field, start, *said)
 
 
@@ -73,7 +73,7 @@ def sureness_from(model: SeededModel | LocalState) -> Sureness | None:
     """How sure a model is of its object; None of a partition."""
     if model.shown is None or model.proposal is None:
         return None
-    return sureness_of(model.shown, model.clicks, model.proposal, model.correction)
+    return sureness_of(model.shown, model.clicks, model.proposal, model.corrections)
 
 
 class ModelChange(NamedTuple):
@@ -139,9 +139,11 @@ class LocalModel:
             shown = mixed_answer(answer, parts, clicks, before.sized, before.shown)
             edges = at_edges(shown, self._images, before.images, self.spacing, clicks, self._passes)
             assert before.shown is not None  # there is an answer
-            correction = correction_of(click, before.shown, shown, self.spacing, clicks.shape)
+            corrections = corrections_with(
+                before.corrections, click, (before.shown, shown), self.spacing, clicks.shape
+            )
             self.state = LocalState(
-                clicks, answer, before.images, *edges, before.sized, shown, before.proposal, correction
+                clicks, answer, before.images, *edges, before.sized, shown, before.proposal, corrections
             )
         box = enclosing(self.state.box, before.box)
         now = on_box(self.state.start, self.state.box, box, False)

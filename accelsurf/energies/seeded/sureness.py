@@ -29,21 +29,21 @@ class Sureness(NamedTuple):
     ----------
     overlap : float
         Dice of the objects {F < -0.1} and {F < 0.1}: 1 where F is steep at its boundary.
+    corrections : int
+        Number of clicks that were on the wrong side of what was shown before them.
     correction : float or None
-        How far from the object before it the last click was, in radii of the object; None where there was one click.
-    clicks : int
-        Number of clicks.
+        How far the last one of these was from its own side, in radii of the object; None where there was none.
     spread : float
         Of the size that the first click proposed: `Proposal.spread`.
     """
 
     overlap: float
+    corrections: int
     correction: float | None
-    clicks: int
     spread: float
 
 
-def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, correction: float | None) -> Sureness:
+def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, corrections: Sequence[float]) -> Sureness:
     """Measure how sure a model is.
 
     Parameters
@@ -53,8 +53,8 @@ def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, correction: fl
     clicks : Clicks
     proposal : Proposal
         Of the first click.
-    correction : float or None
-        Of the last click, see `correction_of`.
+    corrections : sequence of float
+        See `corrections_with`.
     """
     own = bounding_box(shown.inside) or whole_box(shown.inside.shape)
     part = widened(own, shown.inside.shape, [math.ceil(AROUND * (side.stop - side.start)) for side in own])
@@ -70,21 +70,31 @@ def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, correction: fl
     both = smaller + int(np.count_nonzero(connected_to(force < LEVEL, clicked)))
     return Sureness(
         overlap=2.0 * smaller / both if both else 0.0,
-        correction=correction,
-        clicks=len(clicks),
+        corrections=len(corrections),
+        correction=corrections[-1] if corrections else None,
         spread=proposal.spread,
     )
 
 
-def correction_of(click: Click, before: Shown, after: Shown, spacing: Spacing, shape: Sequence[int]) -> float:
-    """How far a click's middle was from its side of what was shown before it, in radii of what is shown after it.
+def corrections_with(
+    earlier: tuple[float, ...],
+    click: Click,
+    shown: tuple[Shown, Shown],
+    spacing: Spacing,
+    shape: Sequence[int],
+) -> tuple[float, ...]:
+    """How far clicks were off, with one more: from its middle to its side of what was shown before it.
 
-    0 where it was on its side already. A person clicks where most is wrong: far from there is very wrong.
+    In radii of what is shown after it. A person clicks where most is wrong: far from its side is very wrong. A click
+    that was on its side already corrects nothing, and is left out.
 
     Parameters
     ----------
+    earlier : tuple of float
+        Those of the clicks before.
     click : Click
-    before, after : Shown
+    shown : (Shown, Shown)
+        Before and after it.
     spacing : (hz, hy, hx)
         mm.
     shape : (nz, ny, nx)
@@ -93,10 +103,10 @@ def correction_of(click: Click, before: Shown, after: Shown, spacing: Spacing, s
     places = np.argwhere(click.mask) + [s.start for s in click.box]
     steps = np.array(spacing)
     middle = places[int(np.argmin((((places - places.mean(axis=0)) * steps) ** 2).sum(axis=1)))]
-    away = _distance(before, click.side == "inside", middle, steps, shape)
-    count = int(np.count_nonzero(after.inside))
+    away = _distance(shown[0], click.side == "inside", middle, steps, shape)
+    count = int(np.count_nonzero(shown[1].inside))
     radius = radius_of(float(max(count, 1)), spacing, shape[0] == 1)
-    return away / radius
+    return (*earlier, away / radius) if away > 0 else earlier
 
 
 def _distance(

@@ -7,7 +7,7 @@ from scipy import ndimage
 from accelsurf.energies.seeded import Proposal, seeded_model
 from accelsurf.energies.seeded.answers import Shown
 from accelsurf.energies.seeded.evidence import spread_of
-from accelsurf.energies.seeded.sureness import correction_of, sureness_of
+from accelsurf.energies.seeded.sureness import corrections_with, sureness_of
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.segmentation.local_model import sureness_from
@@ -26,7 +26,7 @@ def shown(force):
 
 
 def overlap(force, *clicks):
-    return sureness_of(shown(force), Clicks(clicks, force.shape), SIZED, None).overlap
+    return sureness_of(shown(force), Clicks(clicks, force.shape), SIZED, ()).overlap
 
 
 @pytest.mark.parametrize("slope, smaller, larger", [(1.0, 20, 20), (0.03, 17, 23), (0.0085, 8, 30)])
@@ -48,10 +48,10 @@ def test_what_is_connected_to_no_click_does_not_count():
 def test_the_box_of_what_is_shown_makes_no_difference():
     force = (0.06 * (distance((13, 20, 24)) - 8)).astype(np.float32)
     clicks = Clicks((ball("inside", (13, 20, 24), 3.0),), SHAPE)
-    whole = sureness_of(shown(force), clicks, SIZED, 0.4)
+    whole = sureness_of(shown(force), clicks, SIZED, (0.9, 0.4))
     box = (slice(2, 25), slice(3, 38), slice(5, 44))
-    assert sureness_of(Shown(box, force[box], force[box] < 0), clicks, SIZED, 0.4) == whole
-    assert (whole.correction, whole.clicks, whole.spread) == (0.4, 1, 0.3)
+    assert sureness_of(Shown(box, force[box], force[box] < 0), clicks, SIZED, (0.9, 0.4)) == whole
+    assert (whole.corrections, whole.correction, whole.spread) == (2, 0.4, 0.3)
     low, high = (8 - 0.1 / 0.06) ** 3, (8 + 0.1 / 0.06) ** 3
     assert whole.overlap == pytest.approx(2 * low / (low + high), abs=0.02)
 
@@ -62,15 +62,16 @@ def test_a_correction_is_measured_in_radii_from_the_side_that_it_should_be_on():
     radius = (0.75 * 8 * 8 * 20 * 1.2 / np.pi) ** (1 / 3)
     for side, x, voxels in (("inside", 24, 5), ("inside", 60, 41), ("inside", 19, 0), ("outside", 3, 17),
                             ("outside", 20, 0)):
-        found = correction_of(point(side, 4, 4, x), before, before, spacing, force.shape)
-        assert found == pytest.approx(0.8 * voxels / radius)
+        found = corrections_with((9.0,), point(side, 4, 4, x), (before, before), spacing, force.shape)
+        assert found == pytest.approx((9.0, 0.8 * voxels / radius) if voxels else (9.0,))
     # In radii of what is shown after it.
     after = shown(np.where(np.arange(64) < 40, -0.5, 0.5)[None, None] * np.ones((8, 8, 1)))
-    found = correction_of(point("inside", 4, 4, 24), before, after, spacing, force.shape)
-    assert found == pytest.approx(0.8 * 5 / (radius * 2 ** (1 / 3)))
+    found = corrections_with((), point("inside", 4, 4, 24), (before, after), spacing, force.shape)
+    assert found == pytest.approx((0.8 * 5 / (radius * 2 ** (1 / 3)),))
     # A ball is where its middle is.
     click = Click("inside", (slice(3, 6), slice(3, 6), slice(23, 26)), np.ones((3, 3, 3), bool))
-    assert correction_of(click, before, before, spacing, force.shape) == pytest.approx(0.8 * 5 / radius)
+    found = corrections_with((), click, (before, before), spacing, force.shape)
+    assert found == pytest.approx((0.8 * 5 / radius,))
 
 
 def test_the_distance_is_exact_in_space():
@@ -80,8 +81,8 @@ def test_the_distance_is_exact_in_space():
     away = ndimage.distance_transform_edt(~inside, sampling=SPACING)
     radius = (0.75 * volume_of(inside) / np.pi) ** (1 / 3)
     for index in random.integers(0, SHAPE, (30, 3)):
-        found = correction_of(point("inside", *index), before, before, SPACING, SHAPE)
-        assert found == pytest.approx(away[tuple(index)] / radius, rel=1e-5)
+        found = corrections_with((), point("inside", *index), (before, before), SPACING, SHAPE)
+        assert found == pytest.approx((away[tuple(index)] / radius,) if away[tuple(index)] else (), rel=1e-5)
 
 
 def test_the_spread_of_a_size_is_that_of_the_evidence():
@@ -100,7 +101,7 @@ def test_the_spread_of_a_size_is_that_of_the_evidence():
 def test_click_by_click_or_at_once_is_the_same():
     inside = distance((13, 20, 24)) < 9
     image = (inside + np.random.default_rng(0).normal(0, 0.6, SHAPE)).astype(np.float32)
-    clicks = [ball("inside", (13, 20, 24), 4.5), ball("outside", (13, 20, 40), 2.0), ball("inside", (13, 27, 24), 1.0)]
+    clicks = [ball("inside", (13, 20, 24), 4.5), ball("outside", (13, 20, 40), 2.0), ball("inside", (13, 31, 24), 1.0)]
     model = None
     for n in (1, 2, 3):
         given = Clicks(tuple(clicks[:n]), SHAPE)
@@ -108,4 +109,5 @@ def test_click_by_click_or_at_once_is_the_same():
         found = sureness_from(model)
         assert found == sureness_from(seeded_model([image], SPACING, given))
         assert found == sureness_from(seeded_model([image], SPACING, given, previous=model))
-        assert found.clicks == n and (found.correction is None) == (n == 1)
+        # The outside click lies where nothing was found, and corrects nothing.
+        assert found.corrections == (n == 3) and (found.correction is None) == (n < 3)
