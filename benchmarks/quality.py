@@ -57,6 +57,8 @@ SIGNS = {
 }
 #: The models. Rows with clicks make the first one and are judged by it; all rows make the other, which judges the rest.
 KINDS: tuple[good_result.Kind, ...] = ("clicks", "image")
+#: The figure has points of at least so many results.
+MANY = 5
 #: Weight of the squares of the weights, and folds of the cross-validation: whole objects are left out.
 RIDGE, FOLDS = 0.5, 17
 
@@ -369,13 +371,14 @@ def picture(found: Mapping[str, Mapping[str, Any]]) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(4.2, 4.0), dpi=120)
+    figure, axes = plt.subplots(figsize=(4.6, 5.0), dpi=120)
     axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
     for half, own in found.items():
-        stated, good = ([point[key] for point in own["curve"]] for key in ("stated", "good"))
+        many = [point for point in own["curve"] if point["results"] >= MANY]
+        stated, good = ([point[key] for point in many] for key in ("stated", "good"))
         axes.plot(stated, good, marker="o", label=f"{half} ({own['results']} results)")
     axes.set(xlabel="stated probability", ylabel="share with a Dice of 0.8 or more", xlim=(0, 1), ylim=(0, 1))
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncol=2, fontsize=7)
     figure.tight_layout()
     figure.savefig(PICTURE, metadata={"Software": None})
     plt.close(figure)
