@@ -1,9 +1,10 @@
 """Whether results know how good they are: calibrates the probability of a good result, and shows how reliable it is.
 
 Results are made on phantoms (several energies, noises and starts) and on the objects of the clicks benchmark, by the
-simulated person's first clicks. By default only its tuning half; ``--half report`` measures the other half with the
-model as it is, and calibrates nothing. One call writes the features of each result and its Dice into
-benchmarks/results/quality.json, the model into accelsurf/analysis/good_result.json, and the page's figure and table.
+simulated person's first clicks: an exact game and a jittered one of each object, ``accelsurf segment`` at the first
+click and ``accelsurf refine`` at each later one. By default only its tuning half; ``--half report`` measures the other
+half with the models as they are, and calibrates nothing. One call writes the features of each result and its Dice into
+benchmarks/results/quality.json, the models into accelsurf/analysis/good_result.json, and the page's figure and table.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from scipy import ndimage
 import accelsurf
 from accelsurf.analysis import good_result
 from accelsurf.analysis.metrics import dice
-from accelsurf.analysis.quality import features
+from accelsurf.analysis.quality import click_features, image_features
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms import recipes
 from benchmarks.clicks.objects import HALVES, chosen, load
-from benchmarks.clicks.own import text_of as click_text
+from benchmarks.clicks.own import Refined
 from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
 
@@ -39,8 +40,8 @@ PAGE, PICTURE = ROOT / "docs" / "explanation" / "quality.md", ROOT / "docs" / "i
 #: A result is good from this Dice on. Silent failures are below the second without a warning, false alarms are above
 #: the third with one.
 GOOD, FAILED, FINE = 0.8, 0.7, 0.85
-#: Clicks of each object.
-CLICKS = 5
+#: Clicks of each game, and the games of each object: None for exact clicks, a seed for jittered ones.
+CLICKS, GAMES = 5, (None, 0)
 #: Phantoms, noise in parts of the contrast, and energies.
 PHANTOMS = ("ball", "ball_anisotropic", "ball_small", "box", "cube", "disc", "torus", "two_balls")
 NOISE = (0.3, 1.0)
@@ -52,7 +53,12 @@ ENERGIES: tuple[dict[str, Any], ...] = (
 SIGNS = {
     "contrast": 1.0, "evidence": 1.0, "beyond_clicks": 1.0, "compactness": 1.0, "clicked": -1.0, "inside_like": -1.0,
     "drift": -1.0, "border": -1.0, "burst": -1.0, "growth": -1.0, "no_edge": -1.0, "unconverged": -1.0,
+    "level_overlap": 1.0, "corrections": 1.0, "correction": -1.0, "size_spread": -1.0,
 }
+#: The models. Rows with clicks make the first one and are judged by it; all rows make the other, which judges the rest.
+KINDS: tuple[good_result.Kind, ...] = ("clicks", "image")
+#: The figure has points of at least so many results.
+MANY = 5
 #: Weight of the squares of the weights, and folds of the cross-validation: whole objects are left out.
 RIDGE, FOLDS = 0.5, 17
 
@@ -62,6 +68,7 @@ def main() -> None:
     parser.add_argument("--half", choices=HALVES, default="tune")
     parser.add_argument("--only", default="", help="objects and phantoms, separated by commas; the others are kept")
     parser.add_argument("--fit", action="store_true", help="no runs: calibrate on the rows of the JSON")
+    parser.add_argument("--kind", choices=KINDS, default="clicks", help="the model that is calibrated")
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no object after so many")
     options = parser.parse_args()
     folder = os.environ.get("ACCELSURF_VOLUMES")
@@ -76,10 +83,11 @@ def main() -> None:
             print("the time is over", file=sys.stderr)
             break
     if options.half == "tune":
-        facts["model"] = fit(rows["tune"])
-        MODEL.write_text(json.dumps(facts["model"], indent=1) + "\n")
-        good_result.model.cache_clear()
-    facts["figures"] = {half: figures(own, cross=half == "tune") for half, own in rows.items() if own}
+        models = json.loads(MODEL.read_text())
+        models[options.kind] = fit(rows_of(rows["tune"], options.kind), options.kind)
+        MODEL.write_text(json.dumps(models, indent=1) + "\n")
+        good_result.models.cache_clear()
+    facts["figures"] = every_figure(rows)
     FACTS.write_text(json.dumps(facts, indent=0) + "\n")
     put_table(PAGE, "quality", text_of(facts["figures"]))
     picture(facts["figures"])
@@ -124,39 +132,46 @@ def halves(truth: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
 
 
 def by_clicks(image: Volume, truth: NDArray[np.bool_]) -> Iterator[dict[str, Any]]:
-    """Results after each of the person's first clicks."""
-    texts: dict[str, list[str]] = {"inside": [], "outside": []}
-    labels = None
-    for _ in range(CLICKS):
-        click = next_click(truth, labels, image.geometry)
-        if click is None:
-            return
-        texts[click.side].append(click_text(click, image))
-        found = list(measured(image, truth, {side: tuple(own) for side, own in texts.items()}))
-        if not found:
-            return
-        labels = found[0].pop("labels")
-        yield found[0]
+    """Results after each of the person's first clicks, game after game."""
+    for seed in GAMES:
+        random = None if seed is None else np.random.default_rng(seed)
+        player, labels = Refined(image, None), None
+        for _ in range(CLICKS):
+            click = next_click(truth, labels, image.geometry, random)
+            if click is None:
+                break
+            try:
+                labels = player.click(click)
+            except AccelsurfError:
+                break
+            found = row_from(player.result, truth, image)
+            if found is None:
+                break
+            yield {"game": "exact" if seed is None else "jittered", **found}
 
 
 def measured(image: Volume, truth: NDArray[np.bool_], options: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The features of a run's result, its Dice, and how far the doubtful place lies from what is wrong."""
+    """The row of a run; none where it failed."""
     try:
-        result = accelsurf.segment(image, threads=1, **options)
+        found = row_from(accelsurf.segment(image, threads=1, **options), truth, image)
     except AccelsurfError:
         return
-    labels = np.asarray(result.labels > 0)
-    if not result.objects[0].has_surface or result.quality is None:
-        return
-    quality = result.quality
-    row: dict[str, Any] = {
-        "dice": dice(labels, truth), "features": features(quality, result.stop.reason, result.volume_mm3),
+    if found is not None:
+        yield found
+
+
+def row_from(result: accelsurf.Result, truth: NDArray[np.bool_], image: Volume) -> dict[str, Any] | None:
+    """The features of a result, its Dice, and how far the doubtful place lies from what is wrong; None of nothing."""
+    labels, quality = np.asarray(result.labels > 0), result.quality
+    if not result.objects[0].has_surface or quality is None:
+        return None
+    said = click_features(quality)
+    return {
+        "dice": dice(labels, truth), "image": image_features(quality, result.stop.reason, result.volume_mm3),
+        **({} if said is None else {"clicks": said}),
         "other_warnings": [text.split(":")[0] for text in quality.warnings if not text.startswith("doubt")],
         **doubtful(quality.next_click, labels, truth, image),
     }
-    if "inside" in options:
-        row["labels"] = labels
-    yield row
 
 
 def doubtful(
@@ -185,23 +200,31 @@ def doubtful(
 # -- the model ----------------------------------------------------------------------------------------------
 
 
-def fit(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+Rows = Mapping[str, Sequence[Mapping[str, Any]]]
+
+
+def rows_of(rows: Rows, kind: good_result.Kind) -> Rows:
+    """The rows that make a model: those with clicks, or all."""
+    return rows if kind == "image" else {name: own for name, own in rows.items() if all(kind in row for row in own)}
+
+
+def fit(rows: Rows, kind: good_result.Kind) -> dict[str, Any]:
     """The logistic model of all rows; each object or phantom counts the same. Its threshold by cross-validation."""
-    found = trained(rows)
+    found = trained(rows, kind)
     values, truth, weights = [], [], []
     for name, own in rows.items():
-        values += list(crossed(rows, name))
+        values += list(crossed(rows, name, kind))
         truth += [row["dice"] for row in own]
         weights += [1.0 / len(own) for _ in own]
     found["threshold"] = best_threshold(np.array(values), np.array(truth), np.array(weights))
     return found
 
 
-def trained(rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+def trained(rows: Rows, kind: good_result.Kind) -> dict[str, Any]:
     """Means, deviations and weights of the features by Newton's method with a ridge."""
     every = [(row, 1.0 / len(own)) for own in rows.values() for row in own]
-    names = sorted(every[0][0]["features"])
-    table = np.array([[row["features"][name] for name in names] for row, _ in every])
+    names = sorted(every[0][0][kind])
+    table = np.array([[row[kind][name] for name in names] for row, _ in every])
     weight = np.array([w for _, w in every])
     weight *= len(every) / weight.sum()
     target = np.array([float(row["dice"] >= GOOD) for row, _ in every])
@@ -231,24 +254,26 @@ def _solved(x: NDArray[Any], weight: NDArray[Any], target: NDArray[Any], ridge: 
     return np.asarray(beta)
 
 
-def probabilities(model: Mapping[str, Any], own: Sequence[Mapping[str, Any]]) -> list[float]:
+def probabilities(
+    model: Mapping[str, Any], own: Sequence[Mapping[str, Any]], kind: good_result.Kind
+) -> list[float]:
     """The probability of a good result of each row."""
     out = []
     for row in own:
         total = model["constant"] + sum(
-            weight * (row["features"][name] - mean) / deviation
+            weight * (row[kind][name] - mean) / deviation
             for name, (mean, deviation, weight) in model["features"].items()
         )
         out.append(float(1.0 / (1.0 + np.exp(-np.clip(total, -50, 50)))))
     return out
 
 
-def crossed(rows: Mapping[str, Sequence[Mapping[str, Any]]], name: str) -> list[float]:
+def crossed(rows: Rows, name: str, kind: good_result.Kind) -> list[float]:
     """The probabilities of an object's rows by a model that was made without the objects of its fold."""
     order = sorted(rows)
     fold = order.index(name) % FOLDS
     others = {key: own for i, key in enumerate(order) if i % FOLDS != fold for own in [rows[key]]}
-    return probabilities(trained(others or rows), rows[name])
+    return probabilities(trained(others or rows, kind), rows[name], kind)
 
 
 def best_threshold(values: NDArray[Any], truth: NDArray[Any], weights: NDArray[Any]) -> float:
@@ -268,26 +293,54 @@ def shares(quiet: NDArray[Any], truth: NDArray[Any], weights: NDArray[Any]) -> t
     )
 
 
-def figures(rows: Mapping[str, Sequence[Mapping[str, Any]]], cross: bool) -> dict[str, Any]:
-    """Silent failures, false alarms, the reliability curve, and how well the doubtful place finds what is wrong."""
-    model = json.loads(MODEL.read_text())
-    values, truth, weights, place = [], [], [], []
-    for name, own in rows.items():
-        values += crossed(rows, name) if cross else probabilities(model, own)
-        truth += [row["dice"] for row in own]
-        weights += [1.0 / len(own) for _ in own]
-        place += [row for row in own if row["at_wrong"] is not None and row["dice"] < FINE]
+def every_figure(rows: Mapping[str, Rows]) -> dict[str, Any]:
+    """The figures of each half's exact and jittered games, and of the phantoms."""
+    models = json.loads(MODEL.read_text())
+    out = {}
+    for half, own in rows.items():
+        clicked = rows_of(own, "clicks")
+        said = {
+            name: crossed(clicked, name, "clicks") if half == "tune" else probabilities(models["clicks"], few, "clicks")
+            for name, few in clicked.items()
+        }
+        # The model of the image may be older than the rows: they are judged by it as it is.
+        said |= {name: probabilities(models["image"], own[name], "image") for name in own if name not in clicked}
+        for game in ("exact clicks", "jittered clicks", "phantoms"):
+            judged = {
+                name: [pair for pair in zip(few, said[name], strict=True) if pair[0].get("game", "phantoms") in game]
+                for name, few in own.items()
+            }
+            judged = {name: pairs for name, pairs in judged.items() if pairs}
+            if judged:
+                limit = models["image" if game == "phantoms" else "clicks"]["threshold"]
+                out[f"{half}, {game}"] = figures(judged, limit)
+    return out
+
+
+def figures(judged: Mapping[str, Sequence[tuple[Mapping[str, Any], float]]], threshold: float) -> dict[str, Any]:
+    """Silent failures, false alarms, the reliability curve, and how well the doubtful place finds what is wrong.
+
+    ``judged`` has the rows of each object, each with its probability.
+    """
+    values: list[float] = []
+    truth, weights, place = [], [], []
+    for pairs in judged.values():
+        values += [said for _, said in pairs]
+        truth += [row["dice"] for row, _ in pairs]
+        weights += [1.0 / len(pairs) for _ in pairs]
+        place += [row for row, _ in pairs if row["at_wrong"] is not None and row["dice"] < FINE]
     p, d, w = np.array(values), np.array(truth), np.array(weights)
-    silent, false = shares(p >= model["threshold"], d, w)
+    silent, false = shares(p >= threshold, d, w)
     failed, fine = float(w[d < FAILED].sum()), float(w[d >= FINE].sum())
     curve = []
     for low in np.arange(0.0, 1.0, 0.2):
-        own = (p >= low) & ((p < low + 0.2) | (low > 0.75))
-        if own.any():
-            good = float(np.average(d[own] >= GOOD, weights=w[own]))
-            curve.append({"stated": float(np.average(p[own], weights=w[own])), "good": good, "results": int(own.sum())})
+        here = (p >= low) & ((p < low + 0.2) | (low > 0.75))
+        if here.any():
+            good = float(np.average((d[here] >= GOOD).astype(float), weights=w[here]))
+            stated = float(np.average(p[here], weights=w[here]))
+            curve.append({"stated": stated, "good": good, "results": int(here.sum())})
     return {
-        "results": len(p), "objects": len(rows), "silent": silent, "false": false,
+        "results": len(p), "objects": len(judged), "silent": silent, "false": false,
         "silent_of_failures": silent * w.sum() / failed if failed else None,
         "false_of_good": false * w.sum() / fine if fine else None, "curve": curve,
         **{key: float(np.mean([row[key] for row in place])) if place else None
@@ -300,7 +353,7 @@ def figures(rows: Mapping[str, Sequence[Mapping[str, Any]]], cross: bool) -> dic
 
 def text_of(found: Mapping[str, Mapping[str, Any]]) -> str:
     """The page's table."""
-    columns = ("half", "results", "silent failures", "false alarms", "doubtful place is wrong", "a random one",
+    columns = ("results of", "number", "silent failures", "false alarms", "doubtful place is wrong", "a random one",
                "surface farther from the next click")
     lines = head_of(columns)
     for half, own in found.items():
@@ -318,13 +371,14 @@ def picture(found: Mapping[str, Mapping[str, Any]]) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(4.2, 4.0), dpi=120)
+    figure, axes = plt.subplots(figsize=(4.6, 5.0), dpi=120)
     axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
     for half, own in found.items():
-        stated, good = ([point[key] for point in own["curve"]] for key in ("stated", "good"))
+        many = [point for point in own["curve"] if point["results"] >= MANY]
+        stated, good = ([point[key] for point in many] for key in ("stated", "good"))
         axes.plot(stated, good, marker="o", label=f"{half} ({own['results']} results)")
     axes.set(xlabel="stated probability", ylabel="share with a Dice of 0.8 or more", xlim=(0, 1), ylim=(0, 1))
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncol=2, fontsize=7)
     figure.tight_layout()
     figure.savefig(PICTURE, metadata={"Software": None})
     plt.close(figure)

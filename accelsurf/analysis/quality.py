@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
+    from accelsurf.analysis.evidence import Evidence
+    from accelsurf.energies.seeded import Sureness
     from accelsurf.evolution.records import StepRecord, Stop
 
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
@@ -27,8 +29,8 @@ if TYPE_CHECKING:
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
 #: A rest is noted where the object has grown to so many times its size since.
 MIN_BURST = 1.1
-#: What counts for an object without clicks as its volume over theirs.
-USUAL_BEYOND = 20.0
+#: What counts for an object without clicks as its volume over theirs, and where no click has corrected it (radii).
+USUAL_BEYOND, USUAL_CORRECTION = 20.0, 0.37
 
 
 class RestNote(NamedTuple):
@@ -80,6 +82,11 @@ class Quality(NamedTuple):
         Volume at the end over that of the start.
     late_growth : float
         Relative change of the volume over the last 20 steps.
+    level_overlap : float or None
+    corrections : int or None
+    correction, size_spread : float or None
+        How sure the model of the clicks is: ``overlap``, ``corrections``, ``correction`` and ``spread`` of
+        `accelsurf.energies.seeded.Sureness`; None without one.
     unlike_learned : float or None
         Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
         deviations from the mean of those that it was learned from; None where no model was learned once.
@@ -108,6 +115,10 @@ class Quality(NamedTuple):
     parts_beyond_necks: int
     growth: float
     late_growth: float
+    level_overlap: float | None
+    corrections: int | None
+    correction: float | None
+    size_spread: float | None
     unlike_learned: float | None
     leaked: bool
     rests: tuple[RestNote, ...]
@@ -124,6 +135,7 @@ def assess(
     learned: tuple[float, float] | None = None,
     rests: Sequence[RestNote] = (),
     clicked: NDArray[np.bool_] | None = None,
+    sureness: Sureness | None = None,
 ) -> Quality:
     """Measure the quality of a result.
 
@@ -142,6 +154,8 @@ def assess(
     rests : sequence of RestNote, optional
     clicked : ndarray (nz, ny, nx) of bool, optional
         Voxels that a person clicked, on either side.
+    sureness : Sureness, optional
+        Of the model of the clicks.
     """
     inside, spacing = labels > 0, geometry.spacing
     own = [row for row in history if row.level == 0]
@@ -155,29 +169,66 @@ def assess(
         next_click=None if place is None else _world(geometry, place),
         next_doubt=doubt,
         border_fraction=_border_fraction(inside, spacing),
-        contrast=0.0 if found is None else found.contrast,
+        **_along_surface(found),
         no_edge_fraction=no_edge_fraction(inside, image, spacing),
-        evidence=0.0 if found is None else float(found.of_image.mean()),
-        clicked=0.0 if found is None else float(found.click.mean()),
         beyond_clicks=None if clicked is None else _beyond(inside, clicked),
-        inside_like=1.0 if found is None else found.inside_like,
-        drift=0.0 if found is None else found.drift,
         compactness=_compactness(history[-1] if history else None, geometry),
         parts_beyond_necks=parts_beyond_necks(inside),
         growth=last / first if first > 0 else 0.0,
         late_growth=(last - before) / last if last > 0 else 0.0,
+        **_by_clicks(sureness),
         unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
         leaked=stop.reason == "leaked",
         rests=tuple(rests),
         warnings=(),
         notes=(),
     )
-    measured = measured._replace(probability=good_result.probability(features(measured, stop.reason, last)))
+    probability = good_result.probability(kind_of(measured), features(measured, stop.reason, last))
+    measured = measured._replace(probability=probability)
     return measured._replace(warnings=tuple(_warnings(measured, stop, last)), notes=tuple(_notes(measured, last)))
+
+
+def _along_surface(found: Evidence | None) -> dict[str, Any]:
+    """The measures along the surface; those of a result of which nothing is known where it has none."""
+    if found is None:
+        return {"contrast": 0.0, "evidence": 0.0, "clicked": 0.0, "inside_like": 1.0, "drift": 0.0}
+    means = {"evidence": float(found.of_image.mean()), "clicked": float(found.click.mean())}
+    return {"contrast": found.contrast, **means, "inside_like": found.inside_like, "drift": found.drift}
+
+
+def _by_clicks(sureness: Sureness | None) -> dict[str, Any]:
+    """The measures by the model of the clicks; without one they are None."""
+    overlap, corrections, last, spread = sureness or (None, None, None, None)
+    return {"level_overlap": overlap, "corrections": corrections, "correction": last, "size_spread": spread}
+
+
+def kind_of(found: Quality) -> good_result.Kind:
+    """Which model tells the probability."""
+    return "image" if found.level_overlap is None else "clicks"
 
 
 def features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
     """What the probability of a good result depends on, by name."""
+    clicks = click_features(found)
+    return image_features(found, reason, volume_mm3) if clicks is None else clicks
+
+
+def click_features(found: Quality) -> dict[str, float] | None:
+    """Those of the model of the clicks; None without one."""
+    if found.level_overlap is None or found.size_spread is None:
+        return None
+    overlap = min(max(found.level_overlap, 0.01), 0.99)
+    correction = USUAL_CORRECTION if found.correction is None else found.correction
+    return {
+        "level_overlap": math.log(overlap / (1.0 - overlap)),
+        "correction": math.log(min(max(correction, 0.03), 5.0)),
+        "corrections": math.log1p(min(found.corrections or 0, 9)),
+        "size_spread": min(found.size_spread, 3.0),
+    }
+
+
+def image_features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
+    """Those of the surface, the image and the run."""
     burst = max((volume_mm3 / rest.volume_mm3 for rest in found.rests[:1] if rest.volume_mm3 > 0), default=1.0)
     return {
         "contrast": math.log(min(max(found.contrast, 0.1), 100.0)),
@@ -222,7 +273,7 @@ def _warnings(found: Quality, stop: Stop, last: float) -> list[str]:
     there = "" if found.next_click is None else _point(found.next_click)
     if found.leaked:
         warnings.append(f"leak: {stop.message}; try --outside point:X,Y,Z in what it ran into")
-    if found.probability < good_result.threshold() and found.next_click is not None:
+    if found.probability < good_result.threshold(kind_of(found)) and found.next_click is not None:
         click = f"look at {there} first and try --inside point:{there}, or --outside if it is not the object"
         sure = f"{found.probability:.0%} likely to be good"
         warnings.append(f"doubt: probably not right ({_why(found)}; {sure}); {click}")
@@ -250,9 +301,12 @@ def _why(found: Quality) -> str:
         "growth": f"it grew {found.growth:.3g} times",
         "no_edge": f"under {found.no_edge_fraction:.0%} of the surface the image has no edge",
         "unconverged": "it did not converge",
+        "level_overlap": "slightly more or less would be another object",
+        "correction": f"the last click was {found.correction or 0.0:.2g} radii away from what was found before",
+        "size_spread": "other sizes are likely too",
     }
     last = found.rests[0].volume_mm3 if found.rests else 0.0
-    return words[good_result.lowest_term(features(found, "converged", last))]
+    return words[good_result.lowest_term(kind_of(found), features(found, "converged", last), words)]
 
 
 def _notes(found: Quality, last: float) -> list[str]:

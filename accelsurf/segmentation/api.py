@@ -10,14 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.energies.seeded import Sureness
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord, Stop
 from accelsurf.grid.boxes import Box, box_at, widened
 from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
+from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
 from accelsurf.segmentation.late_growth import LateGrowth
+from accelsurf.segmentation.local_model import sureness_from
+from accelsurf.segmentation.preprocessing import uses_model
 from accelsurf.segmentation.refine import state_of, with_refinements
 from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.rest_points import rest_points
@@ -320,6 +324,12 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
     return out
 
 
+def _sureness(run: Run, one: EvolvingObject) -> Sureness | None:
+    """How sure the model of an object's clicks is; None where the energy has none."""
+    named = run.energy_given is None or isinstance(run.energy_given, str)
+    return sureness_from(one.context.seeded_model()) if named and uses_model(run.config) else None
+
+
 def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     """The object of a run of one, on the whole grid."""
     (one,), ((history, stop),) = run.objects, _ending(run)
@@ -330,7 +340,7 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     rests = rest_points(one.evolution.state.rests.found, run.prepared, whole)
     return SegmentedObject(
         1, whole, psi, image, run.volume.geometry, history, stop, one.made.terms, learned, rests,
-        clicked_voxels(run.clicks, 1, run.prepared.first, whole),
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _sureness(run, one),
     )
 
 
@@ -346,7 +356,7 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
             SegmentedObject(
                 one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned,
                 rest_points(one.evolution.state.rests.found, run.prepared, box),
-                clicked_voxels(run.clicks, one.id, run.prepared.first, box),
+                clicked_voxels(run.clicks, one.id, run.prepared.first, box), _sureness(run, one),
             )
         )
     return tuple(objects)

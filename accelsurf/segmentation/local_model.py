@@ -11,12 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded import SeededModel
+from accelsurf.energies.seeded import Proposal, SeededModel
 from accelsurf.energies.seeded.answers import Answer, Shown, mixed_answer, with_click
 from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.model import BEYOND, later_times
+from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to
@@ -42,7 +43,8 @@ class LocalState(NamedTuple):
 
     ``clicks`` that it was made from and the ``answer`` to them (None of a partition), on the whole grid's indices;
     ``images``, the channels as the model sees them, on the whole grid; ``field`` F and ``start`` on the box; ``sized``,
-    whether a size was stated; ``shown``, F and start before they were brought to the edges of the image.
+    whether a size was stated; ``shown``, F and start before they were brought to the edges of the image; ``proposal``
+    of the first click; ``corrections``, as of `SeededModel`.
     """
 
     clicks: Clicks
@@ -53,6 +55,8 @@ class LocalState(NamedTuple):
     start: Mask
     sized: bool = False
     shown: Shown | None = None
+    proposal: Proposal | None = None
+    corrections: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, model: SeededModel) -> LocalState:
@@ -61,7 +65,15 @@ class LocalState(NamedTuple):
             return cls(model.clicks, None, model.images, whole_box(model.field.shape), model.field, model.start)
         box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
         field, start = model.field[box].copy(), model.start[box].copy()
-        return cls(model.clicks, model.answer, model.images, box, field, start, model.sized, model.shown)
+        said = model.sized, model.shown, model.proposal, model.corrections
+        return cls(model.clicks, model.answer, model.images, box, field, start, *said)
+
+
+def sureness_from(model: SeededModel | LocalState) -> Sureness | None:
+    """How sure a model is of its object; None of a partition."""
+    if model.shown is None or model.proposal is None:
+        return None
+    return sureness_of(model.shown, model.clicks, model.proposal, model.corrections)
 
 
 class ModelChange(NamedTuple):
@@ -126,7 +138,13 @@ class LocalModel:
                 answer = answered.result()
             shown = mixed_answer(answer, parts, clicks, before.sized, before.shown)
             edges = at_edges(shown, self._images, before.images, self.spacing, clicks, self._passes)
-            self.state = LocalState(clicks, answer, before.images, *edges, before.sized, shown)
+            assert before.shown is not None  # there is an answer
+            corrections = corrections_with(
+                before.corrections, click, (before.shown, shown), self.spacing, clicks.shape
+            )
+            self.state = LocalState(
+                clicks, answer, before.images, *edges, before.sized, shown, before.proposal, corrections
+            )
         box = enclosing(self.state.box, before.box)
         now = on_box(self.state.start, self.state.box, box, False)
         return ModelChange(box, now != on_box(before.start, before.box, box, False), before)

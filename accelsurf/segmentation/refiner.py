@@ -32,7 +32,7 @@ from accelsurf.segmentation.corrected_surface import (
     wrong_part,
 )
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near, measures_of
-from accelsurf.segmentation.local_model import ModelChange, basin_of, local_models
+from accelsurf.segmentation.local_model import ModelChange, basin_of, local_models, sureness_from
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
 from accelsurf.segmentation.new_clicks import check_object, clicks_of, clicks_on, placed_clicks, refuse_contradictions
 from accelsurf.segmentation.region_of_interest import closed_on, cropped
@@ -380,6 +380,8 @@ class Refiner:
         z, y, x = (c + first for c, first in zip(now.corner, prepared.first, strict=True))
         box = one.box if is_same or not self._result.has_ids else part_of_image(one.box, (z, y, x), now, prepared)
         clicked = clicked_voxels(self._clicks, one.id, prepared.first, box) if len(self._clicks) else None
+        if one.id in self._models:
+            one = dataclasses.replace(one, sureness=sureness_from(self._models[one.id].state))
         if is_same:
             unchanged = clicked is None or (one.clicked is not None and np.array_equal(clicked, one.clicked))
             return one if unchanged else dataclasses.replace(one, clicked=clicked)

@@ -6,11 +6,12 @@ import dataclasses
 from collections.abc import Sequence
 
 from accelsurf.errors import InputError
+from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import result_of
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
-from accelsurf.segmentation.local_model import local_models
+from accelsurf.segmentation.local_model import LocalModel, local_models, sureness_from
 from accelsurf.segmentation.new_clicks import clicks_of, clicks_on, placed_clicks
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
@@ -54,9 +55,7 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
             for click in clicks_on(new, id):
                 model.add(click)
     said = clicks if clicks.clicks else None
-    objects = tuple(
-        dataclasses.replace(one, clicked=clicked_voxels(said, one.id, prepared.first, one.box)) for one in objects
-    )
+    objects = tuple(_with_clicks(one, said, models.get(one.id), prepared.first) for one in objects)
     return dataclasses.replace(
         base,
         objects=objects,
@@ -73,6 +72,12 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
             models={id: one.state for id, one in models.items()},
         ),
     )
+
+
+def _with_clicks(one: SegmentedObject, said: Clicks | None, model: LocalModel | None, first: Corner) -> SegmentedObject:
+    """An object with all that was clicked on the region of interest, whose first voxel is ``first``."""
+    sureness = one.sureness if model is None else sureness_from(model.state)
+    return dataclasses.replace(one, clicked=clicked_voxels(said, one.id, first, one.box), sureness=sureness)
 
 
 def _object(one: ObjectFile, known: SegmentedObject, base: Result) -> SegmentedObject:

@@ -15,6 +15,7 @@ from accelsurf.analysis import contours
 from accelsurf.analysis.contours import Contours
 from accelsurf.analysis.quality import Quality, RestNote, assess
 from accelsurf.analysis.surface_mesh import Surface, extract
+from accelsurf.energies.seeded import Sureness
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
@@ -57,6 +58,8 @@ class SegmentedObject:
         Where its front rested before it broke through to something else.
     clicked : ndarray (nz, ny, nx) of bool, or None
         Voxels of its part that a person clicked, on either side.
+    sureness : Sureness or None
+        How sure the model of the clicks is; None where the energy has none.
     """
 
     id: int
@@ -70,6 +73,7 @@ class SegmentedObject:
     learned: tuple[float, float] | None = None
     rests: tuple[RestPoint, ...] = ()
     clicked: NDArray[np.bool_] | None = None
+    sureness: Sureness | None = None
 
     def __repr__(self) -> str:
         return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
@@ -153,9 +157,8 @@ class SegmentedObject:
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
         rests = [RestNote(one.step, one.volume_mm3, one.left_at, one.place) for one in self.rests]
-        return assess(
-            self.labels, self.image, self.geometry, self.history, self.stop, self.learned, rests, self.clicked
-        )
+        seen = self.labels, self.image, self.geometry, self.history, self.stop
+        return assess(*seen, self.learned, rests, self.clicked, self.sureness)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

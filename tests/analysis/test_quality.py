@@ -7,7 +7,9 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.analysis import good_result
-from accelsurf.analysis.quality import RestNote, assess, features
+from accelsurf.analysis.metrics import dice
+from accelsurf.analysis.quality import RestNote, assess, click_features, features
+from accelsurf.energies.seeded import Sureness
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
@@ -15,6 +17,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.api import segment
+from accelsurf.segmentation.refine import refine
 from tests.support.records import step_record
 
 SHAPE, SPACING = (40, 44, 48), (1.5, 1.0, 0.8)
@@ -157,12 +160,49 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     image = (r < 12) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
     history = [step_record(0, volume_mm3=900.0), step_record(9, volume_mm3=7200.0, area_mm2=1810.0)]
     good, bad = (look(mask, image, history) for mask in (r < 12, (r < 7) | ((x > 0) & (r < 16))))
-    assert good.probability > good_result.threshold() > bad.probability
-    total = good_result.model()["constant"] + sum(
+    assert good.probability > good_result.threshold("image") > bad.probability
+    model = good_result.models()["image"]
+    total = model["constant"] + sum(
         weight * (features(good, "converged", 7200.0)[name] - mean) / deviation
-        for name, (mean, deviation, weight) in good_result.model()["features"].items()
+        for name, (mean, deviation, weight) in model["features"].items()
     )
     assert good.probability == pytest.approx(1 / (1 + np.exp(-total)))
+
+
+def test_what_the_model_of_the_clicks_says_counts_for_all():
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2
+    seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), [], DONE
+
+    def probability(**changes):
+        found = assess(*seen, sureness=Sureness(0.85, 1, 0.3, 0.9)._replace(**changes))
+        assert click_features(found) == features(found, "converged", 7200.0)
+        doubted = [words for words in found.warnings if words.startswith("doubt: ")]
+        assert bool(doubted) == (found.probability < good_result.threshold("clicks"))
+        return found.probability
+
+    usual = probability()
+    assert probability(overlap=0.95) > usual > probability(overlap=0.7) > 0.0
+    assert probability(corrections=3) > usual > probability(corrections=0, correction=None)
+    assert probability(correction=0.1) > usual > probability(correction=0.9)
+    assert probability(spread=0.2) > usual > probability(spread=1.8)
+    assert probability(overlap=0.0, correction=99.0) < 0.02 < 0.98 < probability(overlap=1.0, correction=1e-9, spread=0)
+
+
+def test_a_result_of_a_click_that_fails_is_doubted_and_a_good_one_is_not():
+    z, y, x = coordinates()
+    truth, noise = z**2 + y**2 + x**2 < 12**2, np.random.default_rng(1).normal(0, 1, SHAPE)
+    words = {"spacing": SPACING, "threads": 1}
+    good = segment(truth + 0.1 * noise, inside="ball:18.8,21.5,29.25,6", **words)
+    bad = segment(0.3 * noise, inside="ball:18.8,21.5,29.25,3", **words)  # there is nothing
+    assert dice(good.labels > 0, truth) > 0.98 and good.quality.warnings == () and good.quality.probability > 0.9
+    assert dice(bad.labels > 0, truth) < 0.7 and bad.quality.probability < 0.3
+    (doubt,) = bad.quality.warnings
+    assert doubt.startswith("doubt: ") and "slightly more or less would be another object" in doubt
+    # A click into what was found is a correction, and how deep it went counts; one beside it is none.
+    beside, into = (refine(good, outside=f"ball:18.8,21.5,{at},1") for at in (45.0, 37.5))
+    assert [one.quality.corrections for one in (good, beside, into)] == [0, 0, 1]
+    assert into.quality.correction == pytest.approx((12 - 8.25) / 12, abs=0.1)
 
 
 def test_nothing_left_and_one_slice():

@@ -1,5 +1,7 @@
 """Clicks after the end of a run: one engine for command line, Python and session; undo, redo, repeats."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from accelsurf import io
 from accelsurf.cli import execute as command
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.volume import Volume
+from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
 from accelsurf.settings.refinements import refinements_of
@@ -92,6 +95,12 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
         assert (tmp_path / folder / "scan_surface.ply").read_bytes() == (two / "scan_surface.ply").read_bytes()
     assert np.array_equal(io.read(two / "scan_seg.nii.gz").array, result.labels)
     assert again.psi.tobytes() == result.psi.tobytes() and untimed(again) == untimed(result)
+    # How sure it is, too: the command has read its state from a file before the last correction.
+    sure = json.loads(to_json(describe_quality(result.quality)))
+    assert sure == json.loads(to_json(describe_quality(again.quality)))
+    assert (sure["corrections"], sure["correction"] is None) == ((3, False) if energy == "seeded" else (None, True))
+    for folder in (two, tmp_path / "saved", tmp_path / "three"):
+        assert json.loads((folder / "scan_report.json").read_text())["quality"] == sure
 
 
 def test_undo_and_redo_of_corrections_bring_back_every_byte(image):

@@ -2,5 +2,6 @@
 
 from accelsurf.energies.seeded.model import SeededModel, seeded_model
 from accelsurf.energies.seeded.proposal import Proposal
+from accelsurf.energies.seeded.sureness import Sureness
 
-__all__ = ["Proposal", "SeededModel", "seeded_model"]
+__all__ = ["Proposal", "SeededModel", "Sureness", "seeded_model"]

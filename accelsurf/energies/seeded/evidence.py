@@ -90,3 +90,23 @@ def safest(counts: NDArray[np.int64], score: NDArray[np.float64]) -> int:
     likely = np.exp(score - score.max())
     one, other = counts[:, None].astype(np.float64), counts[None, :].astype(np.float64)
     return int(np.argmax(2.0 * np.minimum(one, other) / (one + other) @ likely))
+
+
+def spread_of(counts: NDArray[np.int64], score: NDArray[np.float64]) -> float:
+    """Standard deviation of the logarithm of the number of voxels under the evidence.
+
+    Parameters
+    ----------
+    counts : ndarray (k,) int64
+    score : ndarray (k,) float64
+        As of `safest`; -inf where one is impossible.
+
+    Examples
+    --------
+    >>> spread_of(np.array([100, 271, 272]), np.log([0.5, 1e-9, 0.5])).__round__(2)
+    0.5
+    """
+    likely = np.exp(score - score.max())
+    size = np.log(counts.astype(np.float64))
+    middle = np.average(size, weights=likely)
+    return float(np.sqrt(np.average((size - middle) ** 2, weights=likely)))

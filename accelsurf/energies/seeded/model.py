@@ -17,6 +17,7 @@ from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.evidence import edges_of
 from accelsurf.energies.seeded.proposal import Prior, Proposal, by_evidence, of_size, prior_of
+from accelsurf.energies.seeded.sureness import corrections_with
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
@@ -64,6 +65,8 @@ class SeededModel:
     shown : Shown or None
         F and start before they were brought to the edges of the image, from which the next click goes on; None of a
         partition.
+    corrections : tuple of float
+        How far off the clicks were that corrected it, see `accelsurf.energies.seeded.sureness.corrections_with`.
     """
 
     field: Image
@@ -77,6 +80,7 @@ class SeededModel:
     images: tuple[Image, ...]
     sized: bool = False
     shown: Shown | None = None
+    corrections: tuple[float, ...] = ()
 
 
 def seeded_model(
@@ -102,10 +106,8 @@ def seeded_model(
         Those of one object, see `Clicks.of`.
     size_mm3 : float, optional
         About the object's volume.
-    box : tuple of slice, optional
-        The object lies in it.
-    mask : ndarray (nz, ny, nx) of bool, optional
-        The object lies in it.
+    box, mask : tuple of slice, ndarray (nz, ny, nx) of bool, optional
+        The object lies in both.
     threads : int, optional
         Marches from so many clicks at once; the result is the same for any number.
     previous : SeededModel, optional
@@ -121,24 +123,25 @@ def seeded_model(
         raise InputError("seeded: no inside click was given", "give one with --inside")
     allowed = _allowed(images[0].shape, box, mask)
     if previous is not None and previous.answer is not None and _goes_on(clicks, previous.clicks, previous.answer):
-        smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
-        field = field_of(smooth, spacing, allowed)
+        smooth, answer, proposal = previous.images, previous.answer, previous.proposal
+        field, shown, corrections = field_of(smooth, spacing, allowed), previous.shown, previous.corrections
         known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
     else:
         smooth = _smoothed(images, spacing)
         field = field_of(smooth, spacing, allowed)
         answer, proposal = _first(smooth, spacing, field, clicks, size_mm3, box is not None)
         known, left = Clicks((inside[0],), clicks.shape), [one for one in clicks.clicks if one is not inside[0]]
-        shown = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, None))
+        shown, corrections = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, None)), ()
+    assert shown is not None  # an answer was shown
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         marched = pool.map(partial(later_times, smooth, spacing, field, answer=answer), left)
         for click, times in zip(left, marched, strict=True):
             answer, known = with_click(answer, field, click, times), known.with_more([click])
-            shown = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, shown), pool)
-    assert shown is not None  # an answer was shown
+            before, shown = shown, _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, shown), pool)
+            corrections = corrections_with(corrections, click, (before, shown), spacing, clicks.shape)
     arrays = on_whole_grid(answer, at_edges(shown, images, smooth, spacing, clicks, allowed), clicks.shape)
     area = area_weight(images, spacing, arrays[1], allowed)
-    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, size_mm3 is not None, shown)
+    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, size_mm3 is not None, shown, corrections)
 
 
 def _shown(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.evidence import edge_along, safest
+from accelsurf.energies.seeded.evidence import edge_along, safest, spread_of
 
 Order = NDArray[np.int64]
 
@@ -22,6 +22,8 @@ TIMES_BALL, BALL_SPREAD = 5.5, 1.2
 MIN_BALL = 5
 #: The logarithm of how much less the even tissue around a click counts than the click's own width.
 EVEN_WEIGHT = -1.0
+#: People know a size to about a quarter.
+SIZE_SPREAD = 0.25
 #: Part of a box that is object; spread of the logarithm.
 BOX_FILLED, BOX_SPREAD = 0.4, 0.5
 #: The march ends at so many spreads above the expected volume.
@@ -41,12 +43,15 @@ class Proposal(NamedTuple):
         From 0 (other levels are as likely) to 1.
     others : tuple of float
         Volumes of other candidates, mm3, the likelier first.
+    spread : float
+        Standard deviation of the logarithm of the volume, as far as is known.
     """
 
     level: float
     volume_mm3: float
     sureness: float
     others: tuple[float, ...] = ()
+    spread: float = BALL_SPREAD
 
 
 def of_size(times: NDArray[np.float32], order: Order, voxel_volume: float, size_mm3: float) -> Proposal:
@@ -61,7 +66,7 @@ def of_size(times: NDArray[np.float32], order: Order, voxel_volume: float, size_
         mm3.
     """
     count = min(max(round(size_mm3 / voxel_volume), 1), len(order))
-    return Proposal(float(times[order[count - 1]]), count * voxel_volume, 1.0)
+    return Proposal(float(times[order[count - 1]]), count * voxel_volume, 1.0, (), SIZE_SPREAD)
 
 
 class Prior(NamedTuple):
@@ -158,9 +163,10 @@ def by_evidence(
     peaks = [i for i in np.flatnonzero(np.isfinite(score)) if score[i] == score[max(i - 3, 0) : i + 4].max()]
     peaks.sort(key=lambda i: (-score[i], i))
     best = safest(counts, score)
+    spread = spread_of(counts, score)
     sure = float(1.0 - np.exp(score[peaks[1]] - score[peaks[0]])) if len(peaks) > 1 else 1.0
     others = tuple(float(counts[i] * voxel_volume) for i in peaks if abs(i - best) > 3)
-    return Proposal(float(times[order[counts[best] - 1]]), float(counts[best] * voxel_volume), sure, others[:3])
+    return Proposal(float(times[order[counts[best] - 1]]), float(counts[best] * voxel_volume), sure, others[:3], spread)
 
 
 def _below(counts: NDArray[np.int64], most: float) -> NDArray[np.bool_]:
