@@ -302,9 +302,10 @@ def _why(found: Quality) -> str:
         "no_edge": f"under {found.no_edge_fraction:.0%} of the surface the image has no edge",
         "unconverged": "it did not converge",
         "level_overlap": "slightly more or less would be another object",
-        "correction": f"the last click was {found.correction or 0.0:.2g} radii away from what was found before",
         "size_spread": "other sizes are likely too",
     }
+    if found.correction is not None:
+        words["correction"] = f"the last click was {found.correction:.2g} radii away from what was found before"
     last = found.rests[0].volume_mm3 if found.rests else 0.0
     return words[good_result.lowest_term(kind_of(found), features(found, "converged", last), words)]
 
