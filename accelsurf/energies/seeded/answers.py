@@ -43,9 +43,7 @@ MIN_FORCE = 1e-3
 #: F is moved by so much at most, so that it has the learned answer's size.
 MAX_OFFSET = 0.5
 #: By the first click's field this is done in full, later by this part, where neither size is more than so many times
-#: the other: the contests know the boundary between clicks better, the answer the size where no click is near. It is
-#: made smaller only after an outside click, larger only after a second inside one: who clicked on one side alone said
-#: that the answer's size is wrong.
+#: the other: the contests know the boundary between clicks better, the answer the size where no click is near.
 SIZE_PART, MAX_RATIO = 0.5, 4.0
 
 
@@ -226,11 +224,12 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
         within = mixed[here] + share * part.values
         mixed += share  # beyond its box it is 1
         mixed[here] = within
-    count = int(np.count_nonzero(answer.inside))
+    count, own_count = int(np.count_nonzero(answer.inside)), int(np.count_nonzero(mixed < 0))
     if before is None:
         mixed -= _offset(mixed, count)
     else:
-        mixed -= _later_offset(mixed, count, clicks)
+        if max(count, own_count) <= MAX_RATIO * min(count, own_count):
+            mixed -= np.float32(SIZE_PART) * _offset(mixed, count)
         shown = before.on(box)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
         mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
@@ -248,15 +247,6 @@ def _offset(force: Image, count: int) -> np.float32:
         return np.float32(0.0)
     rank = min(count, force.size - 1)
     return np.float32(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET))
-
-
-def _later_offset(force: Image, count: int, clicks: Clicks) -> np.float32:
-    """What F is to be lowered by after a later click, so that it goes towards the learned answer's size."""
-    now = int(np.count_nonzero(force < 0))
-    wanted = "outside" if now > count else "inside"
-    if max(count, now) > MAX_RATIO * min(count, now) or all(click.side != wanted for click in clicks.clicks[1:]):
-        return np.float32(0.0)
-    return np.float32(SIZE_PART) * _offset(force, count)
 
 
 def _one_sided(force: Image, before: tuple[Image, Mask], side: str) -> Image:

@@ -103,18 +103,6 @@ def test_a_later_field_goes_half_way_to_the_size_of_the_learned_answer():
     np.testing.assert_allclose(shown.force.ravel()[4:8], force.ravel()[4:8] - 0.25, atol=1e-6)
 
 
-def test_clicks_on_one_side_alone_say_that_the_size_is_wrong():
-    """F does not go towards a size that each click so far has asked to change."""
-    force = line([0.5, -0.4, -0.3, -0.2, -0.09, -0.05, -0.04, 0.3, 0.8, 0.8, 0.8, 0.8])
-    smaller = line([0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]) > 0
-    before = Shown(WHOLE, force, force < 0)
-    shown = mixed(force, [point("inside", 1), point("inside", 2)], before, smaller)
-    np.testing.assert_allclose(shown.force.ravel()[3:11], force.ravel()[3:11], rtol=1e-6)
-    larger = line([0, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0]) > 0
-    shown = mixed(force, [point("inside", 1), point("outside", 11)], before, larger)
-    np.testing.assert_allclose(shown.force.ravel()[2:11], force.ravel()[2:11], rtol=1e-6)
-
-
 def test_a_size_far_from_that_of_the_contests_says_nothing():
     force = line([0.5, -0.4, -0.3, -0.2, -0.1, -0.05, -0.04, 0.3, 0.8, 0.8, 0.8, 0.8])
     inside = line([0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]) > 0
