@@ -224,12 +224,11 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
         within = mixed[here] + share * part.values
         mixed += share  # beyond its box it is 1
         mixed[here] = within
-    count, own_count = int(np.count_nonzero(answer.inside)), int(np.count_nonzero(mixed < 0))
+    count = int(np.count_nonzero(answer.inside))
     if before is None:
         mixed -= _offset(mixed, count)
     else:
-        if max(count, own_count) <= MAX_RATIO * min(count, own_count):
-            mixed -= np.float32(SIZE_PART) * _offset(mixed, count)
+        mixed -= np.float32(SIZE_PART) * _offset(mixed, count, MAX_RATIO)
         shown = before.on(box)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
         mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
@@ -241,9 +240,13 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
     return Shown(box, mixed, inside)
 
 
-def _offset(force: Image, count: int) -> np.float32:
-    """What F is to be lowered by so that F < 0 in so many voxels, as far as that is allowed."""
-    if np.count_nonzero(force < 0) == count:
+def _offset(force: Image, count: int, most: float = np.inf) -> np.float32:
+    """What F is to be lowered by so that F < 0 in so many voxels, as far as that is allowed.
+
+    0 where one of this number and the present one is more than ``most`` times the other.
+    """
+    now = int(np.count_nonzero(force < 0))
+    if now == count or max(now, count) > most * min(now, count):
         return np.float32(0.0)
     rank = min(count, force.size - 1)
     return np.float32(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET))
