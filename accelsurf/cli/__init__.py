@@ -32,6 +32,7 @@ EXIT_CODES = {
     5: "the surface vanished or filled the volume; with --strict also a doubtful result",
     7: "an output exists already, or cannot be written",
     8: "nothing can be drawn: no screen or driver, or a package of the viewer is missing",
+    9: "some cases of a batch failed; the others are complete",
     INTERRUPTED: "interrupted (Ctrl-C); the present state is written, after a second Ctrl-C nothing",
     143: "ended by SIGTERM; nothing is written, an earlier result stays",
 }
@@ -50,6 +51,7 @@ app = App(
 app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in noise with and without momentum.")
 app.command("accelsurf.cli.look:look", name="look", help="Show slices of an image with a grid in mm, without a run.")
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
+app.command("accelsurf.cli.batch:batch", name="batch", help="Segment many images, each as segment does.")
 app.command("accelsurf.cli.refine:refine", name="refine", help="Correct a result by clicks; the rest stays as it is.")
 app.command("accelsurf.cli.synth:synth", name="synth", help="Make a synthetic volume and its truth from a recipe.")
 app.command("accelsurf.cli.compare:compare", name="compare", help="Run several flows on one volume side by side.")

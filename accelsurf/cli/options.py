@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -61,7 +62,7 @@ RunSettings = _settings("RunSettings", with_files=False)
 SharedSettings = _settings("SharedSettings", leave_out=("flow",), with_files=False)
 
 
-def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunConfig:
+def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **forced: Any) -> RunConfig:
     """Return the configuration of a run: options override the file, which overrides the defaults.
 
     A preset given as an option overrides the file, but not the other options. A preset named in the file is overridden
@@ -71,10 +72,10 @@ def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunCon
     ----------
     settings : Settings or SharedSettings or None
         Options of the command line.
-    file : Path, optional
-        TOML file of ``--config``.
+    file : Path or mapping, optional
+        TOML file of ``--config``, or what is in it.
     **forced
-        Fields that the command itself sets.
+        Fields that the command itself sets; a preset among them counts as one that was given as an option.
 
     Raises
     ------
@@ -83,9 +84,10 @@ def run_config(settings: Any, file: Path | None = None, **forced: Any) -> RunCon
     """
     given = {f.name: getattr(settings, f.name) for f in fields(settings)} if settings is not None else {}
     typed = {key: value for key, value in given.items() if value is not None}
-    preset = typed.get("preset")
+    preset = forced.get("preset", typed.get("preset"))
     under = PRESETS[preset].settings if preset is not None and preset in PRESETS else {}
-    return RunConfig(**{**(toml.read(file) if file is not None else {}), **under, **typed, **forced})
+    below = toml.read(file) if isinstance(file, Path) else file or {}
+    return RunConfig(**{**below, **under, **typed, **forced})
 
 
 @Parameter(name="*")

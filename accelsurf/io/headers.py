@@ -67,6 +67,31 @@ def parse(path: Path) -> tuple[ImageFormat, Any]:
     return form, header
 
 
+def count_values(path: Path) -> int:
+    """How many values an image has, those of all channels together, by its header alone.
+
+    Raises
+    ------
+    InputError
+        As `parse`, without the name of the file.
+
+    Examples
+    --------
+    >>> count_values(Path("absent.nii"))
+    Traceback (most recent call last):
+    ...
+    accelsurf.errors.InputError: there is no such file
+    hint: check the path
+    """
+    _, header = parse(path)
+    return int(header.values)
+
+
+def is_outside_data_allowed() -> bool:
+    """Whether a header may name a data file in another folder now; for processes that go on with this work."""
+    return _OUTSIDE_DATA.get()
+
+
 def _check_data_folder(path: Path, data: Path) -> None:
     """Refuse a data file that lies, with links followed, in another folder than its header."""
     folders = {path.parent.resolve(), path.resolve().parent}

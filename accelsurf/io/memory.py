@@ -1,4 +1,4 @@
-"""Whether there is memory for an image, asked before anything is read."""
+"""What the machine has: memory, cores; whether there is memory for an image, asked before anything is read."""
 
 from __future__ import annotations
 
@@ -25,6 +25,13 @@ def available_memory() -> int:
     if not hasattr(os, "sysconf"):
         return _available_on_windows()
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def available_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class _MemoryStatus(ctypes.Structure):

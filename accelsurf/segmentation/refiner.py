@@ -18,6 +18,7 @@ from accelsurf.grid.boxes import Box, box_at, corner_of, shared
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
+from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.corrected_surface import (
@@ -39,7 +40,7 @@ from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.rest_points import on_larger_box
 from accelsurf.segmentation.result import Result, SegmentedObject
-from accelsurf.segmentation.run_setup import available_cores, energy_maker, setup_of, window_reach
+from accelsurf.segmentation.run_setup import energy_maker, setup_of, window_reach
 from accelsurf.segmentation.solver_setup import half_width, is_maker
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig

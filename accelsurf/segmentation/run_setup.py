@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import secrets
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -20,6 +19,7 @@ from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.io.memory import available_cores
 from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy
@@ -146,13 +146,6 @@ def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_i
 def thread_count(config: RunConfig) -> int:
     """How many threads a run uses."""
     return available_cores() if config.threads == "auto" else config.threads
-
-
-def available_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _named_energy(

@@ -69,6 +69,7 @@ CONFIG = Budget("a configuration file", 1 << 20, "bytes", "is it the right file?
 EXPRESSION = Budget("an energy, a start or an edit", 1 << 14, "characters", "write it shorter")
 EDITS = Budget("the edits of a run", 4096, "edits", "leave out those that do not matter")
 TABLE = Budget("a table of balls", 1 << 22, "bytes", "give the objects as a label map instead")
+CASES = Budget("a table of cases", 1 << 26, "bytes", "split the table")
 BALLS = Budget(
     "balls of one id times voxels of the box around them", 1 << 32, "voxels", "use fewer balls, or a label map"
 )
@@ -118,7 +119,7 @@ STATE_UNPACKED = Budget(
 
 #: All of them, in the order of the reference page.
 BUDGETS = (
-    CONFIG, EXPRESSION, EDITS, TABLE, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS,
-    MESH_FILE, MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING,
+    CONFIG, EXPRESSION, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW, PACKBITS, TIFF_TAGS,
+    TIFF_STRIPS, MESH_FILE, MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING,
     STATE_FILE, STATE_UNPACKED,
 )

@@ -95,6 +95,11 @@ class NiftiFile(RawHeader):
 
     nifti: NiftiHeader
 
+    @property
+    def values(self) -> int:
+        """How many values the image has, those of all channels together."""
+        return math.prod(self.nifti.size)
+
 
 def read_header(path: Path, compressed: bool) -> NiftiFile:
     """Read the header of a file.

@@ -5,6 +5,7 @@ They keep the size of a pixel and no place in the world: an image starts at the 
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +57,11 @@ class RasterHeader(ABC):
     shape: tuple[int, int, int]
     spacing: tuple[float, float, float] | None
     pixel_bytes: int
+
+    @property
+    def values(self) -> int:
+        """How many pixels the image has; colours become one value."""
+        return math.prod(self.shape)
 
     @abstractmethod
     def check_complete(self) -> None:

@@ -50,6 +50,11 @@ class RawHeader:
     metadata: dict[str, str] = field(default_factory=dict)
     numbers: int | None = None
 
+    @property
+    def values(self) -> int:
+        """How many values the image has, those of all channels together; of one byte each where that is not known."""
+        return self.claimed_bytes if self.numbers is None else self.numbers
+
     def check_complete(self) -> None:
         """Refuse a file that holds fewer voxels than its header claims.
 

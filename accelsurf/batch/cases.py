@@ -1,0 +1,127 @@
+"""Which cases a batch has: what a person names, in any layout, and the part of it that one of several machines does."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from accelsurf.batch import case_table, layouts
+from accelsurf.batch.case import Case, check_ids
+from accelsurf.batch.layouts import Layout
+from accelsurf.errors import InputError, UsageError
+
+T = TypeVar("T")
+
+_PATTERN = re.compile(r"[*?\[]")
+_SHARD = re.compile(r"([0-9]{1,6})/([0-9]{1,6})")
+#: Set in each task of an array of jobs of SLURM.
+_TASK, _COUNT, _MIN, _STEP = (f"SLURM_ARRAY_TASK_{name}" for name in ("ID", "COUNT", "MIN", "STEP"))
+
+
+class Shard(NamedTuple):
+    """One of ``total`` parts of a batch; ``number`` is from 1 on."""
+
+    number: int
+    total: int
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.total}"
+
+    def of(self, everything: Sequence[T]) -> list[T]:
+        """Its part: every ``total``-th.
+
+        Examples
+        --------
+        >>> Shard(2, 3).of("abcdefgh")
+        ['b', 'e', 'h']
+        """
+        return list(everything[self.number - 1 :: self.total])
+
+
+def read_cases(given: Sequence[str], layout: Layout = "auto") -> tuple[list[Case], str]:
+    """Return the cases that are named, in a fixed order, and what they were read from in words.
+
+    Parameters
+    ----------
+    given : sequence of str
+        A folder, a pattern, a table (.csv, .tsv), or files.
+    layout : {"auto", "folder", "nnunet", "bids"}
+        Of a folder.
+
+    Raises
+    ------
+    InputError
+        When there is none, an id is given twice or is no name, or a reference is missing; UsageError when it cannot be
+        decided what is meant.
+    """
+    if not given:
+        raise UsageError("CASES is missing", "name a folder of images, a pattern in quotes, or a CSV table")
+    cases, words = _read(given, layout)
+    check_ids(cases)
+    for case in cases:
+        if case.reference is not None and not case.reference.is_file():
+            raise InputError(f"{case.place}: the reference {case.reference} is missing", "check its path")
+    return cases, words
+
+
+def _read(given: Sequence[str], layout: Layout) -> tuple[list[Case], str]:
+    path = Path(given[0])
+    if len(given) == 1 and path.is_dir():
+        return layouts.in_folder(path, layout)
+    if layout != "auto":
+        raise UsageError(f"--layout {layout} was given, but {given[0]} is no folder", "name the folder of the images")
+    if len(given) == 1 and path.suffix.lower() in case_table.SUFFIXES:
+        return case_table.read(path), "a table"
+    if len(given) == 1 and _PATTERN.search(given[0]) and not path.exists():
+        return layouts.by_pattern(given[0]), "a pattern"
+    for one in given:
+        if Path(one).is_dir():
+            raise UsageError(f"{one}: a folder among several CASES", "name one folder alone, or files")
+        if not Path(one).exists():
+            raise InputError(f"{one}: there is no such file or folder", "check the path")
+    return layouts.of_files([Path(one) for one in given]), "files"
+
+
+def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[Shard | None, str]:
+    """Return the shard that was asked for, or that an array of jobs of SLURM stands for, and a line about the latter.
+
+    Parameters
+    ----------
+    text : str or None
+        ``I/N``.
+    environment : mapping of str to str
+        Variables of the process.
+
+    Raises
+    ------
+    UsageError
+        When it is not of this form, or I is not from 1 to N.
+
+    Examples
+    --------
+    >>> shard_of("2/8", {})[0]
+    Shard(number=2, total=8)
+    >>> shard_of(None, {"SLURM_ARRAY_TASK_ID": "7", "SLURM_ARRAY_TASK_COUNT": "4", "SLURM_ARRAY_TASK_MIN": "5"})[0]
+    Shard(number=3, total=4)
+    """
+    if text is not None:
+        if (found := _SHARD.fullmatch(text.strip())) is None or not 1 <= int(found[1]) <= int(found[2]):
+            raise UsageError(f"--shard: {text} was given, expected I/N with I from 1 to N", "as in --shard 1/4")
+        return Shard(int(found[1]), int(found[2])), ""
+    if _TASK not in environment or _COUNT not in environment:
+        return None, ""
+    try:
+        task, count = int(environment[_TASK]), int(environment[_COUNT])
+        first, step = int(environment.get(_MIN, "0")), max(int(environment.get(_STEP, "1")), 1)
+    except ValueError:
+        raise UsageError(f"{_TASK}, {_COUNT}: not whole numbers", "say the shard by --shard I/N") from None
+    place, left = divmod(task - first, step)
+    if left or not 0 <= place < count:
+        raise UsageError(
+            f"{_TASK} {task} is none of {count} tasks from {first} on in steps of {step}",
+            "say the shard by --shard I/N",
+        )
+    shard = Shard(place + 1, count)
+    return (shard, f"shard {shard}, by {_TASK}={task}, {_COUNT}={count}, {_MIN}={first}") if count > 1 else (None, "")

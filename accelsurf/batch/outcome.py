@@ -1,0 +1,127 @@
+"""What has become of a case: a line of the batch's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from accelsurf.batch.case import Case
+from accelsurf.settings.run_config import RunConfig
+
+#: How it stands with a case; waiting: it has not been run, or has not ended.
+Status = Literal["ok", "failed", "waiting"]
+
+
+@dataclass(frozen=True)
+class CaseTask:
+    """A case with everything that a worker needs to run it.
+
+    Attributes
+    ----------
+    case : Case
+    folder : Path
+        Of its files.
+    config : RunConfig
+    overwrite : bool
+        Whether files of an earlier run may be replaced.
+    strict : bool
+        Whether a run that did not converge, or whose result is doubtful, counts as failed.
+    outside_data : bool
+        Whether a header may name a data file in another folder.
+    """
+
+    case: Case
+    folder: Path
+    config: RunConfig
+    overwrite: bool = False
+    strict: bool = False
+    outside_data: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A line of the tables.
+
+    Attributes
+    ----------
+    id : str
+    status : {"ok", "failed", "waiting"}
+    reason : str
+        Why its run ended, or what is wrong.
+    ml : float or None
+        Volume of the object, or of all objects.
+    quality : float or None
+        Probability that the result is good; of several objects the least.
+    dice : float or None
+        With the reference.
+    steps : int or None
+    seconds : float or None
+        From file to files.
+    folder : str
+        Of its files, in the folder of the batch.
+    picture : str
+        Name of its picture there; empty where it has none.
+    hint : str
+        What to do about a failure.
+    exit_code : int
+        What `accelsurf segment` would return.
+    warnings : tuple of str
+    details : str
+        The traceback of an error that is a bug.
+    """
+
+    id: str
+    status: Status = "waiting"
+    reason: str = ""
+    ml: float | None = None
+    quality: float | None = None
+    dice: float | None = None
+    steps: int | None = None
+    seconds: float | None = None
+    folder: str = ""
+    picture: str = ""
+    hint: str = ""
+    exit_code: int = 0
+    warnings: tuple[str, ...] = ()
+    details: str = ""
+
+
+#: Columns of the table of a batch.
+COLUMNS = ("id", "status", "reason", "ml", "quality", "dice", "steps", "seconds", "folder")
+
+
+def of_report(id: str, report: Mapping[str, Any], dice: float | None) -> Outcome:
+    """Return the line of a case that has a result, from the report of its run.
+
+    Parameters
+    ----------
+    id : str
+    report : mapping
+        From `accelsurf.report.document.build`.
+    dice : float or None
+    """
+    volume, error = report["volume_mm3"], report["error"]
+    is_2d = report["enclosed_mm2"] is not None
+    return Outcome(
+        id=id,
+        status="ok" if report["status"] == "ok" else "failed",
+        reason=error["message"] if error else report["stop"]["reason"],
+        ml=None if volume is None or is_2d else volume / 1000,
+        quality=_quality(report),
+        dice=dice,
+        steps=report["stop"]["steps"],
+        seconds=report["seconds"]["total"],
+        folder=id,
+        picture=next((Path(one["path"]).name for one in report["outputs"] if one["kind"] == "preview"), ""),
+        hint=error["hint"] if error else "",
+        exit_code=report["exit_code"],
+        warnings=tuple(report["warnings"]),
+    )
+
+
+def _quality(report: Mapping[str, Any]) -> float | None:
+    several = [one["quality"] for one in report["objects"] or ()]
+    found = [one["probability"] for one in (several or [report["quality"]]) if one is not None]
+    return min(found, default=None)

@@ -1,0 +1,144 @@
+"""Which cases are finished: a result stands, of the same image with the same settings.
+
+Beside the report of a run lies a record of what it does not say: the checksums of the other files that its settings
+name, and the Dice. Cases whose result somebody has corrected since, by ``accelsurf refine``, are finished too.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from accelsurf import io
+from accelsurf.batch.outcome import CaseTask, Outcome, of_report
+from accelsurf.errors import AccelsurfError
+from accelsurf.grid.volume import Volume
+from accelsurf.io.files import write_bytes
+from accelsurf.report.document import to_json
+from accelsurf.report.result_sets import load_report, report_name
+from accelsurf.settings.catalogue import default_of
+from accelsurf.settings.run_config import RunConfig
+
+#: Settings that change no result.
+_NO_MATTER = ("threads",)
+#: Kinds of starts and clicks that name a file, and settings that have them.
+_KINDS = ("label", "mesh", "stroke")
+_WHERE = ("start", "foreground", "background", "inside", "outside")
+
+
+def record_path(task: CaseTask) -> Path:
+    """Where the record of a case lies."""
+    return task.folder / f"{task.case.id}_case.json"
+
+
+def write_record(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> None:
+    """Write the record of a case that has a result.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    reference = task.case.reference
+    record = {
+        "id": task.case.id,
+        "files": {str(path): io.sha256(path) for path in named_files(task.config)},
+        "reference": {"path": str(reference), "sha256": io.sha256(reference)} if reference is not None else None,
+        "labels": _checksum_of_labels(report),
+        "dice": dice,
+    }
+    write_bytes(record_path(task), (to_json(record) + "\n").encode())
+
+
+def finished(task: CaseTask) -> Outcome | None:
+    """Return the line of a case that need not be run again; None for any other.
+
+    Parameters
+    ----------
+    task : CaseTask
+    """
+    report = load_report(task.folder / report_name(task.case.id))
+    if report is None or report["status"] != "ok" or not _same_settings(task.config, report.get("config")):
+        return None
+    if not all((task.folder / Path(str(one.get("path"))).name).is_file() for one in report["outputs"]):
+        return None
+    record = _read(record_path(task))
+    try:
+        if report["input"]["sha256"] != io.sha256(task.case.image):
+            return None
+        if record.get("files", {}) != {str(path): io.sha256(path) for path in named_files(task.config)}:
+            return None
+        return of_report(task.case.id, report, _dice(task, report, record))
+    except (AccelsurfError, LookupError, TypeError, AttributeError):
+        return None  # it is run again, and says what is wrong
+
+
+def named_files(config: RunConfig) -> list[Path]:
+    """Return the files, beside the image, that the settings of a run name and that are there."""
+    texts = [text for text in (config.mask, config.objects, *config.channel) if text]
+    wheres = [text for key in _WHERE for text in getattr(config, key)]
+    wheres += [text for edit in config.edit for text in (edit.add, edit.remove, *edit.inside, *edit.outside) if text]
+    wheres += [text for one in config.refine for text in (*one.inside, *one.outside)]
+    texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in _KINDS]
+    found = {}
+    for text in texts:
+        for name in (text, text.rpartition("@")[0]):  # FILE@IDS; a name may have an @ itself
+            if name and Path(name).is_file():
+                found[name] = Path(name)
+                break
+    return list(found.values())
+
+
+def _same_settings(config: RunConfig, written: Any) -> bool:
+    """Whether a run had these settings; later corrections do not count."""
+    if not isinstance(written, dict):
+        return False
+    wanted = config.model_dump(mode="json")
+    corrections = wanted.pop("refine")
+    ignored = {*_NO_MATTER, *(("seed",) if config.seed is None else ())}
+    return (written.get("refine") or [])[: len(corrections)] == corrections and all(
+        written.get(key, _plain(key)) == value for key, value in wanted.items() if key not in ignored
+    )
+
+
+def _plain(key: str) -> Any:
+    """What a setting was when it did not exist yet."""
+    value = default_of(key)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _dice(task: CaseTask, report: Mapping[str, Any], record: Mapping[str, Any]) -> float | None:
+    """The Dice of a result: as recorded for these labels and this reference, or measured anew."""
+    reference = task.case.reference
+    if reference is None:
+        return None
+    labels = _checksum_of_labels(report)
+    same = {"path": str(reference), "sha256": io.sha256(reference)} == record.get("reference")
+    if same and labels is not None and labels == record.get("labels"):
+        value = record["dice"]
+        return None if value is None else float(value)
+    (path,) = [one["path"] for one in report["outputs"] if one["kind"] == "labels"]
+    return dice_with(io.read_labels(task.folder / Path(path).name), io.read_labels(reference))
+
+
+def dice_with(found: Volume, truth: Volume) -> float | None:
+    """Return the Dice of all labels above 0; None where both are empty."""
+    from accelsurf.analysis import metrics
+
+    value = metrics.dice(found.array, truth.array)
+    return None if math.isnan(value) else value
+
+
+def _checksum_of_labels(report: Mapping[str, Any]) -> str | None:
+    return next((one["sha256"] for one in report["outputs"] if one["kind"] == "labels"), None)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,225 @@
+"""A batch from its first case to its last: cases go to a pool, what comes back goes into the tables."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Protocol
+
+from accelsurf.batch.admission import Admission, Need
+from accelsurf.batch.cases import Shard
+from accelsurf.batch.outcome import CaseTask, Outcome
+from accelsurf.batch.pool import Ended, Job, Pool, Started
+from accelsurf.batch.records import finished
+from accelsurf.batch.tables import TableNames, Tables
+from accelsurf.batch.worker import Failure
+from accelsurf.errors import OutputError
+from accelsurf.io.file_set import FileSet, recover
+from accelsurf.io.memory import available_cores
+from accelsurf.report.result_sets import is_failure_report, report_name
+
+#: Makes the line of a case whose worker could not.
+Lost = Callable[[CaseTask, Failure], Outcome]
+#: Exit code of a batch of which some cases failed.
+SOME_FAILED = 9
+
+#: Of an image whose header cannot be read, for the time that is left.
+_UNKNOWN_VALUES = 1
+
+
+class Observer(Protocol):
+    """Watches a batch."""
+
+    def found(self, count: int) -> None:
+        """So many cases are finished already."""
+        ...
+
+    def started(self, id: str) -> None:
+        """A case begins."""
+        ...
+
+    def ended(self, outcome: Outcome, seconds_left: float | None) -> None:
+        """A case has ended; ``seconds_left`` of the whole batch, None where that cannot be said."""
+        ...
+
+    def warned(self, text: str) -> None:
+        """Something about the batch itself is not as it should be."""
+        ...
+
+
+class TimeLeft:
+    """How long the rest of a batch will take, by the values of the images and the time so far.
+
+    Parameters
+    ----------
+    sizes : mapping of str to int
+        Values of the image of each case.
+
+    Examples
+    --------
+    >>> left = TimeLeft({"a": 10, "b": 30})
+    >>> left.after("a", 2.0), left.after("b", 8.0)
+    (6.0, 0.0)
+    """
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        self._waiting = dict(sizes)
+        self._done = 0
+
+    def after(self, id: str, seconds: float) -> float | None:
+        """Seconds that are left when a case has ended, ``seconds`` after the beginning."""
+        self._done += self._waiting.pop(id, 0)
+        return seconds / self._done * sum(self._waiting.values()) if self._done else None
+
+
+def finished_cases(tasks: Sequence[CaseTask], threads: int) -> dict[str, Outcome]:
+    """Return the lines of the cases that need not be run again; the images are read for their checksums.
+
+    Parameters
+    ----------
+    tasks : sequence of CaseTask
+    threads : int
+        That read at the same time.
+    """
+    with ThreadPoolExecutor(threads) as pool:
+        return {one.id: one for one in pool.map(finished, tasks) if one is not None}
+
+
+class Batch:
+    """The cases of a batch, and how they are run.
+
+    Parameters
+    ----------
+    tasks : sequence of CaseTask
+    needs : mapping of str to Need
+        Of each case by its id.
+    admission : Admission
+    shard : Shard or None
+    layout : str
+        What the cases were read from.
+    argv : sequence of str
+        The command line, for the report.
+
+    Attributes
+    ----------
+    names : TableNames
+    """
+
+    def __init__(
+        self,
+        tasks: Sequence[CaseTask],
+        needs: Mapping[str, Need],
+        admission: Admission,
+        shard: Shard | None,
+        layout: str,
+        argv: Sequence[str],
+    ) -> None:
+        self.tasks, self.needs, self.admission, self.layout = tasks, needs, admission, layout
+        self.names = TableNames(shard)
+        self._facts = {
+            "argv": list(argv),
+            "layout": layout,
+            "shard": None if shard is None else str(shard),
+            "jobs": admission.jobs,
+            "threads": admission.threads,
+            "memory_bytes": admission.bytes,
+        }
+        self._running: set[str] = set()
+
+    def tables(self, files: FileSet) -> Tables:
+        """The tables of this batch, with every case waiting."""
+        waiting = [Outcome(task.case.id, folder=task.folder.name) for task in self.tasks]
+        return Tables(files, self.names, self._facts, waiting, {task.case.id: task.case.image for task in self.tasks})
+
+    def run(self, pool: Pool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
+        """Run the cases in a pool, take note of what becomes of each, and close the pool.
+
+        Parameters
+        ----------
+        pool : Pool
+            Its function makes an `Outcome` of a `CaseTask`.
+        tables : Tables
+        observer : Observer
+        lost : callable
+            Makes the line of a case whose worker could not.
+        resume : bool
+            Whether finished cases are left alone.
+
+        Raises
+        ------
+        OutputError
+            When the tables cannot be written at the end.
+        """
+        left = self.tasks
+        if resume:
+            done = finished_cases(self.tasks, available_cores())
+            tables.put(done.values())
+            observer.found(len(done))
+            left = [task for task in self.tasks if task.case.id not in done]
+        tables.write("running", 0)
+        self._run(left, pool, tables, observer, lost)
+        pool.close()
+        failed = tables.count("failed") > 0
+        tables.write("failed" if failed else "ok", SOME_FAILED if failed else 0)
+
+    def _run(
+        self, tasks: Sequence[CaseTask], pool: Pool, tables: Tables, observer: Observer, lost: Lost
+    ) -> None:
+        by_id = {task.case.id: task for task in tasks}
+        for id, task in by_id.items():
+            pool.submit(Job(id, task, self.needs[id].bytes))
+        left = TimeLeft({id: self.needs[id].values or _UNKNOWN_VALUES for id in by_id})
+        began = time.monotonic()
+        for event in pool.events():
+            match event:
+                case Started(id):
+                    self._running.add(id)
+                    observer.started(id)
+                case Ended(id, value, failure):
+                    outcome: Outcome = value if failure is None else lost(by_id[id], failure)
+                    self._running.discard(id)
+                    try:
+                        tables.add(outcome)
+                    except OutputError as error:  # at the end it counts
+                        observer.warned(error.message)
+                    observer.ended(outcome, left.after(id, time.monotonic() - began))
+
+    def end_early(self, pool: Pool, tables: Tables, exit_code: int) -> None:
+        """End what runs, remove its drafts, and write the tables as they are.
+
+        Parameters
+        ----------
+        pool : Pool
+        tables : Tables
+        exit_code : int
+            What the command returns.
+        """
+        pool.close()
+        for task in self.tasks:
+            if task.case.id in self._running and task.folder.is_dir():
+                recover(task.folder)
+        with suppress(OutputError):  # another error is on its way
+            tables.write("interrupted", exit_code)
+
+
+def refuse_results(folder: Path, work: Batch) -> None:
+    """Refuse to begin where the tables of an earlier batch stand, or the result of a case.
+
+    Raises
+    ------
+    OutputError
+        With what to do.
+    """
+    tables = [folder / name for name in reversed(work.names.all)]
+    reports = [task.folder / report_name(task.case.id) for task in work.tasks]
+    existing = [path for path in tables if path.exists()]
+    existing += [path for path in reports if path.exists() and not is_failure_report(path)]
+    if existing:
+        raise OutputError(
+            f"{existing[0]}: exists already",
+            "add --resume to run what is not finished, --overwrite to run everything again, or choose another folder "
+            "with -o",
+        )

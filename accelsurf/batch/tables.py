@@ -1,0 +1,173 @@
+"""The tables of a batch: one report, one CSV, one page; brought up to date while it runs, all three at once."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
+
+from accelsurf.batch import page
+from accelsurf.batch.cases import Shard
+from accelsurf.batch.outcome import COLUMNS, Outcome
+from accelsurf.io.file_set import FileSet
+from accelsurf.io.files import write_bytes
+from accelsurf.report.document import to_json
+from accelsurf.report.environment import versions
+from accelsurf.report.output_folder import naming_final
+
+#: Raised when a key of the report or a column of the table changes its name or its meaning.
+SCHEMA_VERSION = 1
+#: While cases run, tables are written so many seconds apart at least, and so many times the seconds that it takes.
+_APART_SECONDS, _APART_TIMES = 2.0, 20.0
+
+BatchStatus = Literal["running", "ok", "failed", "interrupted"]
+
+
+class TableNames:
+    """Names of the three tables, those of a shard with its number.
+
+    Examples
+    --------
+    >>> TableNames(Shard(2, 4)).all
+    ('batch_2of4.csv', 'batch_2of4.html', 'batch_report_2of4.json')
+    """
+
+    def __init__(self, shard: Shard | None = None) -> None:
+        part = "" if shard is None else f"_{shard.number}of{shard.total}"
+        self.table, self.page, self.report = f"batch{part}.csv", f"batch{part}.html", f"batch_report{part}.json"
+        #: Of the set of files.
+        self.set = f"batch{part}"
+
+    @property
+    def all(self) -> tuple[str, str, str]:
+        """All three, the report last."""
+        return self.table, self.page, self.report
+
+
+class Tables:
+    """What is known of each case, and the files that say it.
+
+    Parameters
+    ----------
+    files : FileSet
+        That the tables are put in place by.
+    names : TableNames
+    facts : mapping
+        Of the whole batch, for the report.
+    outcomes : sequence of Outcome
+        A line for each case, in their order.
+    images : mapping of str to Path
+        Image of each case.
+    """
+
+    def __init__(
+        self,
+        files: FileSet,
+        names: TableNames,
+        facts: Mapping[str, Any],
+        outcomes: Sequence[Outcome],
+        images: Mapping[str, Path],
+    ) -> None:
+        self._files, self._names, self._facts, self._images = files, names, facts, images
+        self._outcomes = {one.id: one for one in outcomes}
+        self._began = self._written = time.monotonic()
+        self._cost = 0.0
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """The line of each case, in their order."""
+        return list(self._outcomes.values())
+
+    @property
+    def seconds(self) -> float:
+        """Since the beginning."""
+        return time.monotonic() - self._began
+
+    def paths(self, folder: Path) -> list[Path]:
+        """Where the three are, in a folder."""
+        return [folder / name for name in self._names.all]
+
+    def count(self, status: str) -> int:
+        """How many cases have a status."""
+        return sum(one.status == status for one in self._outcomes.values())
+
+    def put(self, outcomes: Iterable[Outcome]) -> None:
+        """Take note of what has become of some cases, without writing anything."""
+        self._outcomes |= {one.id: one for one in outcomes}
+
+    def add(self, outcome: Outcome) -> None:
+        """Take note of what has become of a case; write the tables if that was long ago.
+
+        Raises
+        ------
+        OutputError
+            When they cannot be written.
+        """
+        self.put([outcome])
+        if time.monotonic() - self._written >= max(_APART_SECONDS, _APART_TIMES * self._cost):
+            self.write("running", 0)
+
+    def write(self, status: BatchStatus, exit_code: int) -> None:
+        """Write all three.
+
+        Parameters
+        ----------
+        status : {"running", "ok", "failed", "interrupted"}
+        exit_code : int
+            What the command returns.
+
+        Raises
+        ------
+        OutputError
+            When they cannot be written; the earlier ones stay.
+        """
+        began, outcomes = time.monotonic(), self.outcomes
+        with naming_final(self._files):
+            self._files.discard()
+            contents = {
+                self._names.table: table_csv(outcomes),
+                self._names.page: page.page_html(outcomes, status, self._names.all),
+                self._names.report: to_json(self._report(status, exit_code)) + "\n",
+            }
+            for name, text in contents.items():
+                write_bytes(self._files.drafts / name, text.encode())
+            self._files.commit(last=self._names.report)
+        self._written = time.monotonic()
+        self._cost = self._written - began
+
+    def _report(self, status: BatchStatus, exit_code: int) -> dict[str, Any]:
+        cases = []
+        for one in self.outcomes:
+            entry = asdict(one)
+            cases.append({"id": one.id, "image": str(self._images[one.id]), **entry})
+        counts = {key: self.count(key) for key in ("ok", "failed", "waiting")}
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "status": status,
+            "exit_code": exit_code,
+            "versions": versions(),
+            **self._facts,
+            "counts": {"cases": len(cases), **counts},
+            "seconds": self.seconds,
+            "cases": cases,
+        }
+
+
+def table_csv(outcomes: Sequence[Outcome]) -> str:
+    """Return the table as CSV text: one row per case; what is not known is empty.
+
+    Examples
+    --------
+    >>> print(table_csv([Outcome("a", "ok", "converged", 1.5, 0.93, None, 12, 0.8, "a")]), end="")
+    id,status,reason,ml,quality,dice,steps,seconds,folder
+    a,ok,converged,1.5,0.93,,12,0.8,a
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows([getattr(one, name) for name in COLUMNS] for one in outcomes)
+    return stream.getvalue()

@@ -1,0 +1,246 @@
+"""``accelsurf batch``: many images, each as ``accelsurf segment`` does it, in worker processes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Group, Parameter
+
+from accelsurf.cli.interrupts import Interrupts, say
+from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, Settings, required, run_config
+from accelsurf.errors import UsageError
+
+if TYPE_CHECKING:
+    from accelsurf.batch.admission import Admission, Need
+    from accelsurf.batch.case import Case
+    from accelsurf.batch.outcome import CaseTask
+    from accelsurf.batch.run import Batch
+    from accelsurf.batch.tables import Tables
+    from accelsurf.settings.run_config import RunConfig
+
+BATCH = Group("Batch", sort_key=0)
+_SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BatchOptions:
+    """What is particular about a batch."""
+
+    layout: Annotated[Literal["auto", "folder", "nnunet", "bids"], Parameter(group=BATCH)] = "auto"
+    """How a folder is read; auto looks at its names."""
+
+    plan: Annotated[bool, _SWITCH] = False
+    """Print what each case is thought to need and what would run at once, and run nothing."""
+
+    resume: Annotated[bool, _SWITCH] = False
+    """Leave alone what is finished: cases with a result of the same image by the same settings. The others are run."""
+
+    jobs: Annotated[int | None, Parameter(group=BATCH, metavar="N", show_default="by cores and memory")] = None
+    """Cases at the same time. Unless --threads is given, all together have as many threads as there are cores."""
+
+    shard: Annotated[str | None, Parameter(group=BATCH, metavar="I/N")] = None
+    """Run every N-th case from the I-th on. In an array of jobs of SLURM the part of the task, unless given."""
+
+    case_timeout: Annotated[float | None, Parameter(group=BATCH, metavar="SECONDS")] = None
+    """End a case that takes longer than this."""
+
+    max_memory: Annotated[str | None, Parameter(group=BATCH, metavar="SIZE", show_default="80% of what is free")] = None
+    """Memory of all cases together, such as 4GB. What needs more is not run; what takes more is ended."""
+
+    def check(self) -> None:
+        """Refuse numbers that are none.
+
+        Raises
+        ------
+        UsageError
+            With what is expected.
+        """
+        if self.jobs is not None and self.jobs < 1:
+            raise UsageError(f"--jobs: {self.jobs} was given, expected a whole number at least 1", "leave it out")
+        if self.case_timeout is not None and not 0 < self.case_timeout < float("inf"):
+            raise UsageError(f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0", "as in 600")
+
+
+def batch(
+    *cases: Annotated[str, Parameter(group=BATCH)],
+    output: Output = None,
+    config: Annotated[Path | None, Parameter(group=FILES)] = None,
+    overwrite: Overwrite = False,
+    strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    options: BatchOptions | None = None,
+    settings: Settings | None = None,  # type: ignore[valid-type]
+    display: Display | None = None,
+) -> int:
+    """Segment many images, each as segment does.
+
+    CASES is a folder of images, a pattern in quotes, a CSV table (columns image, id, reference and any setting; clicks
+    of one cell are separated by semicolons), nnU-Net's folder, or a BIDS tree. The files of each case go to DIR/ID.
+    DIR/batch.csv has a row for each, DIR/batch.html the pictures, the most doubtful first, DIR/batch_report.json all.
+    A case that fails is named, and the others go on; then the exit code is 9.
+
+    Parameters
+    ----------
+    cases
+        What to segment.
+    output
+        Folder for the outputs; made when missing.
+    config
+        TOML file with settings; options override it, columns of a table override both.
+    overwrite
+        Replace outputs that exist.
+    strict
+        A case that ends before it has converged, or whose result is doubtful, counts as failed.
+    """
+    from accelsurf.batch.admission import memory_of
+    from accelsurf.batch.cases import read_cases, shard_of
+    from accelsurf.batch.run import Batch
+
+    options, display = options or BatchOptions(), display or Display()
+    options.check()
+    memory = None if options.max_memory is None else memory_of(options.max_memory)
+    shard, note = shard_of(options.shard, os.environ)
+    if note and not display.quiet:
+        say(note)
+    found, words = read_cases(cases, options.layout)
+    folder = Path() if options.plan else required(output, "-o DIR, the output folder,")
+    replaced = overwrite or options.resume
+    configs = _configs(found, settings, config)
+    tasks = [_task(case, folder, one, replaced, strict) for case, one in zip(found, configs, strict=True)]
+    if shard is not None:
+        tasks = shard.of(tasks)
+    work = Batch(*_admitted(tasks, options.jobs, memory), shard, words, sys.argv)
+    if options.plan:
+        return _print_plan(work)
+    if not display.quiet:
+        at_once = f"{work.admission.jobs} at once, threads of each: {work.admission.threads}"
+        say(f"{len(tasks)} cases of {words}; {at_once}")
+    return _conclude(_run(work, folder, options, overwrite, memory, display), folder, display)
+
+
+def _configs(cases: Sequence[Case], settings: Any, file: Path | None) -> list[RunConfig]:
+    """The settings of each case.
+
+    Raises
+    ------
+    UsageError
+        With the case where it is its own setting that is not valid.
+    """
+    from accelsurf.settings import toml
+
+    below = toml.read(file) if file is not None else {}
+    common = run_config(settings, below)
+    configs = []
+    for case in cases:
+        try:
+            configs.append(run_config(settings, below, **case.settings) if case.settings else common)
+        except UsageError as error:
+            raise UsageError(f"{case.place}: {error.message}", error.hint) from None
+    return configs
+
+
+def _task(case: Case, folder: Path, config: RunConfig, overwrite: bool, strict: bool) -> CaseTask:
+    from accelsurf.batch.outcome import CaseTask
+    from accelsurf.io.headers import is_outside_data_allowed
+
+    return CaseTask(case, folder.absolute() / case.id, config, overwrite, strict, is_outside_data_allowed())
+
+
+def _admitted(
+    tasks: Sequence[CaseTask], jobs: int | None, memory: int | None
+) -> tuple[list[CaseTask], dict[str, Need], Admission]:
+    """The cases with their number of threads, what each needs, and what runs at once."""
+    from accelsurf.batch.admission import admit, need_of
+    from accelsurf.io.memory import available_cores, available_memory
+
+    needs = {
+        task.case.id: need_of(task.case.image, task.config.channel, bool(task.config.inside)) for task in tasks
+    }
+    given = {task.config.threads for task in tasks} - {"auto"}
+    threads = max((int(number) for number in given), default=None)
+    admission = admit(
+        list(needs.values()), available_cores(), available_memory(), jobs=jobs, threads=threads, memory=memory
+    )
+    automatic = {"threads": admission.threads}
+    return (
+        [
+            replace(task, config=task.config.model_copy(update=automatic)) if task.config.threads == "auto" else task
+            for task in tasks
+        ],
+        needs,
+        admission,
+    )
+
+
+def _print_plan(work: Batch) -> int:
+    """Print what each case needs and what would run at once; some failed where one cannot be run."""
+    from accelsurf.batch.admission import bytes_text, plan_rows
+    from accelsurf.batch.run import SOME_FAILED
+    from accelsurf.cli.error_lines import MAX_ERROR, printable
+    from accelsurf.cli.progress import table
+
+    rows = plan_rows(work.needs, work.admission)
+    cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]
+    print(table(("case", "values", "memory", ""), cells))
+    admission = work.admission
+    print(
+        f"\n{len(rows)} cases of {work.layout}; {admission.jobs} at once, threads of each: {admission.threads}, "
+        f"memory of all: {bytes_text(admission.bytes)}"
+    )
+    impossible = sum(need.values is None or need.bytes > admission.bytes for need in work.needs.values())
+    return SOME_FAILED if impossible else 0
+
+
+def _run(
+    work: Batch, folder: Path, options: BatchOptions, overwrite: bool, memory: int | None, display: Display
+) -> Tables:
+    """Run the cases; files of an earlier batch are refused before anything is computed."""
+    from accelsurf.batch.pool import LocalPool
+    from accelsurf.batch.run import refuse_results
+    from accelsurf.cli import batch_case
+    from accelsurf.cli.batch_progress import BatchProgress
+    from accelsurf.io.signals import uninterrupted
+    from accelsurf.report.output_folder import opened_set
+
+    interrupts = Interrupts.current()
+    with opened_set(folder, work.names.set) as files:
+        if not (overwrite or options.resume):
+            refuse_results(folder, work)
+        pool = LocalPool(
+            batch_case.run_one,
+            work.admission.jobs,
+            bytes=work.admission.bytes,
+            timeout=options.case_timeout,
+            limit=memory,
+            prepare=batch_case.load,
+        )
+        tables = work.tables(files)
+        with BatchProgress(display, len(work.tasks)) as progress:
+            try:
+                work.run(pool, tables, progress, batch_case.lost, options.resume)
+            except BaseException as error:
+                with uninterrupted():
+                    work.end_early(pool, tables, interrupts.exit_code(getattr(error, "exit_code", 1)))
+                interrupts.outcome = (
+                    f"{tables.count('ok')} of {len(work.tasks)} cases are finished; "
+                    "the same command with --resume goes on"
+                )
+                raise
+    return tables
+
+
+def _conclude(tables: Tables, folder: Path, display: Display) -> int:
+    """Print how the batch ended; return the exit code."""
+    from accelsurf.batch.run import SOME_FAILED
+
+    failed = tables.count("failed")
+    if not display.quiet:
+        print(f"{len(tables.outcomes)} cases: {tables.count('ok')} ok, {failed} failed, {tables.seconds:.1f} s")
+        for path in tables.paths(folder):
+            print(f"  {path.absolute()}")
+    return SOME_FAILED if failed else 0

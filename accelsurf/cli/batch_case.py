@@ -1,0 +1,119 @@
+"""One case of ``accelsurf batch`` in a worker process: the run of ``accelsurf segment``, and a line for the tables.
+
+`run_one` is where a case starts: whatever a case needs beyond a run from the start, such as the state of a run that
+was ended, is given to `run_case` here.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+from contextlib import redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING
+
+from accelsurf.batch import records
+from accelsurf.batch.outcome import CaseTask, Outcome, of_report
+from accelsurf.batch.worker import Failure
+from accelsurf.cli.case import Log, Place, evolve, read_image, report_failure, run_case
+from accelsurf.cli.compare import check_reference
+from accelsurf.cli.options import Display
+from accelsurf.cli.progress import Watcher
+from accelsurf.errors import AccelsurfError
+from accelsurf.io import read_labels
+from accelsurf.io.file_set import recover
+from accelsurf.io.headers import outside_data_allowed
+from accelsurf.report.result_sets import load_report
+
+if TYPE_CHECKING:
+    from accelsurf.grid.volume import Volume
+    from accelsurf.segmentation.result import Result
+    from accelsurf.settings.run_config import RunConfig
+
+#: What a case loads, so that a worker has it before its first one.
+_LOADED = ("accelsurf.segmentation.api", "accelsurf.report.outputs", "accelsurf.io.itk", "accelsurf.analysis.metrics")
+_MEMORY_HINT = "raise --max-memory, lower --jobs, or crop or downsample the image"
+#: Kind of a failure -> exit code of the case, what to do.
+_FAILURES = {
+    "error": (1, "this is a bug in accelsurf; report it with the details in the report of the batch"),
+    "memory": (3, _MEMORY_HINT),
+    "timeout": (1, "raise --case-timeout, or look at this image alone: accelsurf segment shows how far it gets"),
+    "killed": (1, _MEMORY_HINT),
+}
+
+
+def load() -> None:
+    """Load what every case needs."""
+    for name in _LOADED:
+        importlib.import_module(name)
+
+
+def run_one(task: CaseTask) -> Outcome:
+    """Run a case and write its files; what is wrong with it is in the line that is returned.
+
+    Parameters
+    ----------
+    task : CaseTask
+    """
+    silent = io.StringIO()
+    with redirect_stdout(silent), redirect_stderr(silent), outside_data_allowed(task.outside_data):
+        try:
+            return _run(task)
+        except AccelsurfError as error:
+            return _failed(task, error.message, error.hint, error.exit_code)
+
+
+def lost(task: CaseTask, failure: Failure) -> Outcome:
+    """Return the line of a case whose worker could not say how it ended; remove its drafts, and write its report.
+
+    Parameters
+    ----------
+    task : CaseTask
+    failure : Failure
+    """
+    code, hint = _FAILURES[failure.kind]
+    if task.folder.is_dir():
+        recover(task.folder)
+    if failure.kind != "error":  # a run that ended with an exception has written its report
+        with redirect_stderr(io.StringIO()):
+            report_failure(place_of(task), _LostError(failure.message, hint))
+    return _failed(task, failure.message, hint, code, failure.details)
+
+
+def place_of(task: CaseTask) -> Place:
+    """Where the image of a case is, and where its files go."""
+    return Place(task.case.image, task.folder, task.case.id, task.overwrite)
+
+
+class _LostError(AccelsurfError):
+    """The process of a case is gone, or was ended."""
+
+    kind = "lost"
+
+
+def _run(task: CaseTask) -> Outcome:
+    truth: list[Volume] = []
+
+    def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+        volume, *channels = read_image(place, config, log)
+        if task.case.reference is not None:
+            truth.append(log.timed("load", lambda: read_labels(str(task.case.reference))))
+            check_reference(truth[0], volume)
+        result = evolve(place.name, volume, channels, config, watcher)
+        log.warnings.extend(result.warnings)
+        return result
+
+    watcher = Watcher(Display(quiet=True, progress="none"))
+    done = run_case(place_of(task), task.config, watcher, task.strict, compute)
+    report = load_report(done.place.report_path)
+    if report is None:  # somebody has removed it at this moment
+        return _failed(task, f"{done.place.report_path}: cannot be read", "run it again", 7)
+    dice = records.dice_with(done.result.labels_volume(), truth[0]) if truth else None
+    if done.error is None:
+        records.write_record(task, report, dice)
+    return of_report(task.case.id, report, dice)
+
+
+def _failed(task: CaseTask, message: str, hint: str, code: int, details: str = "") -> Outcome:
+    return Outcome(
+        task.case.id, "failed", message, folder=task.folder.name, hint=hint, exit_code=code, details=details
+    )

@@ -1,0 +1,471 @@
+"""``accelsurf batch``: the files of each case, tables, resume, shards, failures, Ctrl-C.
+
+Most tests run the cases in this process, one after another; a few with real workers say what only those can.
+"""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from accelsurf import cli, io
+from accelsurf.batch import pool as pools
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from tests.support.batch_jobs import InlinePool
+
+SIZE = 20
+START = ("--start", "ball:0,0,0,4", "--threads", "1")
+
+
+@pytest.fixture
+def inline(monkeypatch):
+    """Cases run in this process; the list of those that did."""
+    monkeypatch.setattr(pools, "LocalPool", InlinePool)
+    monkeypatch.setattr(InlinePool, "ran", [])
+    return InlinePool
+
+
+def image(path, radius=7.0, seed=0):
+    middle = 0.5 * (SIZE - 1)
+    z, y, x = np.indices((SIZE,) * 3) - middle
+    ball = 100.0 * (x**2 + y**2 + z**2 < radius**2)
+    noisy = ball + np.random.default_rng(seed).normal(0, 5, ball.shape)
+    grid = Geometry(ball.shape, (1.0, 1.0, 1.0), origin=(-middle,) * 3)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    io.write(Volume(noisy.astype(np.float32), grid), path)
+    io.write_labels(Volume((ball > 0).astype(np.uint8), grid), path.parent.parent / "truth" / path.name)
+
+
+@pytest.fixture(scope="session")
+def scans(tmp_path_factory):
+    """Three balls, their truths beside them, and a table of them."""
+    folder = tmp_path_factory.mktemp("cases") / "scans"
+    (folder.parent / "truth").mkdir()
+    for number, name in enumerate(("a", "b", "c")):
+        image(folder / f"{name}.nii.gz", 6.0 + number, number)
+    rows = [f"scans/{name}.nii.gz,case-{name},truth/{name}.nii.gz" for name in "abc"]
+    (folder.parent / "cases.csv").write_text("\n".join(["image,id,reference", *rows, ""]))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def done(scans, tmp_path_factory):
+    """The outputs of one batch by the table, with two real workers."""
+    out = tmp_path_factory.mktemp("done") / "out"
+    assert run(scans.parent / "cases.csv", "-o", out, *START, "--jobs", "2", "--quiet") == 0
+    return out
+
+
+def run(*words):
+    return cli.execute(["batch", *map(str, words)])
+
+
+def table(out, name="batch.csv"):
+    return {row["id"]: row for row in csv.DictReader((out / name).read_text().splitlines())}
+
+
+def report(out, name="batch_report.json"):
+    return json.loads((out / name).read_text())
+
+
+def contents(folder):
+    """The bytes of a case's files, without what is seconds, and without the report and record."""
+    found = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix == ".json":
+            continue
+        found[path.name] = path.read_bytes()
+        if path.suffix == ".csv":
+            rows = list(csv.DictReader(path.read_text().splitlines()))
+            found[path.name] = [{key: value for key, value in row.items() if key != "seconds"} for row in rows]
+    return found
+
+
+# --------------------------------------------------------------------------------------------------- what is written
+
+
+def test_the_files_are_those_of_one_segment_for_each_case(done, scans, tmp_path):
+    for name in "abc":
+        link = tmp_path / f"case-{name}.nii.gz"  # outputs are named by the id
+        os.link(scans / f"{name}.nii.gz", link)
+        words = ["segment", link, "-o", tmp_path / f"case-{name}", *START, "--reproducible", "--quiet"]
+        assert cli.execute([str(word) for word in words]) == 0
+        mine, alone = contents(done / f"case-{name}"), contents(tmp_path / f"case-{name}")
+        assert set(alone) == {
+            f"case-{name}_{kind}" for kind in ("seg.nii.gz", "surface.ply", "trace.csv", "preview.png")
+        }
+        assert mine == alone
+
+
+def test_the_table_has_a_row_for_each_case(done, scans):
+    rows = table(done)
+    assert list(rows) == ["case-a", "case-b", "case-c"]
+    for name, row in rows.items():
+        one = json.loads((done / name / f"{name}_report.json").read_text())
+        assert (row["status"], row["reason"], row["folder"]) == ("ok", "converged", name)
+        assert float(row["ml"]) == one["volume_mm3"] / 1000 and int(row["steps"]) == one["stop"]["steps"]
+        assert float(row["quality"]) == one["quality"]["probability"]
+        assert float(row["seconds"]) == one["seconds"]["total"]
+        labels = io.read_labels(done / name / f"{name}_seg.nii.gz").array > 0
+        truth = io.read_labels(scans.parent / "truth" / f"{name[-1]}.nii.gz").array > 0
+        assert float(row["dice"]) == 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.9
+
+
+def test_the_report_of_a_batch(done):
+    document = report(done)
+    assert (document["status"], document["exit_code"], document["layout"]) == ("ok", 0, "a table")
+    assert document["counts"] == {"cases": 3, "ok": 3, "failed": 0, "waiting": 0}
+    assert document["jobs"] == 2 and document["threads"] == 1 and document["versions"]["accelsurf"]
+    assert [case["id"] for case in document["cases"]] == ["case-a", "case-b", "case-c"]
+    assert document["cases"][0]["image"].endswith("scans/a.nii.gz")
+
+
+def test_nothing_else_is_left_in_the_folder(done):
+    assert sorted(path.name for path in done.iterdir()) == [
+        "batch.csv", "batch.html", "batch_report.json", "case-a", "case-b", "case-c",
+    ]
+    assert not list(done.rglob(".*"))
+
+
+def test_failures_are_named_and_the_others_go_on(inline, scans, tmp_path, capsys):
+    (tmp_path / "torn.nii.gz").write_bytes((scans / "a.nii.gz").read_bytes()[:200])
+    (tmp_path / "cases.csv").write_text(
+        "image,id,start,reference\n"
+        f"{scans}/a.nii.gz,far,\"ball:900,0,0,4\",\n"
+        "torn.nii.gz,torn,,\n"
+        f"{scans}/b.nii.gz,good,,\n"
+        f"{scans}/c.nii.gz,other grid,,small.nii\n"
+    )
+    small = Volume(np.ones((3, 3, 3), np.uint8), Geometry((3, 3, 3), (1.0, 1.0, 1.0)))
+    io.write_labels(small, tmp_path / "small.nii")
+    assert run(tmp_path / "cases.csv", "-o", tmp_path / "out", *START) == 9
+    rows, said = table(tmp_path / "out"), capsys.readouterr()
+    assert {name: row["status"] for name, row in rows.items()} == {
+        "far": "failed", "torn": "failed", "good": "ok", "other grid": "failed",
+    }
+    assert "different grids" in rows["other grid"]["reason"] and rows["good"]["dice"] == ""
+    for name in ("far", "torn"):
+        assert f"failed: {name}: {rows[name]['reason']}" in said.err and len(rows[name]["reason"]) > 20
+        assert json.loads((tmp_path / "out" / name / f"{name}_report.json").read_text())["status"] == "failed"
+    assert "4 cases: 1 ok, 3 failed" in said.out and str(tmp_path / "out" / "batch.csv") in said.out
+    document = report(tmp_path / "out")
+    assert (document["status"], document["exit_code"]) == ("failed", 9)
+    assert [case["exit_code"] for case in document["cases"]] == [3, 3, 0, 3]
+
+
+def test_a_case_of_clicks_and_settings_of_its_own(inline, scans, tmp_path):
+    (tmp_path / "run.toml").write_text("max_steps = 2\nsmoothness = 0.25\n")
+    (tmp_path / "cases.csv").write_text(
+        "image,inside,outside,max_steps\n"
+        f"{scans}/a.nii.gz,\"point:0,0,0;ball:1,1,0,1\",\"point:9,9,9\",3\n"
+        f"{scans}/b.nii.gz,,,\n"
+    )
+    words = (tmp_path / "cases.csv", "-o", tmp_path / "out", "--config", tmp_path / "run.toml", "--smoothness", "0.5")
+    assert run(*words) == 0
+    first, second = (
+        json.loads((tmp_path / "out" / name / f"{name}_report.json").read_text())["config"] for name in "ab"
+    )
+    assert (first["inside"], first["outside"]) == (["point:0,0,0", "ball:1,1,0,1"], ["point:9,9,9"])
+    assert (first["max_steps"], first["smoothness"], first["energy"]) == (3, 0.5, "seeded")
+    assert (second["max_steps"], second["smoothness"], second["energy"]) == (2, 0.5, "chan-vese")
+    assert (tmp_path / "out" / "a" / "a_state.npz").exists()
+
+
+def test_several_objects_have_the_least_of_their_qualities(inline, scans, tmp_path):
+    (tmp_path / "seeds.csv").write_text("id,x,y,z,r\n1,-3,0,0,2\n2,4,0,0,2\n")
+    assert run(scans / "a.nii.gz", "-o", tmp_path / "out", "--objects", tmp_path / "seeds.csv", "--max-steps", 3) == 0
+    one = json.loads((tmp_path / "out" / "a" / "a_report.json").read_text())
+    qualities = [entry["quality"]["probability"] for entry in one["objects"]]
+    assert len(set(qualities)) == 2
+    assert float(table(tmp_path / "out")["a"]["quality"]) == min(qualities)
+
+
+def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tmp_path):
+    names = {"a": "a&b <i>", "b": "x' y", "c": "100%"}
+    if sys.platform == "win32":
+        pytest.skip("no such names there")
+    (tmp_path / "cases.csv").write_text(
+        "image,id\n" + "".join(f"{scans}/{key}.nii.gz,{name}\n" for key, name in names.items() if key != "a")
+        + f"absent.nii,{names['a'].replace('<i>', 'i')}\n"
+    )
+    assert run(tmp_path / "cases.csv", "-o", tmp_path / "out", *START) == 9
+    page = (tmp_path / "out" / "batch.html").read_text()
+    assert "<script" not in page and "a&amp;b i" in page and "a&b" not in page
+    rows = table(tmp_path / "out")
+    by_doubt = sorted(("x' y", "100%"), key=lambda name: float(rows[name]["quality"]))
+    places = [page.index(f"<h2>{text}</h2>") for text in ("a&amp;b i", *(n.replace("'", "&#x27;") for n in by_doubt))]
+    assert places == sorted(places)
+    assert 'src="x%27%20y/x%27%20y_preview.png"' in page and 'src="100%25/100%25_preview.png"' in page
+    assert (tmp_path / "out" / "100%" / "100%_preview.png").is_file()
+
+
+# ----------------------------------------------------------------------------------------------------- plan, progress
+
+
+def test_a_plan_runs_nothing(inline, scans, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(scans, "--plan", "--jobs", "2", "--max-memory", "4GB") == 0
+    said = capsys.readouterr()
+    assert not list(tmp_path.iterdir()) and not inline.ran
+    lines = said.out.splitlines()
+    assert lines[1].split()[:2] == ["a", str(SIZE**3)] and "MB" in lines[1]
+    assert lines[-1] == "3 cases of a folder of images; 2 at once, threads of each: " + lines[-1].rpartition(": ")[0][
+        len("3 cases of a folder of images; 2 at once, threads of each: ") :
+    ] + ": 4 GB"
+    assert run(scans, "--plan", "--max-memory", "100MB") == 9
+    assert "is not run" in capsys.readouterr().out
+
+
+def test_progress_has_a_line_of_json_for_each_event(inline, scans, tmp_path, capsys):
+    assert run(scans, "-o", tmp_path / "out", *START, "--max-steps", "2", "--progress", "json", "--quiet") == 0
+    lines = [json.loads(line) for line in capsys.readouterr().err.splitlines() if line.startswith("{")]
+    assert [(line["event"], line["case"]) for line in lines] == [
+        (event, name) for name in "abc" for event in ("start", "end")
+    ]
+    last = lines[-1]
+    assert (last["done"], last["failed"], last["cases"], last["seconds_left"]) == (3, 0, 3, 0)
+    assert lines[1]["seconds_left"] > 0 and lines[1]["status"] == "ok"
+
+
+# ------------------------------------------------------------------------------------------------------------- resume
+
+
+def test_resume_runs_what_is_not_finished(inline, scans, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = (scans.parent / "cases.csv", "-o", out, *START, "--max-steps", "3")
+    assert run(*words) == 0
+    before = {name: contents(out / f"case-{name}") for name in "abc"}
+    rows = table(out)
+    inline.ran.clear()
+    assert run(*words) == 7 and "--resume" in capsys.readouterr().err
+    assert run(*words, "--resume") == 0 and inline.ran == []
+    assert "3 of 3 cases are finished already" in capsys.readouterr().err
+    assert table(out) == rows
+    (out / "case-b" / "case-b_seg.nii.gz").unlink()
+    (out / "case-c" / "case-c_report.json").unlink()
+    assert run(*words, "--resume") == 0 and inline.ran == ["case-b", "case-c"]
+    assert {name: contents(out / f"case-{name}") for name in "abc"} == before
+    inline.ran.clear()
+    assert run(*words, "--resume", "--threads", "2") == 0 and inline.ran == []
+    assert run(*words[:-1], "2", "--resume") == 0 and inline.ran == ["case-a", "case-b", "case-c"]
+    inline.ran.clear()
+    assert run(*words[:-1], "2", "--overwrite") == 0 and inline.ran == ["case-a", "case-b", "case-c"]
+
+
+def test_resume_looks_at_the_images_and_files_that_settings_name(inline, scans, tmp_path):
+    for name in "ab":
+        (tmp_path / f"{name}.nii.gz").write_bytes((scans / f"{name}.nii.gz").read_bytes())
+    mask = io.read_labels(scans.parent / "truth" / "c.nii.gz")
+    io.write_labels(mask, tmp_path / "mask.nii.gz")
+    (tmp_path / "cases.csv").write_text("image,mask\na.nii.gz,\nb.nii.gz,mask.nii.gz\n")
+    words = (tmp_path / "cases.csv", "-o", tmp_path / "out", *START, "--max-steps", "2")
+    assert run(*words) == 0 and run(*words, "--resume") == 0
+    assert inline.ran == ["a", "b"]
+    inline.ran.clear()
+    array = mask.array.copy()
+    array[0, 0, 0] = 1
+    io.write_labels(mask.with_array(array), tmp_path / "mask.nii.gz")
+    assert run(*words, "--resume") == 0 and inline.ran == ["b"]
+    inline.ran.clear()
+    (tmp_path / "a.nii.gz").write_bytes((scans / "c.nii.gz").read_bytes())
+    assert run(*words, "--resume") == 0 and inline.ran == ["a"]
+
+
+def test_resume_leaves_a_result_that_somebody_has_corrected(inline, scans, tmp_path):
+    out = tmp_path / "out"
+    (tmp_path / "cases.csv").write_text(f"image,id,reference\n{scans}/a.nii.gz,a,{scans.parent}/truth/a.nii.gz\n")
+    words = (tmp_path / "cases.csv", "-o", out, "--inside", "point:0,0,0", "--quiet")
+    assert run(*words) == 0
+    before = table(out)["a"]
+    assert cli.execute(["refine", str(out / "a"), "--outside", "ball:4,0,0,2", "--quiet"]) == 0
+    corrected = contents(out / "a")
+    assert run(*words, "--resume") == 0
+    assert inline.ran == ["a"] and contents(out / "a") == corrected
+    assert float(table(out)["a"]["dice"]) < float(before["dice"])
+
+
+def test_resume_measures_dice_again_for_another_reference(inline, scans, tmp_path):
+    words = ("-o", tmp_path / "out", *START, "--max-steps", "2", "--quiet")
+    text = f"image,id,reference\n{scans}/a.nii.gz,a,{scans.parent}/truth/NAME.nii.gz\n"
+    dice = []
+    for name, more in (("a", ()), ("c", ("--resume",))):
+        (tmp_path / "cases.csv").write_text(text.replace("NAME", name))
+        assert run(tmp_path / "cases.csv", *words, *more) == 0
+        dice.append(float(table(tmp_path / "out")["a"]["dice"]))
+    assert inline.ran == ["a"] and dice[0] != dice[1]
+
+
+# ------------------------------------------------------------------------------------------------------------- shards
+
+
+def test_two_shards_are_one_run(inline, scans, tmp_path, monkeypatch, capsys):
+    words = (scans, "-o", tmp_path / "parts", *START, "--max-steps", "3")
+    assert run(*words, "--shard", "1/2") == 0
+    monkeypatch.setenv("SLURM_ARRAY_TASK_ID", "6")
+    monkeypatch.setenv("SLURM_ARRAY_TASK_COUNT", "2")
+    monkeypatch.setenv("SLURM_ARRAY_TASK_MIN", "5")
+    assert run(*words) == 0
+    assert "shard 2/2, by SLURM_ARRAY_TASK_ID=6" in capsys.readouterr().err
+    assert inline.ran == ["a", "c", "b"]
+    assert list(table(tmp_path / "parts", "batch_1of2.csv")) == ["a", "c"]
+    assert list(table(tmp_path / "parts", "batch_2of2.csv")) == ["b"]
+    assert report(tmp_path / "parts", "batch_report_2of2.json")["shard"] == "2/2"
+    for name in ("ID", "COUNT", "MIN"):
+        monkeypatch.delenv(f"SLURM_ARRAY_TASK_{name}")
+    assert run(*words, "--resume") == 0 and len(inline.ran) == 3
+    assert run(scans, "-o", tmp_path / "whole", *START, "--max-steps", "3") == 0
+    for name in "abc":
+        assert contents(tmp_path / "parts" / name) == contents(tmp_path / "whole" / name)
+    merged, whole = table(tmp_path / "parts"), table(tmp_path / "whole")
+    for rows in (merged, whole):
+        for line in rows.values():
+            line.pop("seconds")
+    assert merged == whole
+
+
+# ------------------------------------------------------------------------------------------------------------ refusals
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (("SCANS",), 2, "-o DIR"),
+        (("-o", "OUT"), 2, "CASES is missing"),
+        (("SCANS/absent", "-o", "OUT"), 3, "no such file or folder"),
+        (("EMPTY", "-o", "OUT"), 3, "no image in this folder"),
+        (("SCANS", "-o", "OUT", "--jobs", "0"), 2, "--jobs: 0 was given"),
+        (("SCANS", "-o", "OUT", "--case-timeout", "-1"), 2, "--case-timeout"),
+        (("SCANS", "-o", "OUT", "--case-timeout", "nan"), 2, "--case-timeout"),
+        (("SCANS", "-o", "OUT", "--max-memory", "lots"), 2, "--max-memory: lots"),
+        (("SCANS", "-o", "OUT", "--shard", "3/2"), 2, "--shard: 3/2"),
+        (("SCANS", "-o", "OUT", "--cfl", "7"), 2, "cfl: 7 was given"),
+        (("TABLE", "-o", "OUT"), 2, "row 2: cfl: 7 was given"),
+        (("SCANS", "-o", "TABLE"), 7, "cannot be written to"),
+    ],
+)
+def test_what_is_refused_is_one_line_and_a_hint(words, code, message, scans, tmp_path, capsys, inline):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "cases.csv").write_text(f"image,cfl\n{scans}/a.nii.gz,7\n")
+    places = {"SCANS": scans, "EMPTY": tmp_path / "empty", "TABLE": tmp_path / "cases.csv", "OUT": tmp_path / "out"}
+    for name, path in places.items():
+        words = [word.replace(name, str(path)) for word in words]
+    assert run(*words) == code
+    error, *rest = capsys.readouterr().err.splitlines()
+    assert error.startswith("error: ") and message in error and len(rest) == 1 and rest[0].startswith("hint: ")
+    assert not (tmp_path / "out").exists() and not inline.ran
+
+
+def test_a_result_of_segment_in_the_place_of_a_case_is_not_replaced(inline, scans, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["segment", scans / "a.nii.gz", "-o", out / "a", *START, "--max-steps", "2", "--quiet"]
+    assert cli.execute([str(word) for word in words]) == 0
+    assert run(scans, "-o", out, *START) == 7
+    assert "a_report.json: exists already" in capsys.readouterr().err and not inline.ran
+
+
+def test_settings_of_a_preset_in_a_cell_are_under_options(inline, scans, tmp_path):
+    from accelsurf.settings.presets import PRESETS
+
+    name, preset = next((key, one) for key, one in PRESETS.items() if "presmooth" in one.settings)
+    (tmp_path / "cases.csv").write_text(f"image,preset\n{scans}/a.nii.gz,{name}\n{scans}/b.nii.gz,\n")
+    words = (tmp_path / "cases.csv", "-o", tmp_path / "out", *START, "--max-steps", "1", "--energy", "chan-vese")
+    assert run(*words) in (0, 9)
+    first, second = (
+        json.loads((tmp_path / "out" / key / f"{key}_report.json").read_text())["config"] for key in "ab"
+    )
+    assert (first["preset"], first["energy"]) == (name, "chan-vese")
+    assert first["presmooth"] == preset.settings["presmooth"] != second["presmooth"]
+
+
+# ------------------------------------------------------------------------------------------------------- real workers
+
+
+def started(out, scans, *words):
+    command = [sys.executable, "-m", "accelsurf", "batch", scans, "-o", out, *START, "--progress", "json", *words]
+    return subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def workers_of(pid):
+    """Processes that a process has started."""
+    listed = subprocess.run(["ps", "-A", "-o", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
+    pairs = [tuple(map(int, line.split())) for line in listed.splitlines()]
+    return [child for child, parent in pairs if parent == pid]
+
+
+def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
+    """Cases that take for ever, but the first; no process and no draft is left behind."""
+    out = tmp_path / "out"
+    (tmp_path / "cases.csv").write_text(
+        "image,id,max_steps,tolerance,flow\n"
+        f"{scans}/a.nii.gz,quick,1,,\n"
+        f"{scans}/a.nii.gz,endless,100000000,1e-9,gradient\n"
+        f"{scans}/b.nii.gz,waits,1,,\n"
+    )
+    program = started(out, tmp_path / "cases.csv", "--jobs", "1")
+    with program:
+        for line in program.stderr:
+            if line.startswith("{") and json.loads(line) | {"done": 0} | {"event": "start", "case": "endless"} == (
+                json.loads(line) | {"done": 0}
+            ):
+                break
+        time.sleep(0.5)
+        children = workers_of(program.pid)
+        assert children
+        program.send_signal(signal.SIGINT)
+        rest = program.stderr.read()
+    assert program.returncode == 130
+    assert "1 of 3 cases are finished; the same command with --resume goes on" in rest and "Traceback" not in rest
+    end = time.monotonic() + 20
+    while any(_alive(child) for child in children) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not any(_alive(child) for child in children)
+    assert not list(out.rglob(".*"))
+    assert {name: row["status"] for name, row in table(out).items()} == {
+        "quick": "ok", "endless": "waiting", "waits": "waiting",
+    }
+    assert report(out)["status"] == "interrupted" and report(out)["exit_code"] == 130
+
+
+def _alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_path):
+    out = tmp_path / "out"
+    (tmp_path / "cases.csv").write_text(
+        "image,id,max_steps,tolerance,flow\n"
+        f"{scans}/a.nii.gz,killed,100000000,1e-9,gradient\n"
+        f"{scans}/a.nii.gz,hung,100000000,1e-9,gradient\n"
+        f"{scans}/b.nii.gz,good,1,,\n"
+    )
+    with started(out, tmp_path / "cases.csv", "--jobs", "1", "--case-timeout", "4") as program:
+        for line in program.stderr:
+            if line.startswith("{") and json.loads(line)["case"] == "killed":
+                break
+        time.sleep(0.2)
+        (worker,) = [child for child in workers_of(program.pid) if "spawn_main" in _command(child)]
+        os.kill(worker, signal.SIGKILL)
+        program.stderr.read()
+    assert program.returncode == 9
+    rows = table(out)
+    assert {name: row["status"] for name, row in rows.items()} == {"killed": "failed", "hung": "failed", "good": "ok"}
+    assert "SIGKILL" in rows["killed"]["reason"] and "within 4 s" in rows["hung"]["reason"]
+    for name in ("killed", "hung"):
+        one = json.loads((out / name / f"{name}_report.json").read_text())
+        assert one["status"] == "failed" and one["error"]["message"] == rows[name]["reason"]
+    assert not list(out.rglob(".*"))
+
+
+def _command(pid):
+    return subprocess.run(["ps", "-o", "args=", "-p", str(pid)], capture_output=True, text=True).stdout
