@@ -12,7 +12,7 @@ from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.headers import count_values
 
 #: Bytes of a process that has loaded what a case needs, and of a case by its values: with clicks, and without.
-PROCESS_BYTES, CLICKS_BYTES, PLAIN_BYTES = 300 << 20, 130, 60
+PROCESS_BYTES, CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
 #: Share of the free memory that a batch takes unless it is told.
 FREE_SHARE = 0.8
 

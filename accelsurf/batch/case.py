@@ -13,6 +13,8 @@ from accelsurf.settings.wording import shown
 
 #: Characters that a file system or a shell does not take in a name.
 _UNSAFE = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f]')
+#: Names of the tables of a batch, which lie beside the folders of the cases.
+_TABLES = re.compile(r"batch(_report)?(_\d+of\d+)?\.(csv|html|json)", re.IGNORECASE)
 #: Of an id: names of files begin with it, and have 255 bytes on the usual file systems.
 MAX_ID_BYTES = 160
 
@@ -77,6 +79,8 @@ def _check_id(case: Case) -> None:
         raise InputError(f"{case.place}: the id {shown(name)} has {shown(found[0])}, which no folder can have", hint)
     if name[0] in ".- " or name[-1] in ". ":
         raise InputError(f"{case.place}: the id {shown(name)} begins or ends with a sign that a folder cannot", hint)
+    if _TABLES.fullmatch(name):
+        raise InputError(f"{case.place}: the id {shown(name)} is the name of a table of the batch", hint)
     try:
         size = len(name.encode())
     except UnicodeEncodeError:

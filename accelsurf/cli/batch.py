@@ -117,9 +117,6 @@ def batch(
     work = Batch(*_admitted(tasks, options.jobs, memory), shard, words, sys.argv)
     if options.plan:
         return _print_plan(work)
-    if not display.quiet:
-        at_once = f"{work.admission.jobs} at once, threads of each: {work.admission.threads}"
-        say(f"{len(tasks)} cases of {words}; {at_once}")
     return _conclude(_run(work, folder, options, overwrite, memory, display), folder, display)
 
 
@@ -187,13 +184,15 @@ def _print_plan(work: Batch) -> int:
     rows = plan_rows(work.needs, work.admission)
     cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]
     print(table(("case", "values", "memory", ""), cells))
-    admission = work.admission
-    print(
-        f"\n{len(rows)} cases of {work.layout}; {admission.jobs} at once, threads of each: {admission.threads}, "
-        f"memory of all: {bytes_text(admission.bytes)}"
-    )
-    impossible = sum(need.values is None or need.bytes > admission.bytes for need in work.needs.values())
+    print(f"\n{_at_once(work)}, memory of all: {bytes_text(work.admission.bytes)}")
+    impossible = sum(need.values is None or need.bytes > work.admission.bytes for need in work.needs.values())
     return SOME_FAILED if impossible else 0
+
+
+def _at_once(work: Batch) -> str:
+    count, admission = len(work.tasks), work.admission
+    cases = "1 case" if count == 1 else f"{count} cases"
+    return f"{cases} of {work.layout}; {admission.jobs} at once, threads of each: {admission.threads}"
 
 
 def _run(
@@ -211,6 +210,8 @@ def _run(
     with opened_set(folder, work.names.set) as files:
         if not (overwrite or options.resume):
             refuse_results(folder, work)
+        if not display.quiet:
+            say(_at_once(work))
         pool = LocalPool(
             batch_case.run_one,
             work.admission.jobs,

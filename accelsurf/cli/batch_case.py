@@ -75,7 +75,7 @@ def lost(task: CaseTask, failure: Failure) -> Outcome:
         recover(task.folder)
     if failure.kind != "error":  # a run that ended with an exception has written its report
         with redirect_stderr(io.StringIO()):
-            report_failure(place_of(task), _LostError(failure.message, hint))
+            report_failure(place_of(task), LostCaseError(failure.message, hint))
     return _failed(task, failure.message, hint, code, failure.details)
 
 
@@ -84,7 +84,7 @@ def place_of(task: CaseTask) -> Place:
     return Place(task.case.image, task.folder, task.case.id, task.overwrite)
 
 
-class _LostError(AccelsurfError):
+class LostCaseError(AccelsurfError):
     """The process of a case is gone, or was ended."""
 
     kind = "lost"
