@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.batch import pool
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
+from tests.support.batch_jobs import InlinePool
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial" / "first-scan.md")
@@ -116,6 +118,9 @@ def folder_of_a_reader():
         io.write(Volume(labels, grid()), name)
     y, x = np.indices((160, 200))
     io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
+    for path in (Path("scans/anna.nii.gz"), Path("scans/bert.nii.gz")):
+        path.parent.mkdir(exist_ok=True)
+        scan_in_place_of(path)
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
     first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
     assert cli.execute(first.split()) == 0
@@ -128,18 +133,25 @@ HOW_TO = [page for page in sorted((ROOT / "docs" / "how-to").glob("*.md")) if CO
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.name)
 def test_every_command_of_a_how_to_page_is_accepted(page, tmp_path, monkeypatch, capsys):
-    """Each runs for two steps, in place of X,Y,Z with the middle; windows and pages are left to the viewer's tests."""
+    """Each runs for two steps, in place of X,Y,Z with the middle; windows and pages are left to the viewer's tests.
+
+    Cases of a batch run in this process.
+    """
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(pool, "LocalPool", InlinePool)
     folder_of_a_reader()
+    for name, text in FILE.findall(page.read_text(encoding="utf-8")):
+        Path(name).write_text(text)
     for words in commands(page):
         words = [word.replace("X,Y,Z", "0,0,0") for word in words]
         target = words.pop(words.index(">") + 1) if ">" in words else None
         words = [word for word in words if word != ">"]
         if words[0] != "accelsurf" or words[1] == "view" or (words[1] == "movie" and not can_draw()):
             continue
-        if words[1] != "info":
+        if words[1] != "info" and "--resume" not in words:
             words += ["--overwrite"]
-        if words[1] in ("segment", "compare", "movie") and not Path(words[2]).is_dir():
+        takes_steps = words[1] in ("segment", "compare", "movie") and not Path(words[2]).is_dir()
+        if takes_steps or words[1] == "batch":
             words += ["--max-steps", "2"]
         if words[1] == "movie":
             words += ["--size", "320x180"]
