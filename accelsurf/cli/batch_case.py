@@ -18,7 +18,7 @@ from accelsurf.cli.case import Log, Place, evolve, read_image, report_failure, r
 from accelsurf.cli.compare import check_reference
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import Watcher
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.io import read_labels
 from accelsurf.io.file_set import recover
 from accelsurf.io.headers import outside_data_allowed
@@ -74,8 +74,9 @@ def lost(task: CaseTask, failure: Failure) -> Outcome:
     if task.folder.is_dir():
         recover(task.folder)
     if failure.kind != "error":  # a run that ended with an exception has written its report
+        kind = InputError if failure.kind == "memory" else LostCaseError
         with redirect_stderr(io.StringIO()):
-            report_failure(place_of(task), LostCaseError(failure.message, hint))
+            report_failure(place_of(task), kind(failure.message, hint))
     return _failed(task, failure.message, hint, code, failure.details)
 
 

@@ -114,7 +114,7 @@ def test_a_layout_is_for_a_folder(tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["", "a/b", "..", "a\\b", ".a", "-a", "a ", "a.", "a:b", "a\nb", "\ud800", "x" * 161, "batch.csv", "Batch_1of2.csv"],
+    ["", "a/b", "..", "a\\b", ".a", "-a", "a ", "a.", "a:b", "\n", "\ud800", "x" * 161, "batch.csv", "Batch_1of2.csv"],
 )
 def test_ids_that_are_no_names_of_folders(name, tmp_path):
     with pytest.raises(InputError, match="row 3: the id"):

@@ -16,6 +16,8 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.batch import pool as pools
+from accelsurf.batch.outcome import Outcome
+from accelsurf.cli import batch_case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.report import preview
@@ -208,7 +210,58 @@ def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tm
     assert (tmp_path / "out" / "100%" / "100%_preview.png").is_file()
 
 
+@pytest.mark.parametrize(
+    ("error", "code", "reason"),
+    [
+        (ZeroDivisionError("a bug"), 1, "ZeroDivisionError: a bug"),
+        (MemoryError("for 9 GB"), 3, "not enough memory for 9 GB"),
+    ],
+)
+def test_an_error_that_nobody_expects_ends_its_case_only(inline, scans, tmp_path, monkeypatch, error, code, reason):
+    evolve = batch_case.evolve
+
+    def failing(name, *others):
+        if name == "b":
+            raise error
+        return evolve(name, *others)
+
+    monkeypatch.setattr(batch_case, "evolve", failing)
+    assert run(scans, "-o", tmp_path / "out", *START, "--max-steps", "1") == 9
+    rows, entry = table(tmp_path / "out"), report(tmp_path / "out")["cases"][1]
+    assert [row["status"] for row in rows.values()] == ["ok", "failed", "ok"] and rows["b"]["reason"] == reason
+    assert entry["exit_code"] == code and ("Traceback" in entry["details"]) == (code == 1)
+    one = json.loads((tmp_path / "out" / "b" / "b_report.json").read_text())
+    assert (one["status"], one["exit_code"]) == ("failed", code)
+
+
+def test_strict_makes_doubts_failures(inline, scans, tmp_path):
+    words = (scans / "a.nii.gz", "-o", tmp_path / "out", *START, "--max-steps", "1")
+    assert run(*words) == 0 and table(tmp_path / "out")["a"]["reason"] == "max-steps"
+    assert run(*words, "--strict", "--overwrite") == 9
+    assert "max-steps" in table(tmp_path / "out")["a"]["reason"]
+    assert report(tmp_path / "out")["cases"][0]["exit_code"] == 4
+
+
+def test_data_in_other_folders_only_if_that_is_allowed(inline, scans, tmp_path, monkeypatch):
+    image = tmp_path / "in" / "a.mhd"
+    image.parent.mkdir()
+    io.write(io.read(scans / "a.nii.gz"), image)
+    (tmp_path / "a.zraw").write_bytes((tmp_path / "in" / "a.zraw").read_bytes())
+    image.write_text(image.read_text().replace("ElementDataFile = a.zraw", "ElementDataFile = ../a.zraw"))
+    tasks = []
+    monkeypatch.setattr(batch_case, "run_one", lambda task: tasks.append(task) or Outcome("a", "ok"))
+    assert run(image, "-o", tmp_path / "out") == 0
+    assert run(image, "-o", tmp_path / "out2", "--allow-outside-data") == 0
+    monkeypatch.undo()
+    assert [batch_case.run_one(task).status for task in tasks] == ["failed", "ok"]
+
+
 # ----------------------------------------------------------------------------------------------------- plan, progress
+
+
+def test_a_bar_counts_the_cases(inline, scans, tmp_path, capsys):
+    assert run(scans, "-o", tmp_path / "out", *START, "--max-steps", "1", "--progress", "bar") == 0
+    assert "3/3 cases" in capsys.readouterr().err
 
 
 def test_a_plan_runs_nothing(inline, scans, tmp_path, capsys, monkeypatch):

@@ -57,6 +57,9 @@ def ball(tmp_path):
         (("segment", "FOLDER/ball.nii.gz", "-o", "FOLDER/out", "--cfl", "7"), 2),
         (("segment", "FOLDER/ball.nii.gz"), 2),
         (("look", "FOLDER/absent.nii.gz"), 3),
+        (("batch", "--help"), 0),
+        (("batch", "FOLDER/absent", "-o", "FOLDER/out"), 3),
+        (("batch", "FOLDER", "-o", "FOLDER/out", "--shard", "2/1"), 2),
         (("refine", "FOLDER/absent", "--inside", "point:0,0,0"), 3),
     ],
 )
