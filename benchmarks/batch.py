@@ -103,11 +103,15 @@ def batch(scans: Path, out: Path, start: str, *more: str) -> dict[str, float]:
     """Seconds of a batch, of the clock and of the processor, and the number of its workers."""
     command = [sys.executable, "-m", "accelsurf", "batch", str(scans), "-o", str(out), "--start", start, *more]
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([*command, "--quiet"], check=True)
+    execute([*command, "--quiet"])
     seconds, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     (report,) = out.glob("batch_report*.json")
     return {"seconds": seconds, "processor_seconds": processor, "jobs": json.loads(report.read_text())["jobs"]}
+
+
+def execute(command: list[str]) -> None:
+    subprocess.run(command, check=True)
 
 
 def table(found: dict[str, Any]) -> str:

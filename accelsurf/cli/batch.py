@@ -79,17 +79,16 @@ def batch(
 ) -> int:
     """Segment many images, each as segment does.
 
-    CASES is a folder of images, a pattern in quotes, a CSV table (columns image, id, reference and any setting; clicks
-    of one cell are separated by semicolons), nnU-Net's folder, or a BIDS tree. The files of each case go to DIR/ID.
-    DIR/batch.csv has a row for each, DIR/batch.html the pictures, the most doubtful first, DIR/batch_report.json all.
     A case that fails is named, and the others go on; then the exit code is 9.
 
     Parameters
     ----------
     cases
-        What to segment.
+        A folder of images; a pattern in quotes; a table, FILE.csv, with columns image, id, reference and any setting
+        (several clicks of one cell are separated by semicolons); nnU-Net's folder; a BIDS tree; or files.
     output
-        Folder for the outputs; made when missing.
+        Folder for the outputs; made when missing. Each case has a folder DIR/ID. DIR/batch.csv has a row for each,
+        DIR/batch.html the pictures, the most doubtful first, DIR/batch_report.json everything.
     config
         TOML file with settings; options override it, columns of a table override both.
     overwrite
