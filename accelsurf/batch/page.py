@@ -64,7 +64,8 @@ def doubt(outcome: Outcome) -> tuple[int, float, str]:
 
 
 def _table(outcomes: Sequence[Outcome]) -> list[str]:
-    lines = ["<table>", "<tr><th>case</th><th>good</th><th>ml</th><th>Dice</th><th>s</th><th class=text>end</th></tr>"]
+    head = "<th>case</th><th>likely good</th><th>ml</th><th>Dice</th><th>seconds</th><th class=text>end</th>"
+    lines = ["<table>", f"<tr>{head}</tr>"]
     for number, one in enumerate(outcomes):
         name = f'<a href="#case{number}">{escape(one.id)}</a>'
         kind = ' class="failed"' if one.status == "failed" else ""
@@ -76,13 +77,26 @@ def _table(outcomes: Sequence[Outcome]) -> list[str]:
 
 def _section(number: int, one: Outcome) -> list[str]:
     head = f'<section id="case{number}"><h2>{escape(one.id)}</h2>'
-    texts = [f'<p class="failed">{escape(one.reason)}</p>' if one.status == "failed" else ""]
+    texts = [f"<p>{_summary(one)}</p>"]
+    if one.status == "failed":
+        texts = [f'<p class="failed">{escape(one.reason)}</p>', f"<p>{escape(one.hint)}</p>" if one.hint else ""]
     texts += [f"<p>{escape(warning)}</p>" for warning in one.warnings]
     picture = ""
     if one.picture:
         place = quote(f"{one.folder}/{one.picture}")
         picture = f'<a href="{quote(one.folder)}/"><img loading="lazy" alt="{escape(one.id)}" src="{place}"></a>'
     return [head, *(text for text in texts if text), *([picture] if picture else []), "</section>"]
+
+
+def _summary(one: Outcome) -> str:
+    """What is known of a result, in a line."""
+    parts = [
+        f"{_percent(one.quality)} likely to be good" if one.quality is not None else "",
+        f"{_number(one.ml)} ml" if one.ml is not None else "",
+        f"Dice {_number(one.dice)}" if one.dice is not None else "",
+        escape(one.reason),
+    ]
+    return ", ".join(part for part in parts if part)
 
 
 def _percent(value: float | None) -> str:

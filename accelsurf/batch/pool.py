@@ -23,7 +23,7 @@ from accelsurf.batch.worker import READY, Failure, serve
 from accelsurf.errors import AccelsurfError
 
 #: A worker is replaced after so many jobs, so that memory which a library does not give back cannot pile up.
-JOBS_PER_WORKER = 50
+JOBS_PER_WORKER = 200
 #: Seconds between two looks at the memory of the workers, and that a worker has to end by itself.
 _LOOK_SECONDS, _LEAVE_SECONDS = 0.25, 5.0
 #: So many workers in a row that die before they are ready: more would do the same.
@@ -89,8 +89,9 @@ class _Worker:
             self.connection.send((job.payload,))
 
     def kill(self) -> None:
+        """End it; one that waits for a disk that is gone ends when it can."""
         self.process.kill()
-        self.process.join()
+        self.process.join(_LEAVE_SECONDS)
         self.connection.close()
 
 
@@ -151,6 +152,8 @@ class LocalPool:
     def close(self) -> None:
         """End all workers at once, those at work too."""
         for worker in (*self._workers, *self._leaving):
+            worker.process.kill()
+        for worker in (*self._workers, *self._leaving):
             worker.kill()
         self._workers, self._leaving = [], []
         self._waiting.clear()
@@ -167,15 +170,24 @@ class LocalPool:
     def _started(self) -> Iterator[Started]:
         """Give jobs to workers while there are both, and room for the job."""
         while (job := self._next()) is not None:
+            for worker in [one for one in self._workers if one.job is None and not one.process.is_alive()]:
+                self._workers.remove(worker)  # it was ended while it had nothing to do
             idle = next((worker for worker in self._workers if worker.job is None), None)
             if idle is None:
                 if len(self._workers) >= self._jobs:
                     return
-                idle = _Worker(self._function, self._prepare)
-                self._workers.append(idle)
+                idle = self._new_worker()
             self._waiting.remove(job)
             idle.give(job)
             yield Started(job.key)
+
+    def _new_worker(self) -> _Worker:
+        try:
+            worker = _Worker(self._function, self._prepare)
+        except OSError as error:
+            raise _not_started(error.strerror or str(error)) from error
+        self._workers.append(worker)
+        return worker
 
     def _next(self) -> Job | None:
         """The first waiting job that fits beside those that run."""
@@ -247,7 +259,7 @@ class LocalPool:
         if not worker.ready:
             self._stillborn += 1
             if self._stillborn >= _MAX_STILLBORN:
-                raise AccelsurfError(f"worker processes cannot be started ({failure.message})", "try --jobs 1")
+                raise _not_started(failure.message)
         return Ended(job.key, None, failure)
 
     def _too_large(self, busy: list[_Worker]) -> Iterator[Ended]:
@@ -262,6 +274,10 @@ class LocalPool:
         if len(busy) > 1:
             text += f" by {len(busy)} cases together"
         yield self._lost(largest, Failure("memory", text))
+
+
+def _not_started(reason: str) -> AccelsurfError:
+    return AccelsurfError(f"worker processes cannot be started ({reason})", "is there memory left? try fewer jobs")
 
 
 def _death(process: SpawnProcess) -> str:

@@ -130,7 +130,7 @@ class Tables:
             self._files.discard()
             contents = {
                 self._names.table: table_csv(outcomes),
-                self._names.page: page.page_html(outcomes, status, self._names.all),
+                self._names.page: page.page_html(outcomes, status, (self._names.table, self._names.report)),
                 self._names.report: to_json(self._report(status, exit_code)) + "\n",
             }
             for name, text in contents.items():

@@ -106,6 +106,15 @@ def test_workers_that_cannot_start_are_not_started_for_ever(pool):
         outcomes(one, [Job(str(number), ("double", 1)) for number in range(9)])
 
 
+def test_a_worker_that_is_killed_while_it_has_nothing_to_do_costs_no_job(pool):
+    one = pool(1)
+    found, _ = outcomes(one, [Job("a", ("pid", 0))])
+    os.kill(found["a"].value, signal.SIGKILL)
+    one._workers[0].process.join()
+    found, _ = outcomes(one, [Job("b", ("double", 4))])
+    assert found["b"].value == 8
+
+
 def test_close_ends_what_runs(pool):
     one = pool(2)
     for number in range(3):
