@@ -23,7 +23,7 @@ from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 
 #: Settings that change no result.
-_NO_MATTER = ("threads",)
+_NO_MATTER = ("threads", "checkpoint")
 #: Kinds of starts and clicks that name a file, and settings that have them.
 _KINDS = ("label", "mesh", "stroke")
 _WHERE = ("start", "foreground", "background", "inside", "outside")

@@ -14,20 +14,17 @@ from typing import TYPE_CHECKING
 from accelsurf.batch import records
 from accelsurf.batch.outcome import CaseTask, Outcome, of_report
 from accelsurf.batch.worker import Failure
-from accelsurf.cli.case import Log, Place, evolve, read_image, report_failure, run_case
+from accelsurf.cli.case import Place, report_failure, run_case
 from accelsurf.cli.compare import check_reference
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, InputError
-from accelsurf.io import read_labels
-from accelsurf.io.file_set import recover
+from accelsurf.io import channels, read_labels
 from accelsurf.io.headers import outside_data_allowed
 from accelsurf.report.result_sets import load_report
 
 if TYPE_CHECKING:
     from accelsurf.grid.volume import Volume
-    from accelsurf.segmentation.result import Result
-    from accelsurf.settings.run_config import RunConfig
 
 #: What a case loads, so that a worker has it before its first one.
 _LOADED = ("accelsurf.segmentation.api", "accelsurf.report.outputs", "accelsurf.io.itk", "accelsurf.analysis.metrics")
@@ -71,9 +68,7 @@ def lost(task: CaseTask, failure: Failure) -> Outcome:
     failure : Failure
     """
     code, hint = _FAILURES[failure.kind]
-    if task.folder.is_dir():
-        recover(task.folder)
-    if failure.kind != "error":  # a run that ended with an exception has written its report
+    if failure.kind != "error":  # a run that ended with an exception has removed its drafts and written its report
         kind = InputError if failure.kind == "memory" else LostCaseError
         with redirect_stderr(io.StringIO()):
             report_failure(place_of(task), kind(failure.message, hint))
@@ -92,26 +87,29 @@ class LostCaseError(AccelsurfError):
 
 
 def _run(task: CaseTask) -> Outcome:
-    truth: list[Volume] = []
-
-    def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
-        volume, *channels = read_image(place, config, log)
-        if task.case.reference is not None:
-            truth.append(log.timed("load", lambda: read_labels(str(task.case.reference))))
-            check_reference(truth[0], volume)
-        result = evolve(place.name, volume, channels, config, watcher)
-        log.warnings.extend(result.warnings)
-        return result
-
-    watcher = Watcher(Display(quiet=True, progress="none"))
-    done = run_case(place_of(task), task.config, watcher, task.strict, compute)
+    place = place_of(task)
+    try:
+        truth = _truth_of(task)
+    except AccelsurfError as error:
+        report_failure(place, error)
+        raise
+    done = run_case(place, task.config, Watcher(Display(quiet=True, progress="none")), task.strict)
     report = load_report(done.place.report_path)
     if report is None:  # somebody has removed it at this moment
         return _failed(task, f"{done.place.report_path}: cannot be read", "run it again", 7)
-    dice = records.dice_with(done.result.labels_volume(), truth[0]) if truth else None
+    dice = records.dice_with(done.result.labels_volume(), truth) if truth is not None else None
     if done.error is None:
         records.write_record(task, report, dice)
     return of_report(task.case.id, report, dice)
+
+
+def _truth_of(task: CaseTask) -> Volume | None:
+    """The reference of a case; refused before anything is computed where it lies on another grid than the image."""
+    if task.case.reference is None:
+        return None
+    truth = read_labels(task.case.reference)
+    check_reference(truth, channels.read(task.case.image)[0])
+    return truth
 
 
 def _failed(task: CaseTask, message: str, hint: str, code: int, details: str = "") -> Outcome:

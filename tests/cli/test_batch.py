@@ -17,7 +17,7 @@ import pytest
 from accelsurf import cli, io
 from accelsurf.batch import pool as pools
 from accelsurf.batch.outcome import Outcome
-from accelsurf.cli import batch_case
+from accelsurf.cli import batch_case, case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.report import preview
@@ -155,7 +155,7 @@ def test_failures_are_named_and_the_others_go_on(inline, scans, tmp_path, capsys
         "far": "failed", "torn": "failed", "good": "ok", "other grid": "failed",
     }
     assert "different grids" in rows["other grid"]["reason"] and rows["good"]["dice"] == ""
-    for name in ("far", "torn"):
+    for name in ("far", "torn", "other grid"):
         assert f"failed: {name}: {rows[name]['reason']}" in said.err and len(rows[name]["reason"]) > 20
         assert json.loads((tmp_path / "out" / name / f"{name}_report.json").read_text())["status"] == "failed"
     assert "4 cases: 1 ok, 3 failed" in said.out and str(tmp_path / "out" / "batch.csv") in said.out
@@ -218,14 +218,14 @@ def test_the_page_shows_every_case_by_doubt_and_runs_no_script(inline, scans, tm
     ],
 )
 def test_an_error_that_nobody_expects_ends_its_case_only(inline, scans, tmp_path, monkeypatch, error, code, reason):
-    evolve = batch_case.evolve
+    evolve = case.evolve
 
     def failing(name, *others):
         if name == "b":
             raise error
         return evolve(name, *others)
 
-    monkeypatch.setattr(batch_case, "evolve", failing)
+    monkeypatch.setattr(case, "evolve", failing)
     assert run(scans, "-o", tmp_path / "out", *START, "--max-steps", "1") == 9
     rows, entry = table(tmp_path / "out"), report(tmp_path / "out")["cases"][1]
     assert [row["status"] for row in rows.values()] == ["ok", "failed", "ok"] and rows["b"]["reason"] == reason
@@ -424,18 +424,19 @@ def test_a_result_of_segment_in_the_place_of_a_case_is_not_replaced(inline, scan
     assert "a_report.json: exists already" in capsys.readouterr().err and not inline.ran
 
 
-def test_settings_of_a_preset_in_a_cell_are_under_options(inline, scans, tmp_path):
+def test_settings_of_a_preset_in_a_cell_are_under_options_and_over_the_file(inline, scans, tmp_path):
     from accelsurf.settings.presets import PRESETS
 
     name, preset = next((key, one) for key, one in PRESETS.items() if one.settings.get("presmooth"))
+    (tmp_path / "run.toml").write_text("presmooth = 0.125\n")
     (tmp_path / "cases.csv").write_text(f"image,preset\n{scans}/a.nii.gz,{name}\n{scans}/b.nii.gz,\n")
     words = (tmp_path / "cases.csv", "-o", tmp_path / "out", *START, "--max-steps", "1", "--energy", "chan-vese")
-    assert run(*words) in (0, 9)
+    assert run(*words, "--config", tmp_path / "run.toml") in (0, 9)
     first, second = (
         json.loads((tmp_path / "out" / key / f"{key}_report.json").read_text())["config"] for key in "ab"
     )
     assert (first["preset"], first["energy"]) == (name, "chan-vese")
-    assert first["presmooth"] == preset.settings["presmooth"] != second["presmooth"]
+    assert first["presmooth"] == preset.settings["presmooth"] and second["presmooth"] == 0.125
 
 
 # ------------------------------------------------------------------------------------------------------- real workers
