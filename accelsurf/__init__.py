@@ -34,6 +34,7 @@ _HOMES = {
     "segment": "accelsurf.segmentation.api",
     "evolve": "accelsurf.segmentation.api",
     "segment_objects": "accelsurf.segmentation.api",
+    "segment_many": "accelsurf.cli.many",
     "refine": "accelsurf.segmentation.refine",
     "Refiner": "accelsurf.segmentation.refiner",
     "evaluate": "accelsurf.analysis.metrics",
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from accelsurf.analysis.contours import Contours as Contours
     from accelsurf.analysis.metrics import evaluate as evaluate
     from accelsurf.analysis.surface_mesh import Surface as Surface
+    from accelsurf.cli.many import segment_many as segment_many
     from accelsurf.errors import AccelsurfError as AccelsurfError
     from accelsurf.errors import EmptyResultError as EmptyResultError
     from accelsurf.errors import GeometryError as GeometryError

@@ -114,6 +114,17 @@ def admit(
     return Admission(jobs, threads or max(1, cores // jobs), total)
 
 
+def by_cluster(needs: Sequence[Need], threads: int | None = None) -> Admission:
+    """Nothing to decide where a cluster does: all cases at once, each on one thread unless told otherwise.
+
+    Examples
+    --------
+    >>> by_cluster([Need(1, 1000), Need(1, 2000)])
+    Admission(jobs=2, threads=1, bytes=3000)
+    """
+    return Admission(max(len(needs), 1), threads or 1, sum(need.bytes for need in needs))
+
+
 def memory_of(text: str) -> int:
     """Return bytes that are written with a unit.
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from accelsurf.batch.admission import Admission, Need
     from accelsurf.batch.case import Case
     from accelsurf.batch.outcome import CaseTask
+    from accelsurf.batch.pool import Pool
     from accelsurf.batch.run import Batch
     from accelsurf.batch.tables import Tables
     from accelsurf.settings.run_config import RunConfig
@@ -53,8 +54,19 @@ class BatchOptions:
     max_memory: Annotated[str | None, Parameter(group=BATCH, metavar="SIZE", show_default="80% of what is free")] = None
     """Memory of all cases together, such as 4GB. What needs more is not run; what takes more is ended."""
 
+    scheduler: Annotated[str | None, Parameter(group=BATCH, metavar="ADDRESS")] = None
+    """Run the cases on a Dask cluster: the address of its scheduler, as tcp://host:8786, or its scheduler file. Images
+    and outputs must have the same paths there."""
+
+    @property
+    def memory(self) -> int | None:
+        """Bytes of all cases together, where they were given."""
+        from accelsurf.batch.admission import memory_of
+
+        return None if self.max_memory is None else memory_of(self.max_memory)
+
     def check(self) -> None:
-        """Refuse numbers that are none.
+        """Refuse numbers that are none, and what a cluster decides itself.
 
         Raises
         ------
@@ -63,6 +75,10 @@ class BatchOptions:
         """
         if self.jobs is not None and self.jobs < 1:
             raise UsageError(f"--jobs: {self.jobs} was given, expected a whole number at least 1", "leave it out")
+        decided = {"--jobs": self.jobs, "--case-timeout": self.case_timeout, "--max-memory": self.max_memory}
+        given = [name for name, value in decided.items() if value is not None]
+        if self.scheduler is not None and given:
+            raise UsageError(f"{given[0]}: was given with --scheduler, which decides that itself", "leave one out")
         if self.case_timeout is not None and not 0 < self.case_timeout < float("inf"):
             raise UsageError(f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0", "as in 600")
 
@@ -96,13 +112,11 @@ def batch(
     strict
         A case that ends before it has converged, or whose result is doubtful, counts as failed.
     """
-    from accelsurf.batch.admission import memory_of
     from accelsurf.batch.cases import read_cases, shard_of
     from accelsurf.batch.run import Batch
 
     options, display = options or BatchOptions(), display or Display()
     options.check()
-    memory = None if options.max_memory is None else memory_of(options.max_memory)
     shard, note = shard_of(options.shard, os.environ)
     if note and not display.quiet:
         say(note)
@@ -113,10 +127,10 @@ def batch(
     tasks = [_task(case, folder, one, replaced, strict) for case, one in zip(found, configs, strict=True)]
     if shard is not None:
         tasks = shard.of(tasks)
-    work = Batch(*_admitted(tasks, options.jobs, memory), shard, words, sys.argv)
+    work = Batch(*admitted(tasks, options), shard, words, sys.argv)
     if options.plan:
         return _print_plan(work)
-    return _conclude(_run(work, folder, options, overwrite, memory, display), folder, display)
+    return _conclude(_run(work, folder, options, overwrite, display), folder, display)
 
 
 def _configs(cases: Sequence[Case], settings: Any, file: Path | None) -> list[RunConfig]:
@@ -147,11 +161,11 @@ def _task(case: Case, folder: Path, config: RunConfig, overwrite: bool, strict: 
     return CaseTask(case, folder.absolute() / case.id, config, overwrite, strict, is_outside_data_allowed())
 
 
-def _admitted(
-    tasks: Sequence[CaseTask], jobs: int | None, memory: int | None
+def admitted(
+    tasks: Sequence[CaseTask], options: BatchOptions
 ) -> tuple[list[CaseTask], dict[str, Need], Admission]:
     """The cases with their number of threads, what each needs, and what runs at once."""
-    from accelsurf.batch.admission import admit, need_of
+    from accelsurf.batch.admission import admit, by_cluster, need_of
     from accelsurf.io.memory import available_cores, available_memory
 
     needs = {
@@ -159,8 +173,11 @@ def _admitted(
     }
     given = {task.config.threads for task in tasks} - {"auto"}
     threads = max((int(number) for number in given), default=None)
-    admission = admit(
-        list(needs.values()), available_cores(), available_memory(), jobs=jobs, threads=threads, memory=memory
+    free = available_cores(), available_memory()
+    admission = (
+        admit(list(needs.values()), *free, jobs=options.jobs, threads=threads, memory=options.memory)
+        if options.scheduler is None
+        else by_cluster(list(needs.values()), threads)
     )
     automatic = {"threads": admission.threads}
     return (
@@ -188,17 +205,18 @@ def _print_plan(work: Batch) -> int:
     return SOME_FAILED if impossible else 0
 
 
-def _at_once(work: Batch) -> str:
+def _at_once(work: Batch, scheduler: str | None = None) -> str:
     count, admission = len(work.tasks), work.admission
     cases = "1 case" if count == 1 else f"{count} cases"
+    if scheduler is not None:
+        return f"{cases} of {work.layout}, on the cluster of {scheduler}; threads of each: {admission.threads}"
     return f"{cases} of {work.layout}; {admission.jobs} at once, threads of each: {admission.threads}"
 
 
 def _run(
-    work: Batch, folder: Path, options: BatchOptions, overwrite: bool, memory: int | None, display: Display
+    work: Batch, folder: Path, options: BatchOptions, overwrite: bool, display: Display
 ) -> Tables:
     """Run the cases; files of an earlier batch are refused before anything is computed."""
-    from accelsurf.batch.pool import LocalPool
     from accelsurf.batch.run import refuse_results
     from accelsurf.cli import batch_case
     from accelsurf.cli.batch_progress import BatchProgress
@@ -210,15 +228,8 @@ def _run(
         if not (overwrite or options.resume):
             refuse_results(folder, work)
         if not display.quiet:
-            say(_at_once(work))
-        pool = LocalPool(
-            batch_case.run_one,
-            work.admission.jobs,
-            bytes=work.admission.bytes,
-            timeout=options.case_timeout,
-            limit=memory,
-            prepare=batch_case.load,
-        )
+            say(_at_once(work, options.scheduler))
+        pool = made_pool(work, options)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:
             try:
@@ -232,6 +243,26 @@ def _run(
                 )
                 raise
     return tables
+
+
+def made_pool(work: Batch, options: BatchOptions) -> Pool:
+    """Workers of this machine, or those of a cluster."""
+    from accelsurf.cli import batch_case
+
+    if options.scheduler is not None:
+        from accelsurf.batch.dask_pool import DaskPool
+
+        return DaskPool(batch_case.run_on_cluster, options.scheduler)
+    from accelsurf.batch.pool import LocalPool
+
+    return LocalPool(
+        batch_case.run_one,
+        work.admission.jobs,
+        bytes=work.admission.bytes,
+        timeout=options.case_timeout,
+        limit=options.memory,
+        prepare=batch_case.load,
+    )
 
 
 def _conclude(tables: Tables, folder: Path, display: Display) -> int:

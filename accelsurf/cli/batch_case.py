@@ -59,6 +59,17 @@ def run_one(task: CaseTask) -> Outcome:
             return _failed(task, error.message, error.hint, error.exit_code)
 
 
+def run_on_cluster(task: CaseTask) -> Outcome:
+    """The same on a cluster, which runs a case again when its worker was lost: perhaps after its files were written.
+
+    Parameters
+    ----------
+    task : CaseTask
+    """
+    done = None if task.overwrite else records.finished(task)
+    return run_one(task) if done is None else done
+
+
 def lost(task: CaseTask, failure: Failure) -> Outcome:
     """Return the line of a case whose worker could not say how it ended; remove its drafts, and write its report.
 

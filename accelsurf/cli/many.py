@@ -1,0 +1,227 @@
+"""segment_many(): what ``accelsurf batch`` does, from Python; each case is a future."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from accelsurf.batch.case import Case, check_ids
+from accelsurf.batch.cases import read_cases
+from accelsurf.batch.outcome import CaseTask, Outcome
+from accelsurf.batch.pool import Pool
+from accelsurf.batch.run import Batch, refuse_results
+from accelsurf.batch.tables import Tables
+from accelsurf.cli import batch_case
+from accelsurf.cli.batch import BatchOptions, admitted, made_pool
+from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.io.file_set import FileSet
+from accelsurf.report.output_folder import opened_set
+from accelsurf.settings.run_config import RunConfig
+
+#: What a case may be: a path, or a mapping with ``image`` and, if wanted, ``id``, ``reference`` and settings.
+CaseLike = str | Path | Mapping[str, Any]
+
+
+class SegmentedMany(Mapping[str, "Future[Outcome]"]):
+    """The cases of `segment_many`: a future of each by its id, in their order. A context manager.
+
+    A future's ``result()`` is a line of ``batch.csv`` (`accelsurf.batch.outcome.Outcome`): status ``ok`` or ``failed``,
+    with its reason. It raises only where the batch as a whole cannot go on.
+    """
+
+    def __init__(self, work: Batch, pool: Pool, folder: Path, resume: bool) -> None:
+        self._work, self._pool, self._folder, self._resume = work, pool, folder, resume
+        self._futures: dict[str, Future[Outcome]] = {task.case.id: Future() for task in work.tasks}
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="accelsurf-many", daemon=True)
+        self._thread.start()
+
+    def __getitem__(self, id: str) -> Future[Outcome]:
+        return self._futures[id]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._futures)
+
+    def __len__(self) -> int:
+        return len(self._futures)
+
+    def __enter__(self) -> SegmentedMany:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close(wait=kind is None)
+
+    def outcomes(self) -> dict[str, Outcome]:
+        """Wait for all cases.
+
+        Raises
+        ------
+        AccelsurfError
+            When the batch as a whole cannot go on.
+        """
+        return {id: future.result() for id, future in self._futures.items()}
+
+    def close(self, wait: bool = True) -> None:
+        """Wait for the end, or end what runs: what is finished stays, the rest is cancelled.
+
+        Parameters
+        ----------
+        wait : bool
+        """
+        if not wait:
+            self._closing.set()
+            self._pool.close()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            with opened_set(self._folder, self._work.names.set) as files:
+                self._run_in(files)
+        except BaseException as error:
+            self._leave(error)
+        else:
+            self._leave(None)
+
+    def _run_in(self, files: FileSet) -> None:
+        tables = self._work.tables(files)
+        try:
+            self._work.run(self._pool, tables, _Watch(self._futures, tables), batch_case.lost, self._resume)
+        except BaseException:
+            self._work.end_early(self._pool, tables, 1)
+            raise
+
+    def _leave(self, error: BaseException | None) -> None:
+        """Settle the futures that nobody else will."""
+        self._pool.close()
+        for future in self._futures.values():
+            if future.done():
+                continue
+            if error is None or self._closing.is_set():
+                future.cancel()
+            else:
+                future.set_exception(error)
+
+
+class _Watch:
+    """Hands each line on to the future of its case."""
+
+    def __init__(self, futures: Mapping[str, Future[Outcome]], tables: Tables) -> None:
+        self._futures, self._tables = futures, tables
+
+    def found(self, count: int) -> None:
+        for line in self._tables.outcomes:
+            if line.status != "waiting":
+                self._futures[line.id].set_result(line)
+
+    def started(self, id: str) -> None:
+        """Whether a case runs is not told: its future may still be cancelled with the batch."""
+
+    def ended(self, outcome: Outcome, seconds_left: float | None) -> None:
+        self._futures[outcome.id].set_result(outcome)
+
+    def warned(self, text: str) -> None:
+        print(f"warning: {text}", file=sys.stderr)
+
+
+def segment_many(
+    cases: str | Path | Sequence[CaseLike],
+    output: str | Path,
+    *,
+    config: RunConfig | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    case_timeout: float | None = None,
+    max_memory: str | None = None,
+    overwrite: bool = False,
+    resume: bool = False,
+    strict: bool = False,
+    **options: Any,
+) -> SegmentedMany:
+    """Segment many images in worker processes, as ``accelsurf batch`` does.
+
+    Parameters
+    ----------
+    cases : str, path, or sequence of str, path or mapping
+        A folder, a pattern, a table; or a list of images, or of mappings with ``image``, ``id``, ``reference`` and
+        settings.
+    output : str or path
+        Folder of all files; each case has its own in it.
+    config : RunConfig, optional
+        Settings of all cases; the defaults otherwise.
+    jobs, scheduler, case_timeout, max_memory, overwrite, resume, strict
+        As the options of ``accelsurf batch``.
+    **options
+        Settings of all cases by name, over those of ``config``.
+
+    Returns
+    -------
+    SegmentedMany
+        At once: a mapping from ids to `concurrent.futures.Future`; ``outcomes()`` waits for all.
+
+    Raises
+    ------
+    UsageError, InputError, OutputError
+        When a case or a setting is not valid, or results stand in the folder that may not be replaced.
+
+    Notes
+    -----
+    Workers are new processes that import the program's main module: it needs ``if __name__ == "__main__":``.
+
+    Examples
+    --------
+    >>> if __name__ == "__main__":  # doctest: +SKIP
+    ...     with accelsurf.segment_many("scans", "out", start="largest:otsu") as many:
+    ...         for id, future in many.items():
+    ...             print(id, future.result().ml)
+    """
+    given = BatchOptions(jobs=jobs, scheduler=scheduler, case_timeout=case_timeout, max_memory=max_memory)
+    given.check()
+    found, words = _cases(cases)
+    common, folder = (config or RunConfig()).replace(**options), Path(output)
+    base = CaseTask(found[0], folder.absolute(), common, overwrite or resume, strict)
+    tasks = [replace(base, case=one, folder=base.folder / one.id, config=_config(one, common)) for one in found]
+    work = Batch(*admitted(tasks, given), None, words, sys.argv)
+    if not (overwrite or resume):
+        refuse_results(folder, work)
+    return SegmentedMany(work, made_pool(work, given), folder, resume)
+
+
+def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:
+    """The cases, and what they were read from in words."""
+    if isinstance(given, (str, Path)):
+        return read_cases([str(given)])
+    several = list(given)
+    if all(isinstance(one, (str, Path)) for one in several):
+        return read_cases([str(one) for one in several])
+    cases = [_case(one, place) for place, one in enumerate(several)]
+    check_ids(cases)
+    return cases, "a list"
+
+
+def _case(given: CaseLike, number: int) -> Case:
+    """A case of a list."""
+    from accelsurf.io import split_name
+
+    if isinstance(given, (str, Path)):
+        given = {"image": given}
+    settings = dict(given)
+    if "image" not in settings:
+        raise UsageError(f"cases: case {number} has no image", "give each at least image=PATH")
+    image, reference = Path(settings.pop("image")), settings.pop("reference", None)
+    id = str(settings.pop("id", split_name(image)[0]))
+    return Case(id, image, settings, None if reference is None else Path(reference), f"case {number}")
+
+
+def _config(case: Case, common: RunConfig) -> RunConfig:
+    try:
+        return common.replace(**case.settings) if case.settings else common
+    except AccelsurfError as error:
+        raise type(error)(f"{case.place}: {error.message}", error.hint) from None
