@@ -67,7 +67,6 @@ def segment(
         raise
     if resume:
         from accelsurf.cli.resume import code_of_ended, taken_up
-
         if (code := code_of_ended(place, run)) is not None:
             print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
             return code

@@ -63,8 +63,8 @@ def segment(
         File of the run's state, written as often as the setting ``checkpoint`` says. Where it exists the run goes on
         from it, and ends with the same bytes as one that was never stopped.
     **options
-        Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array, a
-        Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
+        Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
+        a Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
 
     Returns
     -------
