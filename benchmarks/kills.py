@@ -6,6 +6,8 @@ change from run to run, so that old and new files differ, and so do their names.
 * kill: SIGKILL at a random moment of the whole run, or while files are written, or while they are put in place.
 * interrupt: SIGINT, once or twice, or SIGTERM at such a moment.
 * disk: no file may grow beyond a random size, as on a full disk.
+* resumed: SIGKILL at random moments of a run that writes its state; repeated with ``--resume`` it must end with the
+  files of one that was not killed (`benchmarks.resumed`).
 
 After each the files must be those that one report names, by their checksums: all old or all new. Whatever is hidden
 must go with the next run. ``python -m benchmarks.kills --help`` lists the options; the table in
@@ -35,6 +37,7 @@ from accelsurf import io
 from accelsurf.errors import AccelsurfError
 from accelsurf.io.file_set import recover
 from accelsurf.phantoms import recipes
+from benchmarks import resumed
 
 NAME = "ball"
 FORMATS = ("nii.gz", "nii", "nrrd", "mha", "mhd", "tif")
@@ -283,6 +286,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=200, help="runs that are killed, default 200")
     parser.add_argument("--interrupts", type=int, default=40, help="runs with Ctrl-C, default 40")
     parser.add_argument("--disks", type=int, default=50, help="runs on a full disk, default 50")
+    parser.add_argument("--resumed", type=int, default=50, help="runs that are killed and go on, default 50")
     parser.add_argument("--seed", type=int, default=0, help="of the moments and sizes, default 0")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "kills.json")
     given = parser.parse_args(argv)
@@ -290,9 +294,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory(prefix="accelsurf-kills-") as folder:
         bench = Bench.prepared(Path(folder), given.seed)
         found = {"seed": given.seed, "seconds_of_a_run": round(bench.seconds, 2), **run_trials(bench, counts)}
+        found["resumed"] = resumed.trials(Path(folder) / "resumed", given.resumed, given.seed)
     given.output.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(found, indent=2))
-    return 1 if any(found[kind]["faults"] for kind in counts) else 0
+    return 1 if any(found[kind]["faults"] for kind in (*counts, "resumed")) else 0
 
 
 if __name__ == "__main__":

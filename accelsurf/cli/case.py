@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -48,12 +48,15 @@ class Place:
         First part of every output's name.
     overwrite : bool
         Whether existing outputs may be replaced.
+    resume : bool
+        Whether the run goes on from the checkpoint of an earlier one.
     """
 
     source: Path
     folder: Path
     name: str
     overwrite: bool = False
+    resume: bool = False
 
     @classmethod
     def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
@@ -66,6 +69,11 @@ class Place:
     def report_path(self) -> Path:
         """Where the report goes."""
         return self.folder / result_sets.report_name(self.name)
+
+    @property
+    def checkpoint_path(self) -> Path:
+        """Where the state of the run is while it goes on."""
+        return self.folder / f"{self.name}_checkpoint.npz"
 
     def beside_result(self, config: RunConfig | None) -> Place:
         """Where the files of a failed run go: here, or where a result stands beside it, under other names."""
@@ -180,11 +188,15 @@ def run_case(
     log = Log()
     with output_folder.opened_set(place.folder, place.name) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite)
+        if compute is None:
+            _refuse_checkpoint(place)
         try:
             result = (compute or _compute)(place, config, watcher, log)
             config = result.config
             with watcher.writing():
-                finished = _write(place, config, result, log, files, strict, watcher)
+                ended = compute is None and result.stop.reason != "interrupted"
+                gone = [place.checkpoint_path.name] if ended else []
+                finished = _write(place, config, result, log, files, strict, watcher, gone)
         except BaseException as failure:
             if not files.committed:
                 files.discard()
@@ -196,9 +208,16 @@ def run_case(
 
 
 def _write(
-    place: Place, config: RunConfig, result: Result, log: Log, files: FileSet, strict: bool, watcher: Watcher
+    place: Place,
+    config: RunConfig,
+    result: Result,
+    log: Log,
+    files: FileSet,
+    strict: bool,
+    watcher: Watcher,
+    gone: Sequence[str],
 ) -> Finished:
-    """Write the outputs of a result; those of a failed run beside a result that stands."""
+    """Write the outputs of a result, those of a failed run beside a result that stands; ``gone`` are removed."""
     from accelsurf.report import outputs
 
     title = outputs.outcome_title(place.name, result)
@@ -216,7 +235,7 @@ def _write(
         code = watcher.exit_code(code)
         status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
         _write_report(target, config, log, status, code, error, result, files)
-        _commit(target, files, error is not None)
+        _commit(target, files, error is not None, gone)
     watcher.outcome = f"the {'result so far' if interrupted else 'result'} is written: {target.report_path.absolute()}"
     return Finished(target, config, result, log, code, error)
 
@@ -230,14 +249,14 @@ def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Pla
     return target
 
 
-def _commit(target: Place, files: FileSet, failed: bool) -> None:
-    """Put the drafts in place, and take away what the earlier run wrote and this one does not."""
+def _commit(target: Place, files: FileSet, failed: bool, gone: Sequence[str] = ()) -> None:
+    """Put the drafts in place, and take away ``gone`` and what the earlier run wrote and this one does not."""
     written = [path.name for path in files.drafts.iterdir()]
     if not (failed or target.overwrite):  # another program may have put a file there while the run went on
         report = target.report_path
         output_folder.refuse_existing({"report" if n == report.name else n: files.folder / n for n in written}, False)
-    gone = result_sets.outdated(files.folder, target.name, written, failed)
-    files.commit(last=target.report_path.name, remove=gone)
+    outdated = result_sets.outdated(files.folder, target.name, written, failed)
+    files.commit(last=target.report_path.name, remove=[*outdated, *gone])
 
 
 def _warn(log: Log, error: AccelsurfError | None, watcher: Watcher) -> None:
@@ -251,9 +270,21 @@ def _warn(log: Log, error: AccelsurfError | None, watcher: Watcher) -> None:
 
 def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
     volume, *more = read_image(place, config, log)
-    result = evolve(place.name, volume, more, config, watcher)
+    if not place.resume:
+        place.checkpoint_path.unlink(missing_ok=True)
+    state = place.checkpoint_path if config.checkpoint is not None else None
+    result = evolve(place.name, volume, more, config, watcher, state)
     log.warnings.extend(result.warnings)
     return result
+
+
+def _refuse_checkpoint(place: Place) -> None:
+    """Refuse to lose the work of a killed run."""
+    if place.checkpoint_path.exists() and not (place.resume or place.overwrite):
+        raise OutputError(
+            f"{place.checkpoint_path}: is the state of a run that was stopped",
+            "add --resume to go on from it, or --overwrite to begin anew",
+        )
 
 
 def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
@@ -280,17 +311,21 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     return [volume, *more]
 
 
-def evolve(name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher) -> Result:
-    """Run one or several objects with progress, without writing anything."""
+def evolve(
+    name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, state: Path | None = None
+) -> Result:
+    """Run one or several objects with progress, without writing anything but checkpoints to the file ``state``."""
     from accelsurf.segmentation.api import segment, segment_objects
 
     with watcher.watch(name, config.max_steps):
         if config.objects is not None:
             return segment_objects(
-                volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning
+                volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning,
+                checkpoint_to=state,
             )
         return segment(
-            volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning
+            volume, channels=channels, config=config, on_step=watcher.on_step, on_warning=watcher.on_warning,
+            checkpoint_to=state,
         )
 
 

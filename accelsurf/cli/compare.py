@@ -71,7 +71,7 @@ def compare(
 
     display = display or Display()
     source, folder = required(input, "INPUT"), required(output, "-o DIR, the output folder,")
-    configs = {name: run_config(settings, config, flow=name) for name in _names(flows)}
+    configs = {name: run_config(settings, config, flow=name, checkpoint=None) for name in _names(flows)}
     paths = {"comparison": folder / "compare.json", "picture": folder / "compare.png"}
     with opened_set(folder, "compare") as files:
         refuse_existing(paths, overwrite)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
 
 if TYPE_CHECKING:
+    from accelsurf.cli.case import Finished
     from accelsurf.segmentation.result import Result, SegmentedObject
 
 _LATER = "raise --max-steps; the outputs show how far it got"
@@ -78,25 +78,19 @@ def _and_more(texts: Sequence[str]) -> str:
     return f" (and {len(texts) - 1} more)" if len(texts) > 1 else ""
 
 
-def summary_lines(
-    name: str, result: Result, outputs: Sequence[dict[str, str]], report: Path, seconds: float
-) -> list[str]:
+def summary_lines(name: str, done: Finished) -> list[str]:
     """Return the lines printed at the end: how the run ended, the measures, the files.
 
     Parameters
     ----------
     name : str
         Of the case.
-    result : Result
-    outputs : sequence of dict
-        Kind and path of each file.
-    report : Path
-    seconds : float
-        Wall time of everything.
+    done : Finished
     """
-    lines = _ending(name, result, seconds)
+    result = done.result
+    lines = _ending(name, result, done.log.seconds["total"])
     by_kind: dict[str, list[str]] = {}
-    for output in outputs:
+    for output in done.log.outputs:
         by_kind.setdefault(output["kind"], []).append(output["path"])
     if result.has_ids or {"surface", "contour"} & set(by_kind):
         lines.append(_measures(result))
@@ -107,7 +101,7 @@ def summary_lines(
             lines.append(f"  {kind:8} {paths[0]}{more}")
         else:
             lines += [f"  {kind:8} {path}" for path in paths]
-    return [*lines, f"  {'report':8} {report.absolute()}"]
+    return [*lines, f"  {'report':8} {done.place.report_path.absolute()}"]
 
 
 def _ending(name: str, result: Result, seconds: float) -> list[str]:

@@ -129,8 +129,7 @@ class _Refinement:
 def _print_summary(done: Finished, compute: _Refinement) -> None:
     from accelsurf.cli.outcome import summary_lines
 
-    log = done.log
-    lines = summary_lines(done.place.name, done.result, log.outputs, done.place.report_path, log.seconds["total"])
+    lines = summary_lines(done.place.name, done)
     print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, SHOW, Display, InputFile, Output, Overwrite, Settings, required, run_config
 from accelsurf.errors import UsageError
+
+if TYPE_CHECKING:
+    from accelsurf.cli.case import Finished
 
 
 def segment(
@@ -18,6 +21,7 @@ def segment(
     config: Annotated[Path | None, Parameter(group=FILES)] = None,
     dump_config: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     overwrite: Overwrite = False,
+    resume: Annotated[bool, Parameter(negative=(), show_default=False, group=FILES)] = False,
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     profile: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     settings: Settings | None = None,  # type: ignore[valid-type]
@@ -25,9 +29,8 @@ def segment(
 ) -> int:
     """Segment one object in a volume, or with --objects several.
 
-    Writes NAME_seg (label map on the input's grid), NAME_surface (mesh in mm; for an image of one slice NAME_contour),
-    NAME_report.json, NAME_trace.csv and NAME_preview.png; with --objects a mesh NAME_surface_ID of each and a table of
-    them, NAME_objects.csv.
+    Writes NAME_seg (label map on the input's grid), NAME_surface (mesh in mm; for one slice NAME_contour),
+    NAME_report.json, NAME_trace.csv, NAME_preview.png; with --objects NAME_surface_ID of each, and NAME_objects.csv.
 
     Parameters
     ----------
@@ -41,6 +44,9 @@ def segment(
         Print the settings as TOML and do nothing else.
     overwrite
         Replace outputs that exist.
+    resume
+        Go on from the state that a killed or interrupted run has left (--checkpoint); the result has the bytes of a run
+        that was never stopped. Without such a state the run begins, and one that has ended stays as it is.
     strict
         Exit with 4 when the run ends before it has converged, with 5 when its result is doubtful.
     profile
@@ -50,7 +56,6 @@ def segment(
         print(run_config(settings, config).to_toml(), end="")
         return 0
     from accelsurf.cli.case import Place, report_failure, run_case
-    from accelsurf.cli.outcome import summary_lines
     from accelsurf.cli.progress import Watcher
 
     display = display or Display()
@@ -60,13 +65,24 @@ def segment(
     except UsageError as error:
         report_failure(place, error)
         raise
+    if resume:
+        from accelsurf.cli.resume import code_of_ended, taken_up
+        if (code := code_of_ended(place, run)) is not None:
+            print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
+            return code
+        place, run = taken_up(place, run)
     done = run_case(place, run, Watcher(display), strict)
-    result, log = done.result, done.log
-    if not display.quiet:
-        lines = summary_lines(place.name, result, log.outputs, done.place.report_path, log.seconds["total"])
-        print("\n".join(lines))
-    if profile:
-        from accelsurf.cli import profile as stages
-
-        print("\n".join(stages.lines({**result.seconds, **log.seconds}, result.kernels)))
+    _print_summary(place.name, done, display.quiet, profile)
     return done.code
+
+
+def _print_summary(name: str, done: Finished, quiet: bool, profile: bool) -> None:
+    """Print how the run ended, and where its seconds went."""
+    from accelsurf.cli import profile as stages
+    from accelsurf.cli.outcome import summary_lines
+
+    lines = [] if quiet else summary_lines(name, done)
+    if profile:
+        lines += stages.lines({**done.result.seconds, **done.log.seconds}, done.result.kernels)
+    if lines:
+        print("\n".join(lines))

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.io import sha256
+from accelsurf.settings.run_config import RunConfig
 
 #: What the names of a failed run's files have after the name of the case, where a result stands already.
 FAILED = "_failed"
+#: Settings that change nothing of what a run leaves, and those that it may set itself.
+_WITHOUT_EFFECT, _OPEN = ("threads", "checkpoint"), ("seed", "energy")
 
 
 def report_name(name: str) -> str:
@@ -49,6 +52,19 @@ def state_of(report: Path) -> tuple[str, str, str] | None:
     listed = [entry for entry in document["outputs"] if isinstance(entry, dict) and entry.get("kind") == "state"]
     found, image = _entries(listed), document["input"].get("path")
     return (*found[0], image) if found and isinstance(image, str) else None
+
+
+def is_of(document: Mapping[str, Any], config: RunConfig, checksum: str) -> bool:
+    """Whether a report is of a run with these settings, of the image with this SHA-256.
+
+    A seed that is not given may be any, and so may an energy that clicks choose.
+    """
+    settings, source = document.get("config"), document.get("input")
+    if not isinstance(settings, dict) or not isinstance(source, dict) or source.get("sha256") != checksum:
+        return False
+    free = {*_WITHOUT_EFFECT, *(key for key in _OPEN if key not in config.model_fields_set)}
+    wanted = config.model_dump(mode="json")
+    return all(settings.get(key) == value for key, value in wanted.items() if key not in free)
 
 
 def kinds_of_outputs(report: Path) -> set[str]:

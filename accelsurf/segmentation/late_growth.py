@@ -29,6 +29,19 @@ class _Growth(NamedTuple):
     sums: NDArray[np.float32]
 
 
+class GrowthState(NamedTuple):
+    """All growth so far, in the order of steps: id of the object, volume before, and number of cubes of each.
+
+    ``cubes`` and ``sums`` are those of all steps, one after another.
+    """
+
+    ids: NDArray[np.int64]
+    volumes: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    cubes: NDArray[np.int64]
+    sums: NDArray[np.float32]
+
+
 class LateGrowth:
     """Sums up growth, step by step.
 
@@ -77,6 +90,27 @@ class LateGrowth:
         names = np.flatnonzero(np.bincount(cube))
         sums = np.bincount(cube, motion)[names].astype(np.float32)
         self._growth[step.object_id].append(_Growth(step.record.volume_mm3, names + lowest, sums))
+
+    def state(self) -> GrowthState:
+        """What was read so far."""
+        rows = [(id, one) for id, growth in self._growth.items() for one in growth]
+        cubes = [one.cubes for _, one in rows]
+        return GrowthState(
+            np.array([id for id, _ in rows], np.int64),
+            np.array([one.volume for _, one in rows], np.float64),
+            np.array([one.size for one in cubes], np.int64),
+            np.concatenate([np.zeros(0, np.int64), *cubes]),
+            np.concatenate([np.zeros(0, np.float32), *(one.sums for _, one in rows)]),
+        )
+
+    def restore(self, state: GrowthState) -> None:
+        """Go back to what was read until then."""
+        self._growth.clear()
+        ends = np.cumsum(state.counts)
+        for id, volume, begin, end in zip(
+            state.ids.tolist(), state.volumes.tolist(), (ends - state.counts).tolist(), ends.tolist(), strict=True
+        ):
+            self._growth[id].append(_Growth(volume, state.cubes[begin:end], state.sums[begin:end]))
 
     def place(self) -> tuple[float, float, float] | None:
         """Index (z, y, x) of the middle of the cube that grew most in the last part; None when no object grew."""

@@ -9,13 +9,13 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
-from accelsurf.segmentation.api import result_of
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.local_model import LocalModel, local_models, sureness_from
 from accelsurf.segmentation.new_clicks import clicks_of, clicks_on, placed_clicks
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_result import result_of
 from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, rests_of, surface_of
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from accelsurf import __version__
-from accelsurf.errors import InputError
+from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.energy_budget import EnergyBudget
 from accelsurf.evolution.lowest import LowestState
 from accelsurf.evolution.multilevel import LevelSummary
@@ -22,10 +23,14 @@ from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import EnergyRates
 from accelsurf.grid.pyramid import Level
 from accelsurf.io.files import write_bytes
+from accelsurf.kernels.host import compiler_version, processor_name
 from accelsurf.levelset import Snapshot, SurfaceState
+from accelsurf.segmentation.late_growth import GrowthState
 from accelsurf.segmentation.object_records import ObjectCheckpoint
 from accelsurf.segmentation.preprocessing import PreprocessedInput
+from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.wording import shown
 
 
 class RunCheckpoint(NamedTuple):
@@ -44,6 +49,8 @@ class RunCheckpoint(NamedTuple):
     summaries : tuple of LevelSummary
         Of the levels before.
     warnings : tuple of str
+    growth : GrowthState or None
+        Of what watches the run (`accelsurf.segmentation.late_growth`), where it is to go on.
     """
 
     step: int
@@ -53,6 +60,7 @@ class RunCheckpoint(NamedTuple):
     objects: tuple[ObjectCheckpoint, ...]
     summaries: tuple[LevelSummary, ...] = ()
     warnings: tuple[str, ...] = ()
+    growth: GrowthState | None = None
 
     @property
     def nbytes(self) -> int:
@@ -60,18 +68,40 @@ class RunCheckpoint(NamedTuple):
         return sum(one.nbytes for one in self.objects)
 
 
+#: Settings that do not change what a run has done up to a step, or only what is written at the end.
+FREE = frozenset({
+    "threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible", "keep_state", "checkpoint",
+})
+_BEGIN = "begin anew without --resume, with --overwrite"
+
+
+class CheckpointHeader(NamedTuple):
+    """What a checkpoint says of its run.
+
+    Attributes
+    ----------
+    versions : dict of str to str
+        Of accelsurf and of what its numbers depend on; ``processor`` is the one that the code was compiled for.
+    run : str
+        `run_digest`.
+    settings : dict
+        Those that the run began with, with the seed that was drawn.
+    """
+
+    versions: dict[str, str]
+    run: str
+    settings: dict[str, Any]
+
+
 #: The types in a checkpoint, by the names under which they are written.
 TYPES: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        Checkpoint, EnergyBudget, EnergyRates, Level, LevelSummary, LoopState, LowestState, ObjectCheckpoint,
-        FoundRest, RestWatch, RunCheckpoint, Slowest, Snapshot, StepFields, StepRecord, Stop, SurfaceState,
+        Checkpoint, CheckpointHeader, EnergyBudget, EnergyRates, FoundRest, GrowthState, Level, LevelSummary, LoopState,
+        LowestState, ObjectCheckpoint, RestWatch, RunCheckpoint, Slowest, Snapshot, StepFields, StepRecord, Stop,
+        SurfaceState,
     )
 }
-
-
-#: Settings that do not change what a run has done up to a step, or only what is written at the end.
-_FREE = {"threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible"}
 
 
 class Source(Protocol):
@@ -87,15 +117,31 @@ class Source(Protocol):
         ...
 
 
-def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, run: Source) -> None:
+def versions() -> dict[str, str]:
+    """What the bytes of a result depend on besides image and settings."""
+    return {
+        "accelsurf": __version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "numba": compiler_version(),
+        "processor": processor_name(),
+    }
+
+
+def header_of(run: Source) -> CheckpointHeader:
+    """The header of a run's checkpoints, the same at every step."""
+    return CheckpointHeader(versions(), run_digest(run), run.config.model_dump(mode="json"))
+
+
+def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: CheckpointHeader) -> None:
     """Write a checkpoint, completely or not at all.
 
     Parameters
     ----------
     path : str or Path
     checkpoint : RunCheckpoint
-    run : Run
-        The run: with another image, start or configuration the file is refused.
+    header : CheckpointHeader
+        From `header_of`: for a run with another image, start or configuration the file is refused.
 
     Raises
     ------
@@ -104,9 +150,42 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, run: Source) ->
     TypeError
         When the state of an energy of one's own is not made of numbers and arrays.
     """
-    header = {"accelsurf": __version__, "run": run_digest(run)}
     state = checkpoint._replace(settings=checkpoint.settings.model_dump(mode="json"))  # type: ignore[arg-type]
     write_bytes(Path(path), to_bytes((header, state), TYPES))
+
+
+def read_checkpoint(path: str | Path) -> tuple[CheckpointHeader, RunCheckpoint]:
+    """Read a checkpoint of any run.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is damaged.
+    """
+    try:
+        size = Path(path).stat().st_size
+        budgets.STATE_FILE.check(size, f"{path}: the checkpoint")
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})", "check the path") from None
+    try:
+        header, state = from_bytes(content, TYPES)
+        if not isinstance(header, CheckpointHeader) or not isinstance(state, RunCheckpoint):
+            raise ValueError("not the state of a run")
+        _check_header(header)
+        return header, RunCheckpoint(*state._replace(settings=RunConfig(**state.settings)))  # type: ignore[arg-type]
+    except InputError as error:
+        raise InputError(f"{path}: {error.message}", _BEGIN) from None
+    except (AccelsurfError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: the checkpoint is damaged ({error})", _BEGIN) from None
+
+
+def _check_header(header: CheckpointHeader) -> None:
+    texts = header.versions if isinstance(header.versions, dict) else {"": None}
+    if not all(isinstance(one, str) for one in (header.run, *texts, *texts.values())):
+        raise ValueError("it does not say of which run it is")
+    if not isinstance(header.settings, dict):
+        raise ValueError("it has no settings")
 
 
 def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:
@@ -115,24 +194,30 @@ def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:
     Raises
     ------
     InputError
-        When the file cannot be read, is damaged, or is of another run.
+        When the file cannot be read, is damaged, or is of another run; what differs is named.
     """
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})", "check the path") from None
-    try:
-        header, state = from_bytes(content, TYPES)
-    except InputError as error:
-        raise InputError(f"{path}: {error.message}", error.hint) from None
-    settings: Any = state.settings if isinstance(state, RunCheckpoint) else None
-    if not isinstance(header, dict) or not isinstance(settings, dict):
-        raise InputError(f"{path}: the checkpoint is damaged (not the state of a run)", "run from the start again")
-    if header.get("run") != run_digest(run):
-        raise InputError(
-            f"{path}: a checkpoint of another image or of other settings", "give those of the run that wrote it"
-        )
-    return RunCheckpoint(*state._replace(settings=RunConfig(**settings)))
+    header, state = read_checkpoint(path)
+    refuse_another_run(path, header, header_of(run))
+    return state
+
+
+def refuse_another_run(path: str | Path, header: CheckpointHeader, here: CheckpointHeader) -> None:
+    """Refuse a checkpoint that is not of the run with header ``here``; its settings that differ are named.
+
+    Raises
+    ------
+    InputError
+    """
+    if header.run == here.run:
+        return
+    there = header.settings
+    other = [key for key in here.settings if key not in FREE and there.get(key) != here.settings[key]]
+    what = "another image or start"
+    if other:
+        key = other[0]
+        more = f" and {len(other) - 1} more" if len(other) > 1 else ""
+        what = f"other settings: {key} was {shown(there.get(key))}, is {shown(here.settings[key])}{more}"
+    raise InputError(f"{path}: a checkpoint of {what}", "give those of the run that wrote it, or begin anew")
 
 
 def run_digest(run: Source) -> str:
@@ -146,7 +231,7 @@ def run_digest(run: Source) -> str:
         sha.update(f"{geometry.spacing}{geometry.origin}".encode())
         sha.update(np.ascontiguousarray(geometry.direction).tobytes())
         sha.update(digest_of({"image": volume.array}).encode())
-    sha.update(f"{run.energy_name}{run.given_digest}{run.config.model_dump_json(exclude=_FREE)}".encode())
+    sha.update(f"{run.energy_name}{run.given_digest}{run.config.model_dump_json(exclude=set(FREE))}".encode())
     return sha.hexdigest()
 
 

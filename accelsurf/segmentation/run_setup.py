@@ -111,10 +111,15 @@ def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, ha
     return functools.partial(_own_energy, energy, settings)
 
 
-def seeded(config: RunConfig) -> RunConfig:
-    """The configuration, with a seed if it has noise at any time; drawn once, so that it repeats the run."""
+def needs_seed(config: RunConfig) -> bool:
+    """Whether a configuration has noise at any time, and no seed."""
     noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
-    return config.replace(seed=secrets.randbelow(2**31)) if noisy and config.seed is None else config
+    return noisy and config.seed is None
+
+
+def seeded(config: RunConfig) -> RunConfig:
+    """The configuration, with a seed if it needs one; drawn once, so that it repeats the run."""
+    return config.replace(seed=secrets.randbelow(2**31)) if needs_seed(config) else config
 
 
 def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_ids: bool) -> list[str]:

@@ -15,11 +15,18 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import SettingEntry, SettingGroup, Slider, setting
 from accelsurf.settings.file_formats import IMAGE_FORMATS, MESH_FORMATS, label_help, mesh_help
 from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.intervals import INTERVAL
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.refinements import Refinement, refinements_of
 from accelsurf.settings.volumes import VOLUME
-from accelsurf.settings.written_values import checked_expression, checked_volume, one_or_many, split_commas
+from accelsurf.settings.written_values import (
+    checked_expression,
+    checked_interval,
+    checked_volume,
+    one_or_many,
+    split_commas,
+)
 
 #: A length in voxels, as it is written.
 VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
@@ -349,6 +356,12 @@ class SettingFields(BaseModel):
         "auto",
         "Also write the state of the run, from which accelsurf refine goes on; auto does with clicks.",
         entry=SettingEntry(FILES, metavar="auto|yes|no", fixed=True),
+    )
+    checkpoint: Annotated[Annotated[str, Field(pattern=INTERVAL)] | None, BeforeValidator(checked_interval)] = setting(
+        None,
+        "How often the state of the run is written while it goes on: 50 (steps), 30s, 5min. A killed run goes on from "
+        "it with --resume, and ends with the same bytes; it is removed when the run has ended.",
+        entry=SettingEntry(FILES, metavar="STEPS|TIME", fixed=True),
     )
     stop_at_rest: bool = setting(
         False,

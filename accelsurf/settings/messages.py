@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from accelsurf.errors import UsageError
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.fields import VOXELS, SettingFields
+from accelsurf.settings.intervals import INTERVAL
 from accelsurf.settings.volumes import VOLUME
 from accelsurf.settings.wording import did_you_mean, shown
 
@@ -95,6 +96,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return ["a number of voxels such as 1.5vox"]
         case "string" if schema.get("pattern") == VOLUME:
             return ["a volume such as 250ml"]
+        case "string" if schema.get("pattern") == INTERVAL:
+            return ["a number of steps such as 50, or a time such as 30s"]
         case _:
             return ["a text"]
 

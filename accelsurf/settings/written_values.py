@@ -1,10 +1,11 @@
-"""Values of settings as they are written, before their types are checked: one or many, commas, energies, volumes."""
+"""Values of settings as they are written, before their types are checked."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from accelsurf.settings import energy_expression
+from accelsurf.settings.intervals import INTERVAL_FORM, interval_of
 from accelsurf.settings.volumes import VOLUME_FORM, volume_mm3
 
 
@@ -12,6 +13,15 @@ def checked_volume(value: Any) -> Any:
     """Refuse a volume of 0."""
     if isinstance(value, str) and VOLUME_FORM.fullmatch(value):
         volume_mm3(value)
+    return value
+
+
+def checked_interval(value: Any) -> Any:
+    """Refuse an interval of 0; a number of steps may be written as a number."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        value = str(value)
+    if isinstance(value, str) and INTERVAL_FORM.fullmatch(value):
+        interval_of(value)
     return value
 
 

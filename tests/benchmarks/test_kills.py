@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks import kills
+from benchmarks import kills, resumed
 
 
 @pytest.fixture(scope="module")
@@ -14,6 +14,11 @@ def bench(tmp_path_factory):
 def test_no_run_leaves_files_that_do_not_belong_together(kind, count, bench):
     found = kills.run_trials(bench, {kind: count})[kind]
     assert found["runs"] == count and found["faults"] == []
+
+
+def test_killed_runs_go_on_to_the_same_files(tmp_path):
+    found = resumed.trials(tmp_path, count=1, seed=3)
+    assert found["runs"] == 1 and found["kills"] > 0 and found["faults"] == []
 
 
 def test_files_that_do_not_belong_together_are_seen(bench):

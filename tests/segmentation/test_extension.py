@@ -10,7 +10,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_checkpoint import load_checkpoint, save_checkpoint
+from accelsurf.segmentation.run_checkpoint import header_of, load_checkpoint, save_checkpoint
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING = (20, 28, 40), (1.5, 1.0, 1.0)
@@ -60,7 +60,7 @@ def test_a_run_goes_on_from_a_file_with_the_same_bytes(tmp_path, changes) -> Non
     with Run(image(), run_of(**changes), objects=starts) as straight:
         for _ in range(11):
             straight.step()
-        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), straight)
+        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), header_of(straight))
         assert all(one.surface.extension == "fast-marching" for one in straight.objects)
         want = ended(straight)
         assert all(one.surface.extension == "fast-marching" for one in straight.objects)

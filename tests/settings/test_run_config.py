@@ -64,6 +64,7 @@ ODD = RunConfig(
     box="1,2,3,7,8,9",
     size="2.5cm3",
     keep_state="yes",
+    checkpoint="2.5min",
     stop_at_rest=True,
     end="present",
     refine=[

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of
 from accelsurf.report.preview_content import marks_of
-from accelsurf.segmentation.api import result_of
 from accelsurf.segmentation.clicked_voxels import on_image
 from accelsurf.segmentation.corrected_surface import counted_from
 from accelsurf.segmentation.ensemble import overall_stop
@@ -19,6 +18,7 @@ from accelsurf.segmentation.refine import state_at_end
 from accelsurf.segmentation.refiner import Change, Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_result import result_of
 from accelsurf.settings.refinements import Refinement
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.saving import repeating

@@ -12,8 +12,9 @@ from accelsurf.errors import UsageError, check_known
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, file_entries, object_files, output_folder, output_names, outputs, result_sets
-from accelsurf.segmentation.api import Result, result_of
+from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_result import result_of
 from accelsurf.settings.run_config import RunConfig
 
 #: What can be saved; ``run`` is the configuration that repeats the run.

@@ -1,0 +1,46 @@
+"""``--resume``: what a run that is repeated finds of an earlier one in its folder."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+from accelsurf.cli.case import Place
+from accelsurf.io import sha256
+from accelsurf.io.file_set import finish_killed_runs
+from accelsurf.report import result_sets
+from accelsurf.settings.run_config import RunConfig
+
+#: How often the state is written where the command does not say it.
+INTERVAL = "1min"
+
+
+def code_of_ended(place: Place, config: RunConfig) -> int | None:
+    """The exit code of a run that has ended with these settings, of this image; None where there is something to do.
+
+    Raises
+    ------
+    OutputError
+        When files of a killed run cannot be put in place.
+    """
+    if not place.folder.is_dir():
+        return None
+    finish_killed_runs(place.folder)
+    document = result_sets.load_report(place.report_path)
+    if document is None or document["status"] != "ok" or not place.source.is_file():
+        return None
+    if not result_sets.is_of(document, config, sha256(place.source)):
+        return None
+    there = result_sets.unchanged_outputs(place.report_path, ())
+    return int(document["exit_code"]) if len(there) == len(document["outputs"]) else None
+
+
+def taken_up(place: Place, config: RunConfig) -> tuple[Place, RunConfig]:
+    """Place and settings to go on with: the files of a run that was interrupted or failed may be replaced."""
+    document = result_sets.load_report(place.report_path)
+    own: set[str] = set()
+    if document is not None and document["status"] != "ok":
+        own = {place.report_path.name, *result_sets.unchanged_outputs(place.report_path, ())}
+    others = [path for path in place.paths(config).values() if os.path.lexists(path) and path.name not in own]
+    place = replace(place, resume=True, overwrite=place.overwrite or not others)
+    return place, config if config.checkpoint is not None else config.replace(checkpoint=INTERVAL)

@@ -1,0 +1,104 @@
+"""The file that a run writes its state to every so often, and goes on from after it was killed."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from accelsurf.segmentation.late_growth import LateGrowth
+from accelsurf.segmentation.run_checkpoint import (
+    CheckpointHeader,
+    header_of,
+    read_checkpoint,
+    refuse_another_run,
+    save_checkpoint,
+    versions,
+)
+from accelsurf.segmentation.run_setup import needs_seed
+from accelsurf.settings.intervals import interval_of
+from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.segmentation.run import Run
+
+#: As often a run writes its state that is given a file for it and not told how often.
+DEFAULT_INTERVAL = "1min"
+
+
+class CheckpointFile:
+    """An observer of a run: it writes the state of the run, and changes nothing.
+
+    Parameters
+    ----------
+    path : Path
+        Where it exists, the run goes on from it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._interval = interval_of(DEFAULT_INTERVAL)
+        self._header: CheckpointHeader | None = None
+        self._written_at, self._seconds = 0, 0.0
+
+    def begun(self, config: RunConfig) -> RunConfig:
+        """The settings with the seed that the run drew when it began, where it is to go on and none is given.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged.
+        """
+        if not needs_seed(config) or not self.path.exists():
+            return config
+        seed = read_checkpoint(self.path)[0].settings.get("seed")
+        return config if seed is None else config.replace(seed=seed)
+
+    def restore(self, run: Run, growth: LateGrowth) -> list[str]:
+        """Go on from the file, where it exists, and begin to count steps and seconds.
+
+        Returns
+        -------
+        list of str
+            What may make the result differ in its last bits from that of a run that was never stopped.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged, or of another run.
+        """
+        self._interval = interval_of(run.config.checkpoint or DEFAULT_INTERVAL)
+        self._header, warnings = header_of(run), []
+        if self.path.exists():
+            header, state = read_checkpoint(self.path)
+            refuse_another_run(self.path, header, self._header)
+            warnings = _differences(header)
+            run.restore(state)
+            if state.growth is not None:
+                growth.restore(state.growth)
+        self._written_at, self._seconds = run.step_number, time.monotonic()
+        return warnings
+
+    def watch(self, run: Run, growth: LateGrowth, at_once: bool = False) -> None:
+        """Write the state if the interval is over, or ``at_once``; between two steps.
+
+        Raises
+        ------
+        OutputError
+            When it cannot be written.
+        """
+        assert self._header is not None  # restore() was called
+        since = run.step_number - self._written_at, time.monotonic() - self._seconds
+        if run.stop is None and (at_once or self._interval.is_over(*since)):
+            save_checkpoint(self.path, run.checkpoint()._replace(growth=growth.state()), self._header)
+            self._written_at, self._seconds = run.step_number, time.monotonic()
+
+
+def _differences(header: CheckpointHeader) -> list[str]:
+    """A line where a checkpoint was written by other versions, or on another kind of processor."""
+    here = versions()
+    other = [f"{name} {header.versions.get(name)}, here {own}" for name, own in here.items()
+             if header.versions.get(name) != own]
+    if not other:
+        return []
+    return [f"the checkpoint was written with {'; '.join(other)}: the last bits of the result may differ"]

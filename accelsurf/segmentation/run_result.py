@@ -1,0 +1,129 @@
+"""What a run leaves as a `Result`: at its end, or between two steps."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies.seeded import Sureness
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.grid.boxes import Box, box_at, widened
+from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
+from accelsurf.segmentation.evolving_object import EvolvingObject
+from accelsurf.segmentation.local_model import sureness_from
+from accelsurf.segmentation.preprocessing import uses_model
+from accelsurf.segmentation.refine import state_of
+from accelsurf.segmentation.region_of_interest import closed_on, cropped
+from accelsurf.segmentation.rest_points import rest_points
+from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run import AROUND, Run
+from accelsurf.segmentation.solver_setup import half_width, stop_rule
+
+
+def result_of(run: Run) -> Result:
+    """Return the result of a run; between two steps the present state, with the reason ``interrupted``.
+
+    Histories are copies; ``psi`` of a single object may be a view of its surface, which the next step changes.
+    """
+    config, missed = run.config, run.config.edit[run.edits_done :]
+    image = run.prepared.picture()
+    objects = _separate_objects(run, image) if run.has_ids else (_single_object(run, image),)
+    steps = max(one.stop.steps for one in objects)
+    summaries = run.summaries()
+    return Result(
+        objects=objects,
+        has_ids=run.has_ids,
+        image=image,
+        geometry=run.volume.geometry,
+        config=config,
+        energy=run.energy_name,
+        levels=summaries,
+        seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
+        volume=run.volume,
+        start=run.prepared.start,
+        resolved_settings=resolved_settings_of(run, len(summaries)),
+        kernels=run.seconds_by_kernel(),
+        edits_done=run.edits_done,
+        given=run.given,
+        clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
+        state=state_of(run),
+        warnings=run.level_warnings
+        + [
+            f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
+            for key in config.unused()
+        ]
+        + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
+    )
+
+
+def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
+    """History and reason to stop of each object; the present state of one that has not stopped."""
+    out = []
+    for one, step in zip(run.objects, run.current(), strict=True):
+        history, stop = list(one.evolution.history), one.stop
+        if stop is None:
+            record = step.record
+            history.append(record)
+            stop = Stop("interrupted", record.step, record.t, f"not ended after {record.step} steps")
+        out.append((history, stop))
+    return out
+
+
+def _sureness(run: Run, one: EvolvingObject) -> Sureness | None:
+    """How sure the model of an object's clicks is; None where the energy has none."""
+    named = run.energy_given is None or isinstance(run.energy_given, str)
+    return sureness_from(one.context.seeded_model()) if named and uses_model(run.config) else None
+
+
+def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
+    """The object of a run of one, on the whole grid."""
+    (one,), ((history, stop),) = run.objects, _ending(run)
+    psi = run.prepared.on_whole_grid(one.psi_on_finest()[1])
+    box = tuple(slice(0, n) for n in psi.shape)
+    learned = run.prepared.learned_by(one.context)
+    whole: Box = (box[0], box[1], box[2])
+    rests = rest_points(one.evolution.state.rests.found, run.prepared, whole)
+    return SegmentedObject(
+        1, whole, psi, image, run.volume.geometry, history, stop, one.made.terms, learned, rests,
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _sureness(run, one),
+    )
+
+
+def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
+    """The objects of a run of several, each on a part of the grid a little larger than its own."""
+    geometry, objects = run.volume.geometry, []
+    for one, (corner, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
+        z, y, x = (c + first for c, first in zip(corner, run.prepared.first, strict=True))
+        box = widened(box_at((z, y, x), psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
+        around = closed_on(psi, (z, y, x), box)
+        learned = run.prepared.learned_by(one.context)
+        objects.append(
+            SegmentedObject(
+                one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned,
+                rest_points(one.evolution.state.rests.found, run.prepared, box),
+                clicked_voxels(run.clicks, one.id, run.prepared.first, box), _sureness(run, one),
+            )
+        )
+    return tuple(objects)
+
+
+def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
+    """Return the values that a run on so many levels used for settings that depend on image and grid."""
+    config, prepared = run.config, run.prepared
+    diffusion = config.diffusion
+    if diffusion == "auto":
+        diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
+    rule = stop_rule(config, levels)
+    return {
+        "presmooth_mm": prepared.presmooth,
+        "scale": [{"at_0": low, "at_1": low + width} for low, width in prepared.context.scales],
+        "step_voxels": config.cfl,
+        "limiter_percentile": config.percentile,
+        "diffusion": diffusion,
+        "stop": {"voxels": rule.motion, "steps": rule.window},
+        "half_width_voxels": half_width(config),
+        "levels": levels,
+    }
