@@ -30,6 +30,8 @@ class CaseTask:
         Whether a run that did not converge, or whose result is doubtful, counts as failed.
     outside_data : bool
         Whether a header may name a data file in another folder.
+    resume : bool
+        Whether it goes on from the state that an earlier run has left.
     """
 
     case: Case
@@ -38,6 +40,7 @@ class CaseTask:
     overwrite: bool = False
     strict: bool = False
     outside_data: bool = False
+    resume: bool = False
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,9 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.report.document import to_json
-from accelsurf.report.result_sets import load_report, report_name
-from accelsurf.settings.catalogue import default_of
+from accelsurf.report.result_sets import had_settings, load_report, report_name
 from accelsurf.settings.run_config import RunConfig
 
-#: Settings that change no result.
-_NO_MATTER = ("threads", "checkpoint")
 #: Kinds of starts and clicks that name a file, and settings that have them.
 _KINDS = ("label", "mesh", "stroke")
 _WHERE = ("start", "foreground", "background", "inside", "outside")
@@ -61,7 +58,7 @@ def finished(task: CaseTask) -> Outcome | None:
     task : CaseTask
     """
     report = load_report(task.folder / report_name(task.case.id))
-    if report is None or report["status"] != "ok" or not _same_settings(task.config, report.get("config")):
+    if report is None or report["status"] != "ok" or not had_settings(report, task.config):
         return None
     if not all((task.folder / Path(str(one.get("path"))).name).is_file() for one in report["outputs"]):
         return None
@@ -90,24 +87,6 @@ def named_files(config: RunConfig) -> list[Path]:
                 found[name] = Path(name)
                 break
     return list(found.values())
-
-
-def _same_settings(config: RunConfig, written: Any) -> bool:
-    """Whether a run had these settings; later corrections do not count."""
-    if not isinstance(written, dict):
-        return False
-    wanted = config.model_dump(mode="json")
-    corrections = wanted.pop("refine")
-    ignored = {*_NO_MATTER, *(("seed",) if config.seed is None else ())}
-    return (written.get("refine") or [])[: len(corrections)] == corrections and all(
-        written.get(key, _plain(key)) == value for key, value in wanted.items() if key not in ignored
-    )
-
-
-def _plain(key: str) -> Any:
-    """What a setting was when it did not exist yet."""
-    value = default_of(key)
-    return list(value) if isinstance(value, tuple) else value
 
 
 def _dice(task: CaseTask, report: Mapping[str, Any], record: Mapping[str, Any]) -> float | None:

@@ -65,8 +65,8 @@ class BatchOptions:
 
         return None if self.max_memory is None else memory_of(self.max_memory)
 
-    def check(self) -> None:
-        """Refuse numbers that are none, and what a cluster decides itself.
+    def checked(self) -> BatchOptions:
+        """These; numbers that are none are refused, and what a cluster decides itself.
 
         Raises
         ------
@@ -81,6 +81,7 @@ class BatchOptions:
             raise UsageError(f"{given[0]}: was given with --scheduler, which decides that itself", "leave one out")
         if self.case_timeout is not None and not 0 < self.case_timeout < float("inf"):
             raise UsageError(f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0", "as in 600")
+        return self
 
 
 def batch(
@@ -113,18 +114,21 @@ def batch(
         A case that ends before it has converged, or whose result is doubtful, counts as failed.
     """
     from accelsurf.batch.cases import read_cases, shard_of
+    from accelsurf.batch.outcome import CaseTask
     from accelsurf.batch.run import Batch
+    from accelsurf.io.headers import is_outside_data_allowed
 
-    options, display = options or BatchOptions(), display or Display()
-    options.check()
+    options, display = (options or BatchOptions()).checked(), display or Display()
     shard, note = shard_of(options.shard, os.environ)
     if note and not display.quiet:
         say(note)
     found, words = read_cases(cases, options.layout)
     folder = Path() if options.plan else required(output, "-o DIR, the output folder,")
-    replaced = overwrite or options.resume
     configs = _configs(found, settings, config)
-    tasks = [_task(case, folder, one, replaced, strict) for case, one in zip(found, configs, strict=True)]
+    how = overwrite or options.resume, strict, is_outside_data_allowed(), options.resume
+    tasks = [
+        CaseTask(case, folder.absolute() / case.id, one, *how) for case, one in zip(found, configs, strict=True)
+    ]
     if shard is not None:
         tasks = shard.of(tasks)
     work = Batch(*admitted(tasks, options), shard, words, sys.argv)
@@ -152,13 +156,6 @@ def _configs(cases: Sequence[Case], settings: Any, file: Path | None) -> list[Ru
         except UsageError as error:
             raise UsageError(f"{case.place}: {error.message}", error.hint) from None
     return configs
-
-
-def _task(case: Case, folder: Path, config: RunConfig, overwrite: bool, strict: bool) -> CaseTask:
-    from accelsurf.batch.outcome import CaseTask
-    from accelsurf.io.headers import is_outside_data_allowed
-
-    return CaseTask(case, folder.absolute() / case.id, config, overwrite, strict, is_outside_data_allowed())
 
 
 def admitted(

@@ -9,14 +9,16 @@ from __future__ import annotations
 import importlib
 import io
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from accelsurf.batch import records
 from accelsurf.batch.outcome import CaseTask, Outcome, of_report
 from accelsurf.batch.worker import Failure
-from accelsurf.cli.case import Place, report_failure, run_case
+from accelsurf.cli.case import report_failure, run_case
 from accelsurf.cli.compare import check_reference
 from accelsurf.cli.options import Display
+from accelsurf.cli.place import Place
 from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.io import channels, read_labels
@@ -66,8 +68,10 @@ def run_on_cluster(task: CaseTask) -> Outcome:
     ----------
     task : CaseTask
     """
-    done = None if task.overwrite else records.finished(task)
-    return run_one(task) if done is None else done
+    if task.overwrite:
+        return run_one(task)
+    done = records.finished(task)
+    return run_one(replace(task, resume=True)) if done is None else done
 
 
 def lost(task: CaseTask, failure: Failure) -> Outcome:
@@ -88,7 +92,7 @@ def lost(task: CaseTask, failure: Failure) -> Outcome:
 
 def place_of(task: CaseTask) -> Place:
     """Where the image of a case is, and where its files go."""
-    return Place(task.case.image, task.folder, task.case.id, task.overwrite)
+    return Place(task.case.image, task.folder, task.case.id, task.overwrite, task.resume)
 
 
 class LostCaseError(AccelsurfError):

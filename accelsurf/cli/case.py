@@ -9,17 +9,18 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
 from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.outcome import shortcoming
+from accelsurf.cli.place import Place
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, object_files, output_folder, output_names, result_sets
+from accelsurf.report import document, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.settings.run_config import RunConfig
 
@@ -33,75 +34,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 #: Computes the result of a case.
 Compute = Callable[["Place", RunConfig, "Watcher", "Log"], "Result"]
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the image of a case is, and where its outputs go.
-
-    Attributes
-    ----------
-    source : Path
-        The image.
-    folder : Path
-    name : str
-        First part of every output's name.
-    overwrite : bool
-        Whether existing outputs may be replaced.
-    resume : bool
-        Whether the run goes on from the checkpoint of an earlier one.
-    """
-
-    source: Path
-    folder: Path
-    name: str
-    overwrite: bool = False
-    resume: bool = False
-
-    @classmethod
-    def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
-        """The place of an image whose outputs have its name, without suffix."""
-        from accelsurf.io import split_name
-
-        return cls(source, folder, split_name(source)[0], overwrite)
-
-    @property
-    def report_path(self) -> Path:
-        """Where the report goes."""
-        return self.folder / result_sets.report_name(self.name)
-
-    @property
-    def checkpoint_path(self) -> Path:
-        """Where the state of the run is while it goes on."""
-        return self.folder / f"{self.name}_checkpoint.npz"
-
-    def beside_result(self, config: RunConfig | None) -> Place:
-        """Where the files of a failed run go: here, or where a result stands beside it, under other names."""
-        planned = self.paths(config or RunConfig()).values()
-        if result_sets.result_stands(self.folder, self.name, planned):
-            return replace(self, name=self.name + result_sets.FAILED)
-        return self
-
-    def label_format(self, config: RunConfig) -> str:
-        """The format of the label map."""
-        from accelsurf.io import split_name
-
-        return output_names.label_format(config, split_name(self.source)[1])
-
-    def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
-        """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
-        names = output_names.names(config, self.label_format(config), is_2d)
-        return {kind: f"{self.name}_{name}" for kind, name in names.items()}
-
-    def paths(self, config: RunConfig) -> dict[str, Path]:
-        """Every possible output by kind, the report last; of several objects those that exist already."""
-        names = self.names(config)
-        if config.objects is None:
-            paths = {kind: self.folder / name for kind, name in names.items()}
-        else:
-            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(object_files.EACH)}
-            paths |= {path.name: path for path in object_files.existing(self.folder, names)}
-        return paths | {"report": self.report_path}
 
 
 @dataclass
@@ -188,13 +120,13 @@ def run_case(
     log = Log()
     with output_folder.opened_set(place.folder, place.name) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite)
-        if compute is None:
+        if place.has_checkpoint:
             _refuse_checkpoint(place)
         try:
             result = (compute or _compute)(place, config, watcher, log)
             config = result.config
             with watcher.writing():
-                ended = compute is None and result.stop.reason != "interrupted"
+                ended = place.has_checkpoint and result.stop.reason != "interrupted"
                 gone = [place.checkpoint_path.name] if ended else []
                 finished = _write(place, config, result, log, files, strict, watcher, gone)
         except BaseException as failure:
@@ -270,10 +202,18 @@ def _warn(log: Log, error: AccelsurfError | None, watcher: Watcher) -> None:
 
 def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
     volume, *more = read_image(place, config, log)
+    return evolve_at(place, volume, more, config, watcher, log)
+
+
+def evolve_at(
+    place: Place, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, log: Log
+) -> Result:
+    """Run a case from its start, or from its checkpoint where it is to go on and there is one."""
+    state = place.checkpoint_path
     if not place.resume:
-        place.checkpoint_path.unlink(missing_ok=True)
-    state = place.checkpoint_path if config.checkpoint is not None else None
-    result = evolve(place.name, volume, more, config, watcher, state)
+        state.unlink(missing_ok=True)
+    wanted = config.checkpoint is not None or state.exists()
+    result = evolve(place.name, volume, channels, config, watcher, state if wanted else None)
     log.warnings.extend(result.warnings)
     return result
 

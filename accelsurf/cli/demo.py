@@ -37,8 +37,9 @@ def demo(
         Replace outputs that exist.
     """
     from accelsurf import io
-    from accelsurf.cli.case import Place, run_case
+    from accelsurf.cli.case import run_case
     from accelsurf.cli.compare import conclude
+    from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.phantoms import recipes
     from accelsurf.report.file_entries import describe_input

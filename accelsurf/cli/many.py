@@ -182,11 +182,10 @@ def segment_many(
     ...         for id, future in many.items():
     ...             print(id, future.result().ml)
     """
-    given = BatchOptions(jobs=jobs, scheduler=scheduler, case_timeout=case_timeout, max_memory=max_memory)
-    given.check()
+    given = BatchOptions(jobs=jobs, scheduler=scheduler, case_timeout=case_timeout, max_memory=max_memory).checked()
     found, words = _cases(cases)
     common, folder = (config or RunConfig()).replace(**options), Path(output)
-    base = CaseTask(found[0], folder.absolute(), common, overwrite or resume, strict)
+    base = CaseTask(found[0], folder.absolute(), common, overwrite or resume, strict, resume=resume)
     tasks = [replace(base, case=one, folder=base.folder / one.id, config=_config(one, common)) for one in found]
     work = Batch(*admitted(tasks, given), None, words, sys.argv)
     if not (overwrite or resume):

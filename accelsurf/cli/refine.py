@@ -13,7 +13,8 @@ from accelsurf.errors import InputError, OutputError
 from accelsurf.settings.refinements import Refinement, refinements_of
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Finished, Log, Place
+    from accelsurf.cli.case import Finished, Log
+    from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.state_file import StateFile
@@ -76,14 +77,15 @@ def refine(
     """
     given = {"inside": inside, "outside": outside, "near": near, "object": object}
     (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
-    from accelsurf.cli.case import Place, run_case
+    from accelsurf.cli.case import run_case
+    from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
 
     display = display or Display()
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.parent if output is None else output
     in_place = folder.resolve() == source.report.parent.resolve()
-    place = Place(source.image, folder, source.name, overwrite or in_place)
+    place = Place(source.image, folder, source.name, overwrite or in_place, has_checkpoint=False)
     if in_place and not overwrite:
         _refuse_changed(place, source)
     compute = _Refinement(source, refinement, in_place)

@@ -5,14 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 
-from accelsurf.cli.case import Place
+from accelsurf.cli.place import Place
 from accelsurf.io import sha256
 from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.report import result_sets
 from accelsurf.settings.run_config import RunConfig
-
-#: How often the state is written where the command does not say it.
-INTERVAL = "1min"
 
 
 def code_of_ended(place: Place, config: RunConfig) -> int | None:
@@ -35,12 +32,11 @@ def code_of_ended(place: Place, config: RunConfig) -> int | None:
     return int(document["exit_code"]) if len(there) == len(document["outputs"]) else None
 
 
-def taken_up(place: Place, config: RunConfig) -> tuple[Place, RunConfig]:
-    """Place and settings to go on with: the files of a run that was interrupted or failed may be replaced."""
+def taken_up(place: Place, config: RunConfig) -> Place:
+    """The place to go on at: the files of a run that was interrupted or failed may be replaced."""
     document = result_sets.load_report(place.report_path)
     own: set[str] = set()
     if document is not None and document["status"] != "ok":
         own = {place.report_path.name, *result_sets.unchanged_outputs(place.report_path, ())}
     others = [path for path in place.paths(config).values() if os.path.lexists(path) and path.name not in own]
-    place = replace(place, resume=True, overwrite=place.overwrite or not others)
-    return place, config if config.checkpoint is not None else config.replace(checkpoint=INTERVAL)
+    return replace(place, resume=True, overwrite=place.overwrite or not others)

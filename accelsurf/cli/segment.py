@@ -55,7 +55,8 @@ def segment(
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
         return 0
-    from accelsurf.cli.case import Place, report_failure, run_case
+    from accelsurf.cli.case import report_failure, run_case
+    from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
 
     display = display or Display()
@@ -70,7 +71,7 @@ def segment(
         if (code := code_of_ended(place, run)) is not None:
             print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
             return code
-        place, run = taken_up(place, run)
+        place = taken_up(place, run)
     done = run_case(place, run, Watcher(display), strict)
     _print_summary(place.name, done, display.quiet, profile)
     return done.code

@@ -10,6 +10,7 @@ from typing import Any
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.io import sha256
+from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 
 #: What the names of a failed run's files have after the name of the case, where a result stands already.
@@ -55,16 +56,31 @@ def state_of(report: Path) -> tuple[str, str, str] | None:
 
 
 def is_of(document: Mapping[str, Any], config: RunConfig, checksum: str) -> bool:
-    """Whether a report is of a run with these settings, of the image with this SHA-256.
+    """Whether a report is of a run with these settings, of the image with this SHA-256."""
+    source = document.get("input")
+    return isinstance(source, dict) and source.get("sha256") == checksum and had_settings(document, config)
+
+
+def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
+    """Whether a report is of a run with these settings; later corrections do not count.
 
     A seed that is not given may be any, and so may an energy that clicks choose.
     """
-    settings, source = document.get("config"), document.get("input")
-    if not isinstance(settings, dict) or not isinstance(source, dict) or source.get("sha256") != checksum:
+    written = document.get("config")
+    if not isinstance(written, dict):
         return False
-    free = {*_WITHOUT_EFFECT, *(key for key in _OPEN if key not in config.model_fields_set)}
     wanted = config.model_dump(mode="json")
-    return all(settings.get(key) == value for key, value in wanted.items() if key not in free)
+    corrections = wanted.pop("refine")
+    free = {*_WITHOUT_EFFECT, *(key for key in _OPEN if key not in config.model_fields_set)}
+    return (written.get("refine") or [])[: len(corrections)] == corrections and all(
+        written.get(key, _default(key)) == value for key, value in wanted.items() if key not in free
+    )
+
+
+def _default(key: str) -> Any:
+    """What a setting was when it did not exist yet."""
+    value = default_of(key)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def kinds_of_outputs(report: Path) -> set[str]:

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.batch import pool as pools
 from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.checkpoint_file import CheckpointFile
+from tests.support.batch_jobs import InlinePool
 
 PROGRAM = (sys.executable, "-m", "accelsurf")
 WORDS = ("--start", "ball:14,14,12,4", "--levels", "1", "--threads", "1", "--max-steps", "40", "--save-sdf")
@@ -133,3 +136,23 @@ def test_a_full_disk_ends_the_run_and_keeps_the_last_state(scan, whole, tmp_path
     assert program.returncode == 7 and "ball_checkpoint.npz" in program.stderr and "Traceback" not in program.stderr
     assert run("segment", scan, "-o", tmp_path / "out", *WORDS, "--resume") == 0
     assert content(tmp_path / "out") == whole
+
+
+def test_a_case_of_a_batch_goes_on_from_its_state(scan, whole, tmp_path, monkeypatch):
+    program = started(scan, tmp_path / "out" / "ball")
+    program.kill()
+    program.communicate()
+    taken_up = []
+    restore = CheckpointFile.restore
+
+    def watched(self, run, growth):
+        found = restore(self, run, growth)
+        taken_up.append(run.step_number)
+        return found
+
+    monkeypatch.setattr(CheckpointFile, "restore", watched)
+    monkeypatch.setattr(pools, "LocalPool", InlinePool)
+    assert run("batch", scan, "-o", tmp_path / "out", *WORDS, "--resume", "--quiet") == 0
+    assert len(taken_up) == 1 and taken_up[0] > 0
+    assert content(tmp_path / "out" / "ball") == whole
+    assert not (tmp_path / "out" / "ball" / "ball_checkpoint.npz").exists()

@@ -1,0 +1,81 @@
+"""Where the image of a case is, and where its files go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from accelsurf.report import object_files, output_names, result_sets
+from accelsurf.settings.run_config import RunConfig
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the image of a case is, and where its outputs go.
+
+    Attributes
+    ----------
+    source : Path
+        The image.
+    folder : Path
+    name : str
+        First part of every output's name.
+    overwrite : bool
+        Whether existing outputs may be replaced.
+    resume : bool
+        Whether the run goes on from the checkpoint of an earlier one.
+    has_checkpoint : bool
+        Whether it may have one: a correction has none.
+    """
+
+    source: Path
+    folder: Path
+    name: str
+    overwrite: bool = False
+    resume: bool = False
+    has_checkpoint: bool = True
+
+    @classmethod
+    def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
+        """The place of an image whose outputs have its name, without suffix."""
+        from accelsurf.io import split_name
+
+        return cls(source, folder, split_name(source)[0], overwrite)
+
+    @property
+    def report_path(self) -> Path:
+        """Where the report goes."""
+        return self.folder / result_sets.report_name(self.name)
+
+    @property
+    def checkpoint_path(self) -> Path:
+        """Where the state of the run is while it goes on."""
+        return self.folder / f"{self.name}_checkpoint.npz"
+
+    def beside_result(self, config: RunConfig | None) -> Place:
+        """Where the files of a failed run go: here, or where a result stands beside it, under other names."""
+        planned = self.paths(config or RunConfig()).values()
+        if result_sets.result_stands(self.folder, self.name, planned):
+            return replace(self, name=self.name + result_sets.FAILED)
+        return self
+
+    def label_format(self, config: RunConfig) -> str:
+        """The format of the label map."""
+        from accelsurf.io import split_name
+
+        return output_names.label_format(config, split_name(self.source)[1])
+
+    def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
+        """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
+        names = output_names.names(config, self.label_format(config), is_2d)
+        return {kind: f"{self.name}_{name}" for kind, name in names.items()}
+
+    def paths(self, config: RunConfig) -> dict[str, Path]:
+        """Every possible output by kind, the report last; of several objects those that exist already."""
+        names = self.names(config)
+        if config.objects is None:
+            paths = {kind: self.folder / name for kind, name in names.items()}
+        else:
+            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(object_files.EACH)}
+            paths |= {path.name: path for path in object_files.existing(self.folder, names)}
+        return paths | {"report": self.report_path}
