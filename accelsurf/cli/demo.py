@@ -47,8 +47,7 @@ def demo(
     from accelsurf.settings.run_config import RunConfig
 
     display = display or Display()
-    recipe = recipes.load_recipe("cube_noisy")
-    image, labels = output / "cube.nii.gz", output / "cube_truth.nii.gz"
+    recipe, image, labels = recipes.load_recipe("cube_noisy"), output / "cube.nii.gz", output / "cube_truth.nii.gz"
     paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
     common = RunConfig(start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS)
     common = common.replace(threads=min(2, os.cpu_count() or 1))

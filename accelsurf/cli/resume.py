@@ -12,8 +12,10 @@ from accelsurf.report import result_sets
 from accelsurf.settings.run_config import RunConfig
 
 
-def code_of_ended(place: Place, config: RunConfig) -> int | None:
-    """The exit code of a run that has ended with these settings, of this image; None where there is something to do.
+def code_of_ended(place: Place, config: RunConfig, quiet: bool = False) -> int | None:
+    """The exit code of a run that has ended with these settings, of this image, which is said unless ``quiet``.
+
+    None where there is something to do.
 
     Raises
     ------
@@ -29,7 +31,11 @@ def code_of_ended(place: Place, config: RunConfig) -> int | None:
     if not result_sets.is_of(document, config, sha256(place.source)):
         return None
     there = result_sets.unchanged_outputs(place.report_path, ())
-    return int(document["exit_code"]) if len(there) == len(document["outputs"]) else None
+    if len(there) < len(document["outputs"]):
+        return None
+    if not quiet:
+        print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
+    return int(document["exit_code"])
 
 
 def taken_up(place: Place, config: RunConfig) -> Place:

@@ -68,8 +68,7 @@ def segment(
         raise
     if resume:
         from accelsurf.cli.resume import code_of_ended, taken_up
-        if (code := code_of_ended(place, run)) is not None:
-            print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
+        if (code := code_of_ended(place, run, display.quiet)) is not None:
             return code
         place = taken_up(place, run)
     done = run_case(place, run, Watcher(display), strict)
