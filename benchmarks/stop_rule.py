@@ -35,13 +35,14 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "stop_rule.json")
     parser.add_argument("--max-steps", type=int, default=400)
     parser.add_argument("--levels", type=int, default=1)
+    parser.add_argument("--energy", default="chan-vese:area=0", help="by default one that lets a surface follow noise")
     options = parser.parse_args()
     rows = []
     for noise, shape, flow in itertools.product(NOISES, STARTS, FLOWS):
         image = phantom(shape, noise)
         config = RunConfig(
-            flow=flow, levels=options.levels, max_steps=options.max_steps, threads=1, start=(STARTS[shape],),
-            smoothness=0.0,
+            energy=options.energy, flow=flow, levels=options.levels, max_steps=options.max_steps, threads=1,
+            start=(STARTS[shape],), smoothness=0.0,
         )
         row: dict[str, Any] = {"shape": shape, "noise": noise, "flow": flow}
         row["without forecast"] = measured(image, config, math.inf)

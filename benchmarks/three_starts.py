@@ -60,7 +60,9 @@ def main() -> None:
 
     recipe = load_recipe("cube_noisy")
     phantom = make(recipe if options.seed is None else recipe.changed(seed=options.seed))
-    common = RunConfig(smoothness=0.0, levels=1, max_steps=options.max_steps, threads=options.threads)
+    common = RunConfig(
+        energy="chan-vese:area=0", smoothness=0.0, levels=1, max_steps=options.max_steps, threads=options.threads
+    )
     rows, labels = [], {}
     for name, changes in VARIANTS.items():
         if options.only not in name:

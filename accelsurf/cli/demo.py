@@ -18,6 +18,8 @@ MAX_STEPS = 250
 PERCENTILE = 100.0
 #: The image's own grid alone: on a coarser one, where noise is averaged, there are few local minima.
 LEVELS = 1
+#: Nothing of the area that noise asks for: it would remove most of the local minima.
+ENERGY = "chan-vese:area=0"
 
 
 def demo(
@@ -49,7 +51,9 @@ def demo(
     display = display or Display()
     recipe, image, labels = recipes.load_recipe("cube_noisy"), output / "cube.nii.gz", output / "cube_truth.nii.gz"
     paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
-    common = RunConfig(start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS)
+    common = RunConfig(
+        energy=ENERGY, start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS
+    )
     common = common.replace(threads=min(2, os.cpu_count() or 1))
     places = {flow: Place(image, output, f"cube_{flow}", overwrite) for flow in FLOWS}
     planned = [place.paths(common.replace(flow=flow)) for flow, place in places.items()]

@@ -35,6 +35,9 @@ class StopRule(NamedTuple):
     last step moved the surface by less than `STILL` voxels (a start at the minimum decreases nothing) and a kinetic
     energy above `LEVEL_KINETIC` of it falls. Where steps are shorter than the share `SHORT` of `StepRecord.cfl_dt`,
     the window is longer in proportion.
+
+    With ``patience`` a run has also converged when so many steps have found no lower potential than one of the run,
+    and the surface still lies there, by ``motion`` and ``far``. What creeps finds a lower one in every step.
     """
 
     window: int = 20
@@ -42,9 +45,12 @@ class StopRule(NamedTuple):
     kinetic: float = 0.01
     far: float = 0.01
     further: float = 0.07
+    patience: int | None = None
 
     def judge(self, surface: LevelSet, flow: Flow, state: LoopState) -> Reason | None:
         """Whether the surface has converged; ``state`` records the check."""
+        if self._is_past_lowest(surface, state):
+            return "converged", f"in {self.patience} steps the energy did not become lower, nor did the surface move on"
         if (len(state.history) - state.first) % self.window:
             return None
         records = state.history[state.judged_at :]
@@ -65,6 +71,17 @@ class StopRule(NamedTuple):
             if forecast(moved.mean, moved_before, twice, HORIZON) - moved.mean > self.further:
                 return None
         return "converged", f"the surface moved {moved.mean:.3f} voxels in {len(records)} steps"
+
+    def _is_past_lowest(self, surface: LevelSet, state: LoopState) -> bool:
+        """Whether the lowest potential lies ``patience`` steps back, and the surface is still there."""
+        lowest = state.lowest
+        if self.patience is None or lowest is None or not lowest.is_below(state.potential):
+            return False
+        since = len(state.history) - max(lowest.step, state.returned_at)
+        if since < self.patience or lowest.step <= state.first:
+            return False
+        moved = surface.distance_from(lowest.snapshot)
+        return moved.mean <= self.motion and moved.far <= self.far
 
     def _swings(self, flow: Flow, state: LoopState, records: list[StepRecord]) -> bool:
         """Whether momentum moves the surface: much kinetic energy while it is not still, or more that does not fall."""

@@ -41,12 +41,10 @@ from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.rest_points import on_larger_box
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_setup import energy_maker, setup_of, window_reach
-from accelsurf.segmentation.solver_setup import half_width, is_maker
+from accelsurf.segmentation.solver_setup import correction_rule, half_width, is_maker
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
 
-#: A correction begins near its end, as a run does after a coarser level: the stop rule is that of two levels.
-LEVELS = 2
 #: What is called with each record and the id of its object; a true value ends the correction.
 OnObjectStep = Callable[[StepRecord, int], bool | None]
 #: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.
@@ -293,7 +291,7 @@ class Refiner:
             energy = MaskConstraint(energy, distance)
         clicks = self._clicks.of(one.id).on_box(region.box)
         bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
-        setup = setup_of(settings, 0, LEVELS, state.prepared.geometry)
+        setup = setup_of(settings, 0, 1, state.prepared.geometry)._replace(rule=correction_rule(settings))
         return LocalProblem(
             psi, self._spacing, region, bounds, [], frozenset(), energy, setup, self.config.max_steps, one.history
         )

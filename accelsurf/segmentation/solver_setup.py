@@ -19,6 +19,11 @@ from accelsurf.settings.run_config import RunConfig
 #: Motion in the steps to come, by the trend, that a converged surface may still make, as a share of the tolerance: the
 #: trend tells it too low by up to this.
 FURTHER = 0.7
+#: Flows whose surface moves slowly also where it has not converged.
+SHORT_STEPS = ("flowable-mass", "sobolev")
+#: A correction has converged when so many steps have found no lower energy: an oscillation from step to step finds it
+#: in two.
+PATIENCE = 3
 
 
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
@@ -31,9 +36,15 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
     further = FURTHER * config.tolerance
     if levels == 1:
         return StopRule(motion=config.tolerance, further=further)
-    if config.flow in ("flowable-mass", "sobolev"):
+    if config.flow in SHORT_STEPS:
         return StopRule(10, 0.4 * config.tolerance, further=further)
     return StopRule(6, config.tolerance, further=further)
+
+
+def correction_rule(config: RunConfig) -> StopRule:
+    """When a correction has converged: it begins near its end, as a run does after a coarser level."""
+    rule = stop_rule(config, 2)
+    return rule if config.flow in SHORT_STEPS else rule._replace(patience=PATIENCE)
 
 
 def half_width(config: RunConfig) -> float:

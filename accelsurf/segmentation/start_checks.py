@@ -45,8 +45,9 @@ def start_checks(
     lines = []
     for one, start in zip(objects, starts, strict=True):
         # The seeded model chooses start and weight to go together.
-        seeded = any(term["term"] == "seeded" for term in one.made.terms)
-        found = [*_of_values(one, start, prepared), *([] if seeded else area_line(one.evolution))]
+        terms = one.made.terms
+        seeded = any(term["term"] == "seeded" for term in terms)
+        found = [*_of_values(one, start, prepared), *([] if seeded else area_line(one.evolution, _area_of(terms)))]
         lines += [f"object {one.id}: {line}" if has_ids else line for line in found]
     return lines
 
@@ -148,8 +149,14 @@ def outlier_line(
     ]
 
 
-def area_line(evolution: Evolution) -> list[str]:
-    """Whether the area weight pulls a start in that the image would let grow."""
+def _area_of(terms: Sequence[dict[str, Any]]) -> float:
+    """Weight of the area that terms of chan-vese have of their own, mm."""
+    found = [(term["weight"], term.get("channels", [term])) for term in terms if term["term"] == "chan-vese"]
+    return sum(weight * sum(channel["area"] for channel in seen) / len(seen) for weight, seen in found)
+
+
+def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
+    """Whether the area weight, of which ``of_terms`` is none of --smoothness, pulls a start in that would grow."""
     alpha = evolution.energy.alpha
     surface = evolution.surface
     if not alpha > 0 or surface.size == 0:
@@ -177,7 +184,8 @@ def area_line(evolution: Evolution) -> list[str]:
         return []
     radius = 2.0 * alpha / (both - image)
     less = 0.5 * alpha * -image / (both - image)
+    given = f"--smoothness {less - of_terms:.2g}" if less > of_terms else f"--energy chan-vese:area={less:.2g}"
     return [
         f"area: the start's radius is about {radius:.3g} mm; under the area weight {alpha:.3g} mm it shrinks below "
-        f"{2.0 * alpha / -image:.3g} mm; try --smoothness {less:.2g}, or a larger start"
+        f"{2.0 * alpha / -image:.3g} mm; try {given}, or a larger start"
     ]

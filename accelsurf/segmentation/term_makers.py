@@ -27,6 +27,7 @@ from accelsurf.energies import (
 )
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
 from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
+from accelsurf.energies.image_noise import area_against_noise, noise_of
 from accelsurf.energies.likelihood import least_variance, robust_gaussian_of
 from accelsurf.energies.local_region import TENT
 from accelsurf.energies.threshold import soft_edge
@@ -46,9 +47,12 @@ def chan_vese(inputs: TermInputs) -> Made:
     """Two regions, each with its own mean."""
     balance = inputs.number("balance", inputs.config.balance)
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
-    elsewhere = inputs.context.moments_elsewhere(inputs.channel)
-    energy = ChanVese(inputs.image, inputs.alpha, epsilon=epsilon, balance=balance, elsewhere=elsewhere)
-    return energy, {"balance": balance, "epsilon": epsilon}
+    context, channel = inputs.context, inputs.channel
+    elsewhere = context.moments_elsewhere(channel)
+    by_noise = area_against_noise(context.once(noise_of, channel), context.images[channel].shape, context.spacing)
+    area = inputs.number("area", by_noise)
+    energy = ChanVese(inputs.image, inputs.alpha + area, epsilon=epsilon, balance=balance, elsewhere=elsewhere)
+    return energy, {"balance": balance, "epsilon": epsilon, "area": area}
 
 
 def local_region(inputs: TermInputs) -> Made:

@@ -164,6 +164,7 @@ TERMS: Registry[TermSpec] = Registry(
             "balance": _POSITIVE._replace(help="weight of the fit inside against the fit outside"),
             "epsilon": _EPSILON,
             "channel": _CHANNEL,
+            "area": Number(0.0, help="weight of the area beside --smoothness, mm; by the image's noise unless given"),
         },
         uses=("balance", "epsilon"),
         channels="mean",

@@ -177,3 +177,49 @@ def test_the_memory_of_a_checkpoint_counts_both_snapshots_of_the_stop_rule():
     without = kept._replace(loop=kept.loop.copy())
     without.loop.earlier = None
     assert kept.nbytes - without.nbytes == 12 * kept.loop.earlier.psi.size
+
+
+def near_its_end(rule):
+    """A ball that is a little too small, with momentum."""
+    image = 0.5 * (1 - np.tanh((radius() - 6.0) / 2))
+    return Evolution(
+        LevelSet(radius() - 5.5, (1.0, 1.0, 1.0)), ChanVese(image, means=(1.0, 0.0)), ConstantDensity(), max_steps=80,
+        rule=rule,
+    )
+
+
+def test_with_patience_a_run_ends_when_it_has_passed_its_lowest_energy():
+    plain, patient = near_its_end(StopRule(6)), near_its_end(StopRule(6, patience=3))
+    potential = run(patient)
+    run(plain)
+    assert patient.stop.reason == "converged" and "in 3 steps" in patient.stop.message
+    low = int(np.argmin(potential[:-1]))
+    assert patient.stop.steps == low + 3 and low > 0
+    assert potential[-1] == pytest.approx(potential[low], rel=1e-9)
+    # It is the state that the run without patience passes, too, and the end is the same to a fraction of a voxel.
+    assert patient.stop.steps < plain.stop.steps
+    assert plain.history[low].volume_mm3 == patient.history[low].volume_mm3
+    assert patient.history[-1].volume_mm3 == pytest.approx(plain.history[-1].volume_mm3, rel=0.01)
+
+
+def test_patience_does_not_end_what_creeps_or_is_elsewhere():
+    class Creeping(Gradient):
+        def move(self, now, limits):
+            speed = np.full(now.surface.size, 0.002, np.float32)
+            return super().move(now, limits)._replace(dt=1.0, cfl_dt=1.0, speed=speed)
+
+    creeping = Evolution(
+        LevelSet(radius() - 6.0, (1.0, 1.0, 1.0)), RegionField(np.full((N, N, N), 0.5)), Creeping(), max_steps=60,
+        rule=StopRule(patience=1),
+    )
+    run(creeping)
+    assert creeping.stop.reason == "max-steps"
+    # Driven away from its lowest state faster than a tolerance in so many steps: back to it, as without patience.
+    plain, patient = (
+        Evolution(
+            LevelSet(radius() - 4.0, (1.0, 1.0, 1.0)), misled(), Gradient(), max_steps=400,
+            rule=StopRule(patience=patience),
+        )
+        for patience in (None, 3)
+    )
+    assert run(patient).tolist() == run(plain).tolist() and patient.stop == plain.stop

@@ -19,7 +19,7 @@ from accelsurf.segmentation.local_model import LocalModel, LocalState, ModelChan
 from accelsurf.segmentation.near_region import rim_width
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.segmentation.solver_setup import half_width
+from accelsurf.segmentation.solver_setup import PATIENCE, correction_rule, half_width
 from accelsurf.settings.refinements import Refinement, refinements_of
 from accelsurf.settings.run_config import RunConfig
 
@@ -414,3 +414,20 @@ def test_clicks_of_one_side_move_the_surface_to_that_side_alone(image, side):
     was, now = before.labels > 0, after.labels > 0
     gained, lost = int((now & ~was).sum()), int((was & ~now).sum())
     assert (gained > 0, lost > 0) == (side == "inside", side == "outside")
+
+
+def test_a_correction_ends_when_its_energy_has_been_lowest(image):
+    """It judged its motion every 6 steps, and could not end before step 12."""
+    before = first_run(image, "seeded")
+    after = refine(before, inside=f"ball:{world(12, 14, 48)},3")
+    steps = after.history[len(before.history) - 1 :]
+    low = int(np.argmin([record.potential for record in steps[:-1]]))
+    assert after.stop.reason == "converged" and len(steps) - 1 == low + PATIENCE < 12
+    assert steps[-1].potential == pytest.approx(steps[low].potential, rel=1e-9)
+
+
+def test_flows_with_short_steps_wait_longer():
+    """Their energy may rise for some steps while the surface has a way to go."""
+    assert correction_rule(RunConfig()).patience == PATIENCE
+    for flow in ("flowable-mass", "sobolev"):
+        assert correction_rule(RunConfig(flow=flow)).patience is None

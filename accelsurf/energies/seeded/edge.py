@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.energies.image_noise import SECOND_DIFFERENCE
 from accelsurf.energies.seeded.answers import Shown, object_of
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
 from accelsurf.grid.boxes import Box, bounding_box, corner_of, on_box, shared, widened
@@ -39,8 +40,6 @@ MIN_PART = 1e-4
 #: Weight of the area, of the smallest spacing, without noise; and what noise of the contrast's size adds. More noise
 #: adds no more.
 AREA, NOISY_AREA = 0.1, 0.2
-#: Of a normal distribution: median absolute second difference, in standard deviations.
-SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
 
 
 def edge_balance(
