@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 from accelsurf.cli.options import Display, OutputFolder, Overwrite
 
@@ -14,12 +15,8 @@ START = "ball:9,-7,6,10"
 FLOWS = ("gradient", "constant-density")
 MAX_STEPS = 250
 #: The largest speed sets the time step, for both flows: with the default percentile descent jumps over many of the
-#: local minima that the demo is about.
-PERCENTILE = 100.0
-#: The image's own grid alone: on a coarser one, where noise is averaged, there are few local minima.
-LEVELS = 1
-#: Nothing of the area that noise asks for: it would remove most of the local minima.
-ENERGY = "chan-vese:area=0"
+#: local minima that the demo is about. So does a coarser grid, where noise is averaged, and the area that noise asks for.
+FIXED: dict[str, Any] = {"percentile": 100.0, "levels": 1, "energy": "chan-vese:area=0"}
 
 
 def demo(
@@ -51,10 +48,7 @@ def demo(
     display = display or Display()
     recipe, image, labels = recipes.load_recipe("cube_noisy"), output / "cube.nii.gz", output / "cube_truth.nii.gz"
     paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
-    common = RunConfig(
-        energy=ENERGY, start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS
-    )
-    common = common.replace(threads=min(2, os.cpu_count() or 1))
+    common = RunConfig(start=START, max_steps=MAX_STEPS, threads=min(2, os.cpu_count() or 1), **FIXED)
     places = {flow: Place(image, output, f"cube_{flow}", overwrite) for flow in FLOWS}
     planned = [place.paths(common.replace(flow=flow)) for flow, place in places.items()]
     everything = {"image": image, "labels": labels, **paths}
