@@ -15,7 +15,8 @@ START = "ball:9,-7,6,10"
 FLOWS = ("gradient", "constant-density")
 MAX_STEPS = 250
 #: The largest speed sets the time step, for both flows: with the default percentile descent jumps over many of the
-#: local minima that the demo is about. So does a coarser grid, where noise is averaged, and the area that noise asks for.
+#: local minima that the demo is about. So do a coarser grid, where noise is averaged, and the area that noise asks
+#: for.
 FIXED: dict[str, Any] = {"percentile": 100.0, "levels": 1, "energy": "chan-vese:area=0"}
 
 
