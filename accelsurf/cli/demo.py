@@ -51,9 +51,7 @@ def demo(
     recipe = recipes.load_recipe("cube_noisy")
     image, labels = output / "cube.nii.gz", output / "cube_truth.nii.gz"
     paths = {"comparison": output / "demo.json", "picture": output / "demo.png"}
-    common = RunConfig(
-        energy=ENERGY, start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS
-    )
+    common = RunConfig(energy=ENERGY, start=START, max_steps=MAX_STEPS, percentile=PERCENTILE, levels=LEVELS)
     common = common.replace(threads=min(2, os.cpu_count() or 1))
     places = {flow: Place(image, output, f"cube_{flow}", overwrite) for flow in FLOWS}
     planned = [place.paths(common.replace(flow=flow)) for flow, place in places.items()]
