@@ -133,7 +133,8 @@ def noise(extension: str, _: argparse.Namespace) -> dict[str, Any]:
             for seed in range(5):
                 image = truth + np.random.default_rng(seed).normal(0, 1, truth.shape)
                 result = segment(
-                    image.astype(np.float32), start="ball:23,23,23,8vox", levels=1, flow=flow, extension=extension
+                    image.astype(np.float32), start="ball:23,23,23,8vox", energy="chan-vese:area=0", levels=1,
+                    flow=flow, extension=extension,
                 )
                 dice.append(metrics.dice(np.asarray(result.labels) > 0, truth))
                 steps.append(len(result.history))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import traceback
 import uuid
 from collections.abc import Callable, Iterator
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelsurf import __version__
-from accelsurf.batch.pool import Ended, Job, Started
+from accelsurf.batch.pool import Ended, Interrupted, Job, Started
 from accelsurf.batch.worker import Failure
 from accelsurf.errors import AccelsurfError, UsageError
 
@@ -51,6 +52,7 @@ class DaskPool:
         self._name = f"accelsurf-{uuid.uuid4().hex[:12]}"
         self._futures: dict[str, Future[Any]] = {}
         self._new: list[Job] = []
+        self._interrupted = threading.Event()
         try:
             for place, worker in self._client.scheduler_info(n_workers=-1)["workers"].items():
                 _refuse_threads(place, worker["nthreads"])
@@ -69,6 +71,8 @@ class DaskPool:
         ------
         AccelsurfError
             When the cluster is gone.
+        Interrupted
+            After `interrupt`.
         """
         from distributed import CancelledError, as_completed
 
@@ -79,10 +83,17 @@ class DaskPool:
             yield Started(job.key)
         self._new.clear()
         for future in as_completed(list(self._futures.values()), loop=self._client.loop, raise_errors=False):
+            if self._interrupted.is_set():
+                raise Interrupted
             if future.status == "cancelled" or isinstance(future.exception(), CancelledError):
                 raise AccelsurfError("the scheduler is gone", "see its log; the same command with --resume goes on")
             yield _ended(future, future.key.removeprefix(f"{self._name}-"))
             del self._futures[future.key]
+
+    def interrupt(self) -> None:
+        """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
+        self._interrupted.set()
+        self._client.cancel(list(self._futures.values()), force=True)
 
     def close(self) -> None:
         """Take back what still waits, and leave the cluster as it is."""

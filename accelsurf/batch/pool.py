@@ -52,6 +52,10 @@ class Ended(NamedTuple):
     failure: Failure | None
 
 
+class Interrupted(Exception):
+    """Somebody does not want to wait for the rest of the jobs."""
+
+
 class Pool(Protocol):
     """What a batch asks of whatever runs its cases."""
 
@@ -61,6 +65,10 @@ class Pool(Protocol):
 
     def events(self) -> Iterator[Started | Ended]:
         """Yield events as they come, until all jobs have ended."""
+        ...
+
+    def interrupt(self) -> None:
+        """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
         ...
 
     def close(self) -> None:
@@ -131,6 +139,7 @@ class LocalPool:
         self._workers: list[_Worker] = []
         self._leaving: list[_Worker] = []
         self._stillborn = 0
+        self._heard_bell, self._bell = multiprocessing.get_context("spawn").Pipe(duplex=False)
 
     def submit(self, job: Job) -> None:
         """Add a job."""
@@ -143,14 +152,23 @@ class LocalPool:
         ------
         AccelsurfError
             When workers cannot be started.
+        Interrupted
+            After `interrupt`.
         """
         while self._waiting or any(worker.job for worker in self._workers):
             yield from self._refused()
             yield from self._started()
             yield from self._ended()
 
+    def interrupt(self) -> None:
+        """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
+        with suppress(OSError):  # it has been closed
+            self._bell.send_bytes(b"now")
+
     def close(self) -> None:
         """End all workers at once, those at work too."""
+        self._bell.close()
+        self._heard_bell.close()
         for worker in (*self._workers, *self._leaving):
             worker.process.kill()
         for worker in (*self._workers, *self._leaving):
@@ -202,7 +220,8 @@ class LocalPool:
         if not busy:
             return
         places = [place for worker in busy for place in (worker.connection, worker.process.sentinel)]
-        connection.wait(places, self._patience(busy))
+        if self._heard_bell in connection.wait([self._heard_bell, *places], self._patience(busy)):
+            raise Interrupted
         for worker in busy:
             yield from self._heard(worker)
         yield from self._too_large([worker for worker in busy if worker.job is not None])

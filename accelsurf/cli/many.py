@@ -78,7 +78,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
         """
         if not wait:
             self._closing.set()
-            self._pool.close()
+            self._pool.interrupt()
         self._thread.join()
 
     def _run(self) -> None:

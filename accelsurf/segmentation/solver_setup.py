@@ -19,8 +19,8 @@ from accelsurf.settings.run_config import RunConfig
 #: Motion in the steps to come, by the trend, that a converged surface may still make, as a share of the tolerance: the
 #: trend tells it too low by up to this.
 FURTHER = 0.7
-#: Flows whose surface moves slowly also where it has not converged.
-SHORT_STEPS = ("flowable-mass", "sobolev")
+#: Flows whose surface moves slowly also where it has not converged, and the share of the tolerance that it then moves.
+SHORT_STEPS, SLOW = ("flowable-mass", "sobolev"), 0.4
 #: A correction has converged when so many steps have found no lower energy: an oscillation from step to step finds it
 #: in two.
 PATIENCE = 3
@@ -34,10 +34,11 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
     the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
     """
     further = FURTHER * config.tolerance
+    slow = SLOW * config.tolerance
     if levels == 1:
-        return StopRule(motion=config.tolerance, further=further)
+        return StopRule(motion=slow if config.flow == "flowable-mass" else config.tolerance, further=further)
     if config.flow in SHORT_STEPS:
-        return StopRule(10, 0.4 * config.tolerance, further=further)
+        return StopRule(10, slow, further=further)
     return StopRule(6, config.tolerance, further=further)
 
 

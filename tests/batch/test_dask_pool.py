@@ -2,13 +2,15 @@
 
 import math
 import os
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from distributed import LocalCluster
 
 from accelsurf.batch import dask_pool
 from accelsurf.batch.dask_pool import DaskPool
-from accelsurf.batch.pool import Ended, Job, Started
+from accelsurf.batch.pool import Ended, Interrupted, Job, Started
 from accelsurf.errors import UsageError
 from tests.support.batch_jobs import work
 
@@ -53,6 +55,19 @@ def test_a_job_that_ends_its_workers_has_failed_and_the_others_go_on(cluster):
 def test_workers_work_where_the_command_was_given(cluster, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert ended(DaskPool(os.path.abspath, cluster.scheduler_address), {"a": "x"})["a"].value == str(tmp_path / "x")
+
+
+def test_who_does_not_want_to_wait_need_not(cluster, tmp_path):
+    pool = DaskPool(work, cluster.scheduler_address)
+    pool.submit(Job("a", ("mark", str(tmp_path / "mark"))))
+    with ThreadPoolExecutor(1) as other:
+        waiting = other.submit(lambda: list(pool.events()))
+        while not (tmp_path / "mark").exists():
+            time.sleep(0.01)
+        pool.interrupt()
+        with pytest.raises(Interrupted):
+            waiting.result(timeout=30)
+    pool.close()
 
 
 def test_another_version_on_a_worker_is_named(cluster, monkeypatch):

@@ -5,12 +5,13 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from accelsurf.batch import pool as pools
-from accelsurf.batch.pool import Ended, Job, LocalPool, Started
+from accelsurf.batch.pool import Ended, Interrupted, Job, LocalPool, Started
 from accelsurf.errors import AccelsurfError
 from tests.support import batch_jobs
 
@@ -159,3 +160,17 @@ def wait_until(condition):
     end = time.monotonic() + 30
     while not condition() and time.monotonic() < end:
         time.sleep(0.02)
+
+
+def test_who_does_not_want_to_wait_need_not(tmp_path):
+    pool = LocalPool(batch_jobs.work, 1)
+    pool.submit(Job("a", ("mark", str(tmp_path / "mark"))))
+    with ThreadPoolExecutor(1) as other:
+        waiting = other.submit(lambda: list(pool.events()))
+        while not (tmp_path / "mark").exists():
+            time.sleep(0.01)
+        pool.interrupt()
+        with pytest.raises(Interrupted):
+            waiting.result(timeout=30)
+    pool.close()
+    pool.interrupt()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from accelsurf.analysis.metrics import dice
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev
 from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.solver_setup import half_width, make_flow
+from accelsurf.segmentation.solver_setup import half_width, make_flow, stop_rule
 from accelsurf.settings.energy_terms import image_terms
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
@@ -80,3 +82,21 @@ def test_for_k_of_at_most_1_the_clock_starts_when_the_first_step_is_made() -> No
     for flow in ("constant-density", "flowable-mass"):
         result = segment(scan, flow=flow, k=0.8, start="ball:10,12,12,4vox", max_steps=300)
         assert dice(result.labels, truth) > 0.9
+
+
+def test_a_mass_that_flows_is_waited_for_on_one_grid_too() -> None:
+    for levels in (1, 2):
+        assert stop_rule(RunConfig(flow="flowable-mass"), levels).motion == 0.4 * RunConfig().tolerance
+        assert stop_rule(RunConfig(), levels).motion == RunConfig().tolerance
+
+
+@pytest.mark.slow
+def test_a_mass_that_flows_ends_near_its_end_in_noise() -> None:
+    """At the motion of other flows its surface had a fifth of a voxel to go."""
+    truth, _ = image()
+    scan = (truth + np.random.default_rng(3).normal(0, 1.0, truth.shape)).astype(np.float32)
+    words: dict[str, Any] = {"flow": "flowable-mass", "start": "ball:10,12,12,4vox", "levels": 1}
+    result = segment(scan, max_steps=400, **words)
+    after = segment(scan, max_steps=result.stop.steps + 100, tolerance=1e-6, **words)
+    apart = np.abs(after.psi - result.psi)[np.abs(result.psi) < 0.5]
+    assert result.stop.reason == "converged" and apart.mean() < 0.1
