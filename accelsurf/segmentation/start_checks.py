@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,6 +26,8 @@ MIN_WITHIN, MAX_AROUND, SHELL = 0.2, 0.5, (3.0, 8.0)
 OUTLYING, FAR = 2.0, 4.0
 #: Fewest voxels of a start that outliers are looked for in; the surroundings are sampled at about so many voxels.
 MIN_VOXELS, SAMPLES = 20, 1 << 18
+#: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
+SAFE = 0.25
 
 
 def start_checks(
@@ -45,9 +48,8 @@ def start_checks(
     lines = []
     for one, start in zip(objects, starts, strict=True):
         # The seeded model chooses start and weight to go together.
-        terms = one.made.terms
-        seeded = any(term["term"] == "seeded" for term in terms)
-        found = [*_of_values(one, start, prepared), *([] if seeded else area_line(one.evolution, _area_of(terms)))]
+        seeded = any(term["term"] == "seeded" for term in one.made.terms)
+        found = [*_of_values(one, start, prepared), *([] if seeded else _of_area(one, start, prepared))]
         lines += [f"object {one.id}: {line}" if has_ids else line for line in found]
     return lines
 
@@ -147,6 +149,22 @@ def outlier_line(
         f"start: {share:.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based {robust:.3g}), "
         f"the farthest near {place}; what is learned leaves it out; try a --start without it"
     ]
+
+
+def _of_area(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
+    """The check of the area weight; of a weight by noise alone only where the start is small, as it needs memory."""
+    # The start's psi may be no distance any more: its memory is the surface's.
+    of_terms, alpha = _area_of(one.made.terms), one.evolution.energy.alpha
+    if 0 < alpha <= of_terms * (1.0 + 1e-9):
+        inside, image = start.psi < 0, prepared.images[0]
+        values = image[box_at(start.corner, start.psi.shape)][inside].astype(np.float64)
+        outside = (float(image.sum(dtype=np.float64)) - values.sum()) / max(image.size - values.size, 1)
+        steps = prepared.geometry.steps
+        size = values.size * math.prod(steps)
+        radius = (0.75 * size / math.pi) ** (1 / 3) if len(steps) == 3 else math.sqrt(size / math.pi)
+        if 2.0 * alpha / radius < SAFE * (values.mean() - outside) ** 2:
+            return []
+    return area_line(one.evolution, of_terms)
 
 
 def _area_of(terms: Sequence[dict[str, Any]]) -> float:

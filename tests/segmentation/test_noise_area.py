@@ -7,6 +7,7 @@ import pytest
 
 from accelsurf.analysis.metrics import dice
 from accelsurf.energies.image_noise import WEIGHT
+from accelsurf.segmentation import start_checks
 from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refine import refine
 
@@ -75,6 +76,19 @@ def test_a_start_that_it_would_pull_in_is_told_with_what_to_try():
     assert line.startswith("area: the start's radius is about ") and "try --energy chan-vese:area=" in line
     less = line.split("try --energy ")[1].split(",")[0]
     assert segment(image, start="ball:24,24,24,2.5vox", energy=less, max_steps=1, levels=1, threads=1).warnings == []
+
+
+def test_a_start_that_is_large_enough_is_not_copied_for_that(monkeypatch):
+    """The check needs the surface twice: 5 bytes a voxel."""
+    asked = []
+    monkeypatch.setattr(start_checks, "area_line", lambda *given: asked.append(given) or [])
+    image = cube(1.0)[1]
+    words = {"start": START, "max_steps": 1, "levels": 1, "threads": 1}
+    segment(image, **words)
+    assert asked == []
+    segment(image, smoothness=0.01, **words)
+    segment(cube(3.0)[1], **words | {"start": "ball:24,24,24,2.5vox"})
+    assert len(asked) == 2
 
 
 def test_a_correction_has_the_weight_of_the_run():
