@@ -512,9 +512,9 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
     )
     with started(out, tmp_path / "cases.csv", "--jobs", "1", "--case-timeout", "4") as program:
         read_until(program, "start", "killed")
-        time.sleep(0.2)
-        (worker,) = [child for child in workers_of(program.pid) if "spawn_main" in _command(child)]
-        os.kill(worker, signal.SIGKILL)
+        while not (found := [child for child in workers_of(program.pid) if "spawn_main" in _command(child)]):
+            time.sleep(0.02)
+        os.kill(found[0], signal.SIGKILL)
         program.stderr.read()
     assert program.returncode == 9
     rows = table(out)
@@ -527,4 +527,5 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
 
 
 def _command(pid):
-    return subprocess.run(["ps", "-o", "args=", "-p", str(pid)], capture_output=True, text=True).stdout
+    # Wide: a long path of Python would push the rest out of a line of 80 characters.
+    return subprocess.run(["ps", "-ww", "-o", "args=", "-p", str(pid)], capture_output=True, text=True).stdout
