@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -455,10 +456,16 @@ def read_until(program, event, name):
 
 
 def workers_of(pid):
-    """Processes that a process has started."""
-    listed = subprocess.run(["ps", "-A", "-o", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
-    pairs = [tuple(map(int, line.split())) for line in listed.splitlines()]
-    return [child for child, parent in pairs if parent == pid]
+    """Processes that a process has started, with their command lines."""
+    found = {}
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((place / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == pid:
+                found[int(place.name)] = (place / "cmdline").read_bytes().decode(errors="replace")
+        except OSError:  # it has ended
+            continue
+    return found
 
 
 def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
@@ -512,7 +519,7 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
     )
     with started(out, tmp_path / "cases.csv", "--jobs", "1", "--case-timeout", "4") as program:
         read_until(program, "start", "killed")
-        while not (found := [child for child in workers_of(program.pid) if "spawn_main" in _command(child)]):
+        while not (found := [pid for pid, words in workers_of(program.pid).items() if "spawn_main" in words]):
             time.sleep(0.02)
         os.kill(found[0], signal.SIGKILL)
         program.stderr.read()
@@ -524,8 +531,3 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
         one = json.loads((out / name / f"{name}_report.json").read_text())
         assert one["status"] == "failed" and one["error"]["message"] == rows[name]["reason"]
     assert not list(out.rglob(".*"))
-
-
-def _command(pid):
-    # Wide: a long path of Python would push the rest out of a line of 80 characters.
-    return subprocess.run(["ps", "-ww", "-o", "args=", "-p", str(pid)], capture_output=True, text=True).stdout
