@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from accelsurf.batch.case import Case
+from accelsurf.batch.case import FILE_KINDS, PLACES, Case
 from accelsurf.errors import InputError
 from accelsurf.io import split_name
 from accelsurf.io.files import naming
@@ -22,8 +22,6 @@ IMAGE, ID, REFERENCE = "image", "id", "reference"
 SUFFIXES = (".csv", ".tsv")
 
 _FILES = ("mask", "objects", "channel")
-_KINDS = ("label", "mesh", "stroke")
-_WHERE = ("start", "foreground", "background", "inside", "outside")
 
 
 def read(path: Path) -> list[Case]:
@@ -118,4 +116,4 @@ def _with_paths(key: str, text: str, base: Path) -> str:
     if key in _FILES:
         return str(base / text)
     kind, colon, name = text.partition(":")
-    return f"{kind}:{base / name}" if key in _WHERE and colon and kind in _KINDS else text
+    return f"{kind}:{base / name}" if key in PLACES and colon and kind in FILE_KINDS else text

@@ -59,11 +59,22 @@ def read_cases(given: Sequence[str], layout: Layout = "auto") -> tuple[list[Case
     if not given:
         raise UsageError("CASES is missing", "name a folder of images, a pattern in quotes, or a CSV table")
     cases, words = _read(given, layout)
+    check_cases(cases)
+    return cases, words
+
+
+def check_cases(cases: Sequence[Case]) -> None:
+    """Refuse ids that are no names or given twice, and references that are missing.
+
+    Raises
+    ------
+    InputError
+        With the place of the case.
+    """
     check_ids(cases)
     for case in cases:
         if case.reference is not None and not case.reference.is_file():
             raise InputError(f"{case.place}: the reference {case.reference} is missing", "check its path")
-    return cases, words
 
 
 def _read(given: Sequence[str], layout: Layout) -> tuple[list[Case], str]:

@@ -9,15 +9,15 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-import traceback
 import uuid
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelsurf import __version__
 from accelsurf.batch.pool import Ended, Interrupted, Job, Started
-from accelsurf.batch.worker import Failure
+from accelsurf.batch.worker import Failure, done
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
@@ -141,14 +141,14 @@ def _call(
         if version != __version__:
             raise UsageError(f"the worker {worker.address} has accelsurf {__version__}, expected {version}", _INSTALL)
         _refuse_threads(worker.address, worker.state.nthreads)  # one that came later
-        with contextlib.chdir(folder):
-            return function(payload), None
-    except MemoryError as error:
-        return None, Failure("memory", f"not enough memory {error}".strip())
-    except AccelsurfError as error:
+    except UsageError as error:
         return None, Failure("error", f"{error.message}; {error.hint}")
-    except Exception as error:
-        return None, Failure("error", f"{type(error).__name__}: {error}", traceback.format_exc())
+    return done(partial(_in_folder, folder, function), payload)
+
+
+def _in_folder(folder: str, function: Callable[[Any], Any], payload: Any) -> Any:
+    with contextlib.chdir(folder):
+        return function(payload)
 
 
 def _ended(future: Future[Any], key: str) -> Ended:

@@ -13,17 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import io
+from accelsurf.batch.case import FILE_KINDS, PLACES
 from accelsurf.batch.outcome import CaseTask, Outcome, of_report
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.report.document import to_json
-from accelsurf.report.result_sets import had_settings, load_report, report_name
+from accelsurf.report.result_sets import is_of, load_report, report_name
 from accelsurf.settings.run_config import RunConfig
-
-#: Kinds of starts and clicks that name a file, and settings that have them.
-_KINDS = ("label", "mesh", "stroke")
-_WHERE = ("start", "foreground", "background", "inside", "outside")
 
 
 def record_path(task: CaseTask) -> Path:
@@ -58,13 +55,13 @@ def finished(task: CaseTask) -> Outcome | None:
     task : CaseTask
     """
     report = load_report(task.folder / report_name(task.case.id))
-    if report is None or report["status"] != "ok" or not had_settings(report, task.config):
+    if report is None or report["status"] != "ok":
         return None
     if not all((task.folder / Path(str(one.get("path"))).name).is_file() for one in report["outputs"]):
         return None
     record = _read(record_path(task))
     try:
-        if report["input"]["sha256"] != io.sha256(task.case.image):
+        if not is_of(report, task.config, task.case.image):
             return None
         if record.get("files", {}) != {str(path): io.sha256(path) for path in named_files(task.config)}:
             return None
@@ -76,10 +73,10 @@ def finished(task: CaseTask) -> Outcome | None:
 def named_files(config: RunConfig) -> list[Path]:
     """Return the files, beside the image, that the settings of a run name and that are there."""
     texts = [text for text in (config.mask, config.objects, *config.channel) if text]
-    wheres = [text for key in _WHERE for text in getattr(config, key)]
+    wheres = [text for key in PLACES for text in getattr(config, key)]
     wheres += [text for edit in config.edit for text in (edit.add, edit.remove, *edit.inside, *edit.outside) if text]
     wheres += [text for one in config.refine for text in (*one.inside, *one.outside)]
-    texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in _KINDS]
+    texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in FILE_KINDS]
     found = {}
     for text in texts:
         for name in (text, text.rpartition("@")[0]):  # FILE@IDS; a name may have an @ itself

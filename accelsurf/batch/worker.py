@@ -54,12 +54,13 @@ def serve(connection: Connection, function: Callable[[Any], Any], prepare: Calla
             prepare()
         connection.send(READY)
         while (job := connection.recv()) is not None:
-            _send(connection, _done(function, job[0]))
+            _send(connection, done(function, job[0]))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return  # nobody is there any more
 
 
-def _done(function: Callable[[Any], Any], payload: Any) -> tuple[Any, Failure | None]:
+def done(function: Callable[[Any], Any], payload: Any) -> tuple[Any, Failure | None]:
+    """Return what a function makes of a payload, and why it makes nothing: one of them is None."""
     try:
         return function(payload), None
     except MemoryError as error:

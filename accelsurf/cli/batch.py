@@ -133,7 +133,7 @@ def batch(
         tasks = shard.of(tasks)
     work = Batch(*admitted(tasks, options), shard, words, sys.argv)
     if options.plan:
-        return _print_plan(work)
+        return _print_plan(work, options.scheduler)
     return _conclude(_run(work, folder, options, overwrite, display), folder, display)
 
 
@@ -187,7 +187,7 @@ def admitted(
     )
 
 
-def _print_plan(work: Batch) -> int:
+def _print_plan(work: Batch, scheduler: str | None) -> int:
     """Print what each case needs and what would run at once; some failed where one cannot be run."""
     from accelsurf.batch.admission import bytes_text, plan_rows
     from accelsurf.batch.run import SOME_FAILED
@@ -197,12 +197,12 @@ def _print_plan(work: Batch) -> int:
     rows = plan_rows(work.needs, work.admission)
     cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]
     print(table(("case", "values", "memory", ""), cells))
-    print(f"\n{_at_once(work)}, memory of all: {bytes_text(work.admission.bytes)}")
+    print(f"\n{_at_once(work, scheduler)}, memory of all: {bytes_text(work.admission.bytes)}")
     impossible = sum(need.values is None or need.bytes > work.admission.bytes for need in work.needs.values())
     return SOME_FAILED if impossible else 0
 
 
-def _at_once(work: Batch, scheduler: str | None = None) -> str:
+def _at_once(work: Batch, scheduler: str | None) -> str:
     count, admission = len(work.tasks), work.admission
     cases = "1 case" if count == 1 else f"{count} cases"
     if scheduler is not None:

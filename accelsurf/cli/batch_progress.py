@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from accelsurf.cli.error_lines import MAX_ERROR, printable
 from accelsurf.cli.interrupts import say
 from accelsurf.cli.options import Display
-from accelsurf.report.document import to_json
+from accelsurf.cli.progress import print_json, shown_kind
 
 if TYPE_CHECKING:
     from accelsurf.batch.outcome import Outcome
@@ -28,7 +26,7 @@ class BatchProgress:
     """
 
     def __init__(self, display: Display, count: int) -> None:
-        kind = display.progress or ("bar" if sys.stderr.isatty() and not display.quiet else "none")
+        kind = shown_kind(display)
         self._show_json, self._quiet = kind == "json", display.quiet
         self._count, self._done, self._failed = count, 0, 0
         self._bar = _Bar(count) if kind == "bar" else None
@@ -82,8 +80,7 @@ class BatchProgress:
         say(printable(f"warning: {text}", MAX_ERROR))
 
     def _print(self, event: str, **facts: Any) -> None:
-        line = {"event": event, **facts, "done": self._done, "failed": self._failed, "cases": self._count}
-        print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
+        print_json({"event": event, **facts, "done": self._done, "failed": self._failed, "cases": self._count})
 
 
 class _Bar:

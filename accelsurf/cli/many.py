@@ -11,14 +11,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from accelsurf.batch.case import Case, check_ids
-from accelsurf.batch.cases import read_cases
+from accelsurf.batch.case import Case
+from accelsurf.batch.cases import check_cases, read_cases
 from accelsurf.batch.outcome import CaseTask, Outcome
 from accelsurf.batch.pool import Pool
 from accelsurf.batch.run import Batch, refuse_results
 from accelsurf.batch.tables import Tables
 from accelsurf.cli import batch_case
 from accelsurf.cli.batch import BatchOptions, admitted, made_pool
+from accelsurf.cli.interrupts import say
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.file_set import FileSet
 from accelsurf.report.output_folder import opened_set
@@ -128,7 +129,7 @@ class _Watch:
         self._futures[outcome.id].set_result(outcome)
 
     def warned(self, text: str) -> None:
-        print(f"warning: {text}", file=sys.stderr)
+        say(f"warning: {text}")
 
 
 def segment_many(
@@ -201,7 +202,7 @@ def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:
     if all(isinstance(one, (str, Path)) for one in several):
         return read_cases([str(one) for one in several])
     cases = [_case(one, place) for place, one in enumerate(several)]
-    check_ids(cases)
+    check_cases(cases)
     return cases, "a list"
 
 

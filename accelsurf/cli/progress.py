@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from accelsurf.cli.interrupts import Interrupts, say
-from accelsurf.cli.options import Display
+from accelsurf.cli.options import Display, ProgressKind
 from accelsurf.report.document import to_json
 from accelsurf.settings.trace_columns import row_values
 
@@ -31,7 +31,7 @@ class Watcher:
     """
 
     def __init__(self, display: Display) -> None:
-        kind = display.progress or ("bar" if sys.stderr.isatty() and not display.quiet else "none")
+        kind = shown_kind(display)
         self._show_json = kind == "json"
         self._bar = _Bar() if kind == "bar" else None
         self._interrupts = Interrupts.current()
@@ -101,9 +101,19 @@ class Watcher:
         if self._show_json:
             which = {} if object_id is None else {"object": object_id}
             line = {"event": "step", "run": self._label, **which, **row_values(record)}
-            print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
+            print_json(line)
         self._interrupts.check()
         return self.interrupted
+
+
+def shown_kind(display: Display) -> ProgressKind:
+    """The kind of progress to show: as asked for, else a bar on a terminal."""
+    return display.progress or ("bar" if sys.stderr.isatty() and not display.quiet else "none")
+
+
+def print_json(line: Mapping[str, Any]) -> None:
+    """Print an event on stderr, as JSON on one line."""
+    print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
 
 
 class _Bar:

@@ -6,7 +6,6 @@ import os
 from dataclasses import replace
 
 from accelsurf.cli.place import Place
-from accelsurf.io import sha256
 from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.report import result_sets
 from accelsurf.settings.run_config import RunConfig
@@ -28,7 +27,7 @@ def code_of_ended(place: Place, config: RunConfig, quiet: bool = False) -> int |
     document = result_sets.load_report(place.report_path)
     if document is None or document["status"] != "ok" or not place.source.is_file():
         return None
-    if not result_sets.is_of(document, config, sha256(place.source)):
+    if not result_sets.is_of(document, config, place.source):
         return None
     there = result_sets.unchanged_outputs(place.report_path, ())
     if len(there) < len(document["outputs"]):

@@ -55,13 +55,19 @@ def state_of(report: Path) -> tuple[str, str, str] | None:
     return (*found[0], image) if found and isinstance(image, str) else None
 
 
-def is_of(document: Mapping[str, Any], config: RunConfig, checksum: str) -> bool:
-    """Whether a report is of a run with these settings, of the image with this SHA-256."""
+def is_of(document: Mapping[str, Any], config: RunConfig, image: Path) -> bool:
+    """Whether a report is of a run with these settings, of this image; the image is read where the settings fit.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
     source = document.get("input")
-    return isinstance(source, dict) and source.get("sha256") == checksum and had_settings(document, config)
+    return isinstance(source, dict) and _had_settings(document, config) and source.get("sha256") == sha256(image)
 
 
-def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
+def _had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
     """Whether a report is of a run with these settings; later corrections do not count.
 
     A seed that is not given may be any, and so may an energy that clicks choose.

@@ -455,6 +455,16 @@ def read_until(program, event, name):
     pytest.fail(f"there was no {event} of {name}")
 
 
+ENDLESS = ("endless", "killed", "hung")
+
+
+def table_with_endless_cases(folder, *rows):
+    """Write a table of images and ids; those in `ENDLESS` wait for clicks that never come."""
+    os.mkfifo(folder / "never.csv")
+    lines = [f"{path}.nii.gz,{name},{'stroke:never.csv' if name in ENDLESS else ''}" for path, name in rows]
+    (folder / "cases.csv").write_text("\n".join(["image,id,inside", *lines, ""]))
+
+
 def workers_of(pid):
     """Processes that a process has started, with their command lines."""
     found = {}
@@ -471,13 +481,7 @@ def workers_of(pid):
 def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
     """The second case hangs; no process and no draft is left behind."""
     out = tmp_path / "out"
-    os.mkfifo(tmp_path / "never.csv")
-    (tmp_path / "cases.csv").write_text(
-        "image,id,inside\n"
-        f"{scans}/a.nii.gz,quick,\n"
-        f"{scans}/a.nii.gz,endless,stroke:never.csv\n"
-        f"{scans}/b.nii.gz,waits,\n"
-    )
+    table_with_endless_cases(tmp_path, (f"{scans}/a", "quick"), (f"{scans}/a", "endless"), (f"{scans}/b", "waits"))
     program = started(out, tmp_path / "cases.csv", "--jobs", "1")
     with program:
         read_until(program, "start", "endless")
@@ -510,13 +514,7 @@ def _alive(pid):
 @pytest.mark.usefixtures("done")  # all is compiled by then: that would take its time
 def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_path):
     out = tmp_path / "out"
-    os.mkfifo(tmp_path / "never.csv")
-    (tmp_path / "cases.csv").write_text(
-        "image,id,inside\n"
-        f"{scans}/a.nii.gz,killed,stroke:never.csv\n"
-        f"{scans}/a.nii.gz,hung,stroke:never.csv\n"
-        f"{scans}/b.nii.gz,good,\n"
-    )
+    table_with_endless_cases(tmp_path, (f"{scans}/a", "killed"), (f"{scans}/a", "hung"), (f"{scans}/b", "good"))
     with started(out, tmp_path / "cases.csv", "--jobs", "1", "--case-timeout", "4") as program:
         read_until(program, "start", "killed")
         while not (found := [pid for pid, words in workers_of(program.pid).items() if "spawn_main" in words]):

@@ -63,7 +63,7 @@ class InlinePool:
 
     def events(self):
         from accelsurf.batch.pool import Ended, Started
-        from accelsurf.batch.worker import Failure, _done
+        from accelsurf.batch.worker import Failure, done
 
         for job in self.waiting:
             if job.bytes > (self.options.get("bytes") or job.bytes):
@@ -71,7 +71,7 @@ class InlinePool:
                 continue
             yield Started(job.key)
             InlinePool.ran.append(job.key)
-            yield Ended(job.key, *_done(self.function, job.payload))
+            yield Ended(job.key, *done(self.function, job.payload))
 
     def interrupt(self):
         raise AssertionError("nobody waits")
