@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf import io
-from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import Box, bounding_box, widened
+from accelsurf.errors import AccelsurfError, InputError, UsageError
+from accelsurf.grid.boxes import Box, bounding_box, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click, Clicks, Side
 from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
 from accelsurf.io.files import naming
 from accelsurf.settings import budgets
@@ -32,7 +32,12 @@ _LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
 
 
 def read_clicks(
-    texts: Iterable[str], side: Side, volume: Volume, image: NDArray[np.float32] | None = None, id: int = 1
+    texts: Iterable[str],
+    side: Side,
+    volume: Volume,
+    image: NDArray[np.float32] | None = None,
+    id: int = 1,
+    window: Window | None = None,
 ) -> list[Click]:
     """Return clicks from texts, in their order.
 
@@ -47,6 +52,9 @@ def read_clicks(
         What seeds and thresholds look at, as for `accelsurf.initialization.starts.build`.
     id : int, optional
         Of the object.
+    window : Window, optional
+        The volume is this part of a larger one, to whose grid the texts belong; clicks are counted from its first
+        voxel, and what lies beyond it is left out.
 
     Raises
     ------
@@ -56,15 +64,16 @@ def read_clicks(
         When one lies outside the volume, or a file cannot be read; GeometryError when a label map lies on another grid.
     """
     out: list[Click] = []
+    window = window or Window(volume.geometry, whole_box(volume.geometry.shape))
     for text in texts:
         kind, _, rest = text.strip().partition(":")
         if kind == "point":
-            voxels = point_voxels([_point(text, rest)], text, side, volume.geometry, rest.endswith("vox"))
-            out.append(click_of_voxels(side, voxels, id))
+            voxels = point_voxels([_point(text, rest)], text, side, window.geometry, rest.endswith("vox"))
+            out += window.clicks([click_of_voxels(side, voxels, id)])
         elif kind == "stroke":
-            out += _stroke(text, rest, side, volume.geometry, id)
+            out += _stroke(text, rest, side, window, id)
         else:
-            out.append(_of_start(text, side, volume, image, id))
+            out += _of_start(text, side, volume, image, id, window)
     return out
 
 
@@ -179,37 +188,32 @@ def _point(text: str, rest: str) -> tuple[float, ...]:
 
 
 def _of_start(
-    text: str, side: Side, volume: Volume, image: NDArray[np.float32] | None, id: int
-) -> Click:
+    text: str, side: Side, volume: Volume, image: NDArray[np.float32] | None, id: int, window: Window
+) -> list[Click]:
     """A click that is written as a start."""
     try:
         start = starts.parse(text)
         if start.kind == "ball":
-            return click_of_ball(side, *starts.ball_of(text, volume.geometry), volume.geometry, id)
-        return click_of_mask(side, starts.build([text], volume, image) < 0, id)
+            return window.clicks([click_of_ball(side, *starts.ball_of(text, window.geometry), window.geometry, id)])
+        return [click_of_mask(side, starts.build([text], volume, image, window) < 0, id)]
     except AccelsurfError as error:
         message = error.message.replace("start ", f"{side} ", 1)
         hint = error.hint.replace("use one of ", f"use one of {', '.join(KINDS.values())}, ") if error.hint else ""
         raise type(error)(message, hint) from None
 
 
-def _stroke(text: str, file: str, side: Side, geometry: Geometry, id: int) -> list[Click]:
+def _stroke(text: str, file: str, side: Side, window: Window, id: int) -> list[Click]:
     """The clicks of a file: points, or a label map with 1 inside and 2 outside."""
     if not file:
         raise UsageError(f"click {shown(text)!r}: no file named", f"write {KINDS['stroke']}")
     if file.lower().endswith(".csv"):
-        return _stroke_of_points(file, side, geometry, id)
-    labels = io.read_labels(file)
-    if not labels.geometry.matches(geometry):
-        raise GeometryError(
-            f"stroke:{file}: on another grid than the image: {labels.geometry.difference(geometry)}",
-            "resample it to the image's grid first",
-        )
-    found = [int(value) for value in np.unique(labels.array)]
+        return window.clicks(_stroke_of_points(file, side, window.geometry, id))
+    labels = starts.label_box(file, window, f"stroke:{file}")
+    found = [int(value) for value in np.unique(labels)]
     unknown = [value for value in found if value not in (0, *_LABELS)]
     if unknown:
         raise InputError(f"stroke:{file}: label {unknown[0]} was given, expected 1 (inside), 2 (outside) and 0", "")
-    masks = {way: labels.array == label for label, way in _LABELS.items()}
+    masks = {way: labels == label for label, way in _LABELS.items()}
     if not masks[side].any():
         raise InputError(f"{side} stroke:{file}: no voxel has its label", "1 is inside, 2 is outside")
     return [click_of_mask(way, masks[way], id) for way in SIDES if masks[way].any()]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.slabs import slabs
 from accelsurf.grid.volume import Volume
+from accelsurf.grid.window import Window
 from accelsurf.initialization import region_growing
 from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
@@ -33,6 +34,9 @@ _LABEL = re.compile(r"[0-9]{1,18}")
 
 #: The start that is made of the inside clicks of the run.
 CLICKS = "clicks"
+
+#: Starts that look at values everywhere.
+BY_VALUES = ("seed", "threshold", "largest", "otsu")
 
 #: Kind -> the form in which it is written.
 KINDS: dict[str, str] = {
@@ -62,6 +66,15 @@ class Start(NamedTuple):
     file: str = ""
     word: str = ""
     ids: tuple[tuple[int, int], ...] = ()
+
+    def mask_of(self, labels: NDArray[Any]) -> NDArray[np.bool_]:
+        """Voxels of a label map that have one of the labels."""
+        if not self.ids:
+            return np.asarray(labels > 0)
+        mask = np.zeros(labels.shape, np.bool_)
+        for first, last in self.ids:
+            mask |= (labels >= first) & (labels <= last)
+        return mask
 
 
 def parse(text: str) -> Start:
@@ -151,7 +164,9 @@ def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
     return numbers
 
 
-def build(starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+def build(
+    starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | None = None, window: Window | None = None
+) -> NDArray[np.float32]:
     """Return the function psi of the union of starts on the grid of a volume.
 
     Parameters
@@ -162,6 +177,8 @@ def build(starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | No
         The image; thresholds are in its units.
     image : ndarray, shape (nz, ny, nx), optional
         What thresholds are applied to instead of the volume's own array (the presmoothed image).
+    window : Window, optional
+        The volume is this part of a larger one, to whose grid the starts belong: psi is what it is there.
 
     Returns
     -------
@@ -172,7 +189,7 @@ def build(starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | No
     Raises
     ------
     UsageError
-        When a start cannot be parsed.
+        When a start cannot be parsed, or looks at values everywhere and there is but a window.
     InputError
         When a start lies outside the volume, or their union is empty or the whole volume; GeometryError when a label
         map lies on another grid.
@@ -185,10 +202,11 @@ def build(starts: Sequence[str], volume: Volume, image: NDArray[np.float32] | No
     """
     values = volume.array if image is None else image
     psi = np.full(volume.geometry.shape, np.inf, np.float32)
+    window = window or Window(volume.geometry, whole_box(volume.geometry.shape))
     for text in starts:
-        one = _build_one(parse(text), text, volume.geometry, values)
+        one = _build_one(parse(text), text, window, values)
         if not (one < 0).any():
-            raise InputError(*_nothing_inside(text, volume.geometry))
+            raise InputError(*_nothing_inside(text, window.geometry))
         np.minimum(psi, one, out=psi)
     if (psi < 0).all():
         raise InputError(
@@ -247,13 +265,19 @@ def extent_hint(geometry: Geometry) -> str:
     return f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices"
 
 
-def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> NDArray[np.float32]:
+def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDArray[np.float32]:
+    geometry, box = window
     if start.kind == CLICKS:
         raise UsageError(f"start {text!r}: there is no click inside", "give --inside point:X,Y,Z, or another start")
+    if start.kind in BY_VALUES and not window.is_whole:
+        raise UsageError(
+            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
+            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
+        )
     if start.kind == "label":
-        return psi_of_mask(_read_mask(start, geometry), geometry)
+        return psi_of_mask(_read_mask(start, window), geometry)
     if start.kind == "mesh":
-        return psi_of_mask(meshes.inside(start.file, geometry, ras=start.word == "ras"), geometry)
+        return psi_of_mask(meshes.inside(start.file, geometry, start.word == "ras", box), geometry)
     if start.kind == "seed":
         z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])
         radius = start.numbers[3] * (min(geometry.steps) if start.vox else 1.0)
@@ -271,28 +295,34 @@ def _build_one(start: Start, text: str, geometry: Geometry, values: NDArray) -> 
         extents = [e for e, n in zip(geometry.extent_mm, geometry.shape, strict=True) if n > 1]
         centre = tuple(0.5 * (n - 1) for n in reversed(geometry.shape))
         radius = 0.25 * min(extents or [geometry.spacing[0]])
-        return _ball(geometry, centre, radius)
+        return _ball(window, centre, radius)
     if start.kind == "ball":
         if start.vox:
-            return _ball(geometry, start.numbers[:3], start.numbers[3] * min(geometry.steps))
+            return _ball(window, start.numbers[:3], start.numbers[3] * min(geometry.steps))
         z, y, x = geometry.world_to_index(start.numbers[:3])
-        return _ball(geometry, (x, y, z), start.numbers[3])
-    return _box(geometry, start)
+        return _ball(window, (x, y, z), start.numbers[3])
+    return _box(window, start)
 
 
-def _read_mask(start: Start, geometry: Geometry) -> NDArray[np.bool_]:
-    labels = io.read_labels(start.file)
-    if not labels.geometry.matches(geometry):
+def _read_mask(start: Start, window: Window) -> NDArray[np.bool_]:
+    return start.mask_of(label_box(start.file, window, f"start label:{start.file}"))
+
+
+def label_box(file: str, window: Window, name: str) -> NDArray[Any]:
+    """Return a label map, or the part of it in a window.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read; GeometryError when it lies on another grid.
+    """
+    labels: Volume | io.LazyVolume = io.read_labels(file) if window.is_whole else io.open_volume(file)
+    if not labels.geometry.matches(window.geometry):
         raise GeometryError(
-            f"start label:{start.file}: on another grid than the image: {labels.geometry.difference(geometry)}",
+            f"{name}: on another grid than the image: {labels.geometry.difference(window.geometry)}",
             "resample it to the image's grid first",
         )
-    if not start.ids:
-        return np.asarray(labels.array > 0)
-    mask = np.zeros(labels.array.shape, np.bool_)
-    for first, last in start.ids:
-        mask |= (labels.array >= first) & (labels.array <= last)
-    return mask
+    return labels.array if isinstance(labels, Volume) else labels.read(window.box)
 
 
 def psi_of_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:
@@ -301,19 +331,20 @@ def psi_of_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float
     return np.where(mask, -half, half)
 
 
-def _ball(geometry: Geometry, centre_xyz: Sequence[float], radius: float) -> NDArray[np.float32]:
+def _ball(window: Window, centre_xyz: Sequence[float], radius: float) -> NDArray[np.float32]:
     # Whole volumes: sums of squares in single precision take half the time.
-    return ball_distance(whole_box(geometry.shape), geometry.spacing, centre_xyz[::-1], radius, np.float32)
+    return ball_distance(window.box, window.geometry.spacing, centre_xyz[::-1], radius, np.float32)
 
 
-def _box(geometry: Geometry, start: Start) -> NDArray[np.float32]:
+def _box(window: Window, start: Start) -> NDArray[np.float32]:
+    geometry, shape = window.geometry, window.shape
     low, high = np.array(start.numbers[:3]), np.array(start.numbers[3:])
     scale = np.array(geometry.spacing_xyz) if start.vox else np.ones(3)
     middle, half = 0.5 * (low + high), 0.5 * (high - low) * scale
 
-    nz, ny, nx = (np.arange(n, dtype=float) for n in geometry.shape)
-    psi = np.empty(geometry.shape, np.float32)
-    for planes in slabs(geometry.shape):
+    nz, ny, nx = (np.arange(s.start, s.stop, dtype=float) for s in window.box)
+    psi = np.empty(shape, np.float32)
+    for planes in slabs(shape):
         z, y, x = nz[planes, None, None], ny[:, None], nx
         if start.vox:
             offsets = [(c - m) * s for c, m, s in zip((x, y, z), middle, scale, strict=True)]

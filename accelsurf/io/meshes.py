@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
 from accelsurf.io.memory import available_memory
@@ -22,8 +23,10 @@ MAX_COORDINATE = 1e12
 BATCH_ROWS = 1 << 17
 
 
-def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[np.bool_]:
-    """Voxels whose centres are inside a closed mesh.
+def inside(
+    path: str | Path, geometry: Geometry, ras: bool = False, box: Box | None = None
+) -> NDArray[np.bool_]:
+    """Voxels of a grid, or of a box of it, whose centres are inside a closed mesh.
 
     Parameters
     ----------
@@ -33,10 +36,12 @@ def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[n
         The grid.
     ras : bool
         Whether its points are RAS, not LPS.
+    box : tuple of slice, optional
+        By default the whole grid.
 
     Returns
     -------
-    ndarray (nz, ny, nx) of bool
+    ndarray, shape of the box, of bool
 
     Raises
     ------
@@ -47,7 +52,10 @@ def inside(path: str | Path, geometry: Geometry, ras: bool = False) -> NDArray[n
     if ras:
         points = points * (-1.0, -1.0, 1.0)
     index = geometry.world_to_index(points)
-    return voxels_inside(index, triangles, geometry.shape)
+    if box is None:
+        return voxels_inside(index, triangles, geometry.shape)
+    z, y, x = (s.stop - s.start for s in box)
+    return voxels_inside(index - np.array(corner_of(box)), triangles, (z, y, x))
 
 
 def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

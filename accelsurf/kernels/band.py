@@ -16,6 +16,20 @@ MIN_DISTANCE = 1e-6
 
 
 @kernel(stage=Stage.BAND)
+def extent(cells, grid, out):
+    """First voxel of some cells, and the one after the last, into ``out`` (2, 3) int64. Serial."""
+    low_y, low_x, high_y, high_x = grid.ny, grid.nx, -1, -1
+    for s in range(cells.shape[0]):
+        _, iy, ix = unravel(cells[s], grid)
+        low_y, high_y = min(low_y, iy), max(high_y, iy)
+        low_x, high_x = min(low_x, ix), max(high_x, ix)
+    first, _, _ = unravel(cells[0], grid)
+    last, _, _ = unravel(cells[-1], grid)
+    out[0, 0], out[0, 1], out[0, 2] = first, low_y, low_x
+    out[1, 0], out[1, 1], out[1, 2] = last + 1, high_y + 1, high_x + 1
+
+
+@kernel(stage=Stage.BAND)
 def keep_mask(start, stop, grid, foot, state, half_width, keep):
     """Mark in ``keep`` (n,) bool the slots whose foot is known and within ``half_width`` voxels.
 

@@ -126,9 +126,17 @@ class EvolvingObject:
         """First voxel of the band and the one after its last, on the level's grid; an empty box without a band."""
         if self.surface.size == 0:
             return np.array(self.corner), np.array(self.corner)
-        index = np.unravel_index(self.surface.band.cells, self.surface.shape)
-        low, high = ([int(f(i)) + c for i, c in zip(index, self.corner, strict=True)] for f in (np.min, np.max))
-        return np.array(low), np.array(high) + 1
+        low, end = self.surface.extent()
+        return low + self.corner, end + self.corner
+
+    def seen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First voxel and the one after the last that its step depends on: its box, or its band and reach."""
+        if self._among_others:
+            corner = np.array(self.corner)
+            return corner, corner + self.surface.shape
+        low, end = self.extent()
+        reach = np.ceil(self._setup.reach / np.array(self.grid.spacing)).astype(np.int64)
+        return low - reach, end + reach
 
     # -- starts and levels ---------------------------------------------------------------------------------
 

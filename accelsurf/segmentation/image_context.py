@@ -17,6 +17,7 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import axis_steps
+from accelsurf.grid.window import Window
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.segmentation.region_totals import RegionTotals, moments_of
 from accelsurf.settings.energy_terms import HALF, Values
@@ -85,6 +86,8 @@ class ModelInputs(NamedTuple):
         Whether objects part the space between them at edges, and nothing else counts.
     box : tuple of slice or None
         The box around the object that a person has given.
+    window : Window or None
+        What part of the whole grid the images are; None for all of it.
     """
 
     size_mm3: float | None = None
@@ -92,6 +95,7 @@ class ModelInputs(NamedTuple):
     threads: int = 1
     partition: bool = False
     box: Box | None = None
+    window: Window | None = None
 
 
 class ImageContext:
@@ -213,7 +217,7 @@ class ImageContext:
         if self.clicks is None or not self.clicks.mask("inside").any():
             raise UsageError("energy: seeded was given without a click inside", "give --inside point:X,Y,Z")
         if not self._model:
-            size, mask, threads, partition, box = self._model_inputs
+            size, mask, threads, partition, box, window = self._model_inputs
             seen = self.images, self.spacing, self.clicks
             if partition:
                 made = partition_model(*seen, mask=mask)
@@ -221,7 +225,9 @@ class ImageContext:
                 before = self._before
                 goes_on = before is not None and before.clicks is not None and before.clicks.ids()
                 previous = before.seeded_model() if before is not None and goes_on else None
-                made = seeded_model(*seen, size_mm3=size, box=box, mask=mask, threads=threads, previous=previous)
+                made = seeded_model(
+                    *seen, size_mm3=size, box=box, mask=mask, threads=threads, previous=previous, window=window
+                )
             self._model.append(made)
         return self._model[0]
 

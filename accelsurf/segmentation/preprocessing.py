@@ -16,12 +16,14 @@ from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import MIN_RANGE, Volume, check_image
+from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import read_clicks
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
-from accelsurf.segmentation.region_of_interest import cropped, distance_of_mask, region_of_run
+from accelsurf.segmentation.region_of_interest import cropped, distance_of_mask
 from accelsurf.segmentation.run_clicks import placed
 from accelsurf.segmentation.run_setup import thread_count
+from accelsurf.segmentation.window_input import WindowInput, region_in, whole_of, window_of
 from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
@@ -32,6 +34,8 @@ from accelsurf.settings.wording import shown
 SCALE_PERCENTILES = (0.5, 99.5)
 #: Values farther beyond those percentiles than so many times their range are no measurements; their squares overflow.
 MAX_RANGES = 1e15
+#: A volume, what starts look at in it, presmoothed, and what part of the whole grid it is.
+Seen = tuple[Volume, NDArray[np.float32], Window]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +119,7 @@ def preprocess(
     given: Mapping[str, NDArray[np.float32]] | None = None,
     clicks: Sequence[Click] = (),
     has_ids: bool = False,
+    part: WindowInput | None = None,
 ) -> tuple[PreprocessedInput, NDArray[np.float32]]:
     """Prepare the image, the first surface and the mask of a run.
 
@@ -129,6 +134,8 @@ def preprocess(
         On the whole grid, besides those that ``config`` names.
     has_ids : bool, optional
         Whether there are several objects: --outside then is in none of them.
+    part : WindowInput, optional
+        The volumes are windows on larger ones.
 
     Returns
     -------
@@ -141,24 +148,26 @@ def preprocess(
     UsageError, InputError
         As of `accelsurf.segment`.
     """
-    check_channels(volumes)
+    if part is None:
+        check_channels(volumes)
     first, whole, given = volumes[0], volumes[0].geometry, given or {}
-    box = region_of_run(config, whole)
+    window, box = window_of(whole, part), region_in(config, whole, part)
     geometry = cropped(whole, box)
-    presmooth = in_mm(config.presmooth, whole)
-    smoothed = presmoothed(first, presmooth)
-    distance = distance_of_mask(config, given, whole, box)
-    said = placed([*_clicks_of(config, first, smoothed, has_ids), *clicks], first, box, distance, None)
-    start = given["start"] if "start" in given else _first_surface(config, first, smoothed, said, box)
-    training = _training_voxels(config, given, first, smoothed)
+    presmooth = in_mm(config.presmooth, window.geometry)
+    smoothed = presmoothed(first, presmooth) if part is None else part.smoothed[0]
+    distance = distance_of_mask(config, given, window, box)
+    seen = first, smoothed, window
+    said = placed([*_clicks_of(config, seen, has_ids), *clicks], first, box, distance, None)
+    start = given["start"] if "start" in given else _first_surface(config, seen, said, box)
+    training = _training_voxels(config, given, seen)
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     is_part = geometry.shape != whole.shape
     around = smoothed if is_part else None  # the result shows it
     values = smoothed[box].copy() if is_part else _crop(smoothed, box)
     del smoothed, start
-    images, scales = _scaled_channels(values, volumes, presmooth, box)
+    images, scales = _scaled_channels(values, volumes, presmooth, box, part)
     del values
-    context, learns = _context(config, volumes, (images, scales), box, psi, training, distance)
+    context, learns = _context(config, volumes, (images, scales), box, psi, training, distance, part)
     if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
         context = context.with_clicks(said)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
@@ -183,6 +192,7 @@ def _context(
     psi: NDArray[np.float32],
     training: tuple[Mask | None, Mask | None],
     distance: NDArray[np.float32] | None,
+    part: WindowInput | None,
 ) -> tuple[ImageContext, bool]:
     """What energies need of the image, and whether a model of the energy is learned once."""
     (images, scales), (foreground, background) = channels, training
@@ -194,47 +204,51 @@ def _context(
         images, scales, volumes[0].geometry.spacing, learned_from,
         None if background is None else _crop(background, box),
         is_start=from_start,
+        whole=whole_of(part),
     )
     size = None if config.size is None else volume_mm3(config.size)
     limits = None if distance is None else np.asarray(distance < 0)
     partition = any(term.name == "partition" for term in terms)
     around = None if config.box is None or limits is None else bounding_box(limits, 0)
-    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition, around))
+    window = None if part is None else part.open_window
+    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition, around, window))
     # Likelihood learns from --foreground once; with update=yes it refuses it.
     return context, learns or any(term.name == "likelihood" for term in terms)
 
 
-def _clicks_of(config: RunConfig, volume: Volume, image: NDArray[np.float32], has_ids: bool) -> list[Click]:
+def _clicks_of(config: RunConfig, seen: Seen, has_ids: bool) -> list[Click]:
     """The clicks that a configuration names, on the image's grid; of several objects those that are in none."""
+    volume, image, window = seen
     out: list[Click] = []
     for side in SIDES:
-        out += read_clicks(getattr(config, side), side, volume, image)
+        out += read_clicks(getattr(config, side), side, volume, image, window=window)
     return [click._replace(side="inside", id=NO_OBJECT) for click in out] if has_ids else out
 
 
-def _first_surface(
-    config: RunConfig, volume: Volume, image: NDArray[np.float32], clicks: Clicks, box: Box
-) -> NDArray[np.float32]:
+def _first_surface(config: RunConfig, seen: Seen, clicks: Clicks, box: Box) -> NDArray[np.float32]:
     """Psi of the start on the whole grid; ``clicks`` are on the region of interest, ``box``."""
+    volume = seen[0]
     others = [text for text in config.start if text != starts.CLICKS]
     if len(others) == len(config.start) or not clicks.ids():
-        return starts.build(config.start, volume, image)
+        return starts.build(config.start, *seen)
     inside = np.zeros(volume.geometry.shape, np.bool_)
     inside[box] = clicks.mask("inside")
     psi = starts.psi_of_mask(inside, volume.geometry)
-    return np.minimum(psi, starts.build(others, volume, image)) if others else psi
+    return np.minimum(psi, starts.build(others, *seen)) if others else psi
 
 
 def _scaled_channels(
-    values: NDArray[np.float32], volumes: Sequence[Volume], presmooth: float, box: Box
+    values: NDArray[np.float32], volumes: Sequence[Volume], presmooth: float, box: Box, part: WindowInput | None
 ) -> tuple[list[NDArray[np.float32]], list[Scale]]:
     """The channels on the region, 0 and 1 at their percentiles; overwrites ``values``, the first one, smoothed."""
-    scales = [scale_of(values)]
-    images = [apply(values, scales[0])]
-    for one in volumes[1:]:
-        other = _crop(presmoothed(one, presmooth), box)
-        scales.append(scale_of(other))
-        images.append(apply(other, scales[-1]))
+    whole = whole_of(part)
+    scales: list[Scale] = []
+    images: list[NDArray[np.float32]] = []
+    for place, one in enumerate(volumes):
+        if place > 0:
+            values = _crop(presmoothed(one, presmooth) if part is None else part.smoothed[place], box)
+        scales.append(whole[place].scale if whole else scale_of(values))
+        images.append(apply(values, scales[-1]))
     return images, scales
 
 
@@ -280,7 +294,7 @@ def _start_within(
 
 
 def _training_voxels(
-    config: RunConfig, given: Mapping[str, NDArray[np.float32]], volume: Volume, image: NDArray[np.float32]
+    config: RunConfig, given: Mapping[str, NDArray[np.float32]], seen: Seen
 ) -> tuple[Mask | None, Mask | None]:
     """Foreground and background, given as arrays or written as starts; an error names the option."""
 
@@ -291,7 +305,7 @@ def _training_voxels(
         if not texts:
             return None
         try:
-            return np.asarray(starts.build(texts, volume, image) < 0)
+            return np.asarray(starts.build(texts, *seen) < 0)
         except AccelsurfError as error:
             raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
 

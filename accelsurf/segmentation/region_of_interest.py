@@ -8,11 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf import io
 from accelsurf.energies.constraints.mask import mask_distance
-from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, widened
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
@@ -85,7 +85,7 @@ def closed_on(psi: NDArray[np.float32], corner: Corner, box: Box) -> NDArray[np.
 
 
 def region_of_run(config: RunConfig, geometry: Geometry) -> Box:
-    """Voxels that a run is made on: of --roi, or of --box with as much around it as half its extent."""
+    """Voxels that a run is made on: of --roi, or of --box with as much around it as half its extent; else all."""
     if config.roi is not None or config.box is None:
         return region_of_interest(config.roi, geometry)
     box = region_of_interest(config.box, geometry, "box")
@@ -94,40 +94,34 @@ def region_of_run(config: RunConfig, geometry: Geometry) -> Box:
 
 
 def distance_of_mask(
-    config: RunConfig, given: Mapping[str, NDArray[np.float32]], whole: Geometry, box: Box
+    config: RunConfig, given: Mapping[str, NDArray[np.float32]], window: Window, box: Box
 ) -> NDArray[np.float32] | None:
-    """Signed distance, mm, of mask and box on the region ``box``; None without both."""
+    """Signed distance, mm, of mask and box on the region ``box`` of a window; None without both."""
     if "mask" in given:
         mask = np.asarray(given["mask"] < 0)
     elif config.mask is not None:
-        mask = read_mask(config.mask, whole)
+        mask = read_mask(config.mask, window)
     elif config.box is not None:
-        mask = np.ones(whole.shape, np.bool_)
+        mask = np.ones(window.shape, np.bool_)
     else:
         return None
     if config.box is not None:
-        within = np.zeros(whole.shape, np.bool_)
-        part = region_of_interest(config.box, whole, "box")
+        within = np.zeros(window.shape, np.bool_)
+        part = window.local(region_of_interest(config.box, window.geometry, "box"))
         within[part] = mask[part]
         mask = within
-    return mask_distance(np.ascontiguousarray(mask[box]), cropped(whole, box).spacing)
+    return mask_distance(np.ascontiguousarray(mask[box]), window.geometry.spacing)
 
 
-def read_mask(file: str, geometry: Geometry) -> NDArray[np.bool_]:
-    """Voxels above 0 of a label map on the image's grid.
+def read_mask(file: str, window: Window) -> NDArray[np.bool_]:
+    """Voxels above 0 of a label map on the image's grid, in a window of it.
 
     Raises
     ------
     InputError
         When there is none, or the file cannot be read; GeometryError when it lies on another grid.
     """
-    labels = io.read_labels(file)
-    if not labels.geometry.matches(geometry):
-        raise GeometryError(
-            f"mask {file}: on another grid than the image: {labels.geometry.difference(geometry)}",
-            "resample it to the image's grid first",
-        )
-    mask = np.asarray(labels.array > 0)
+    mask = np.asarray(starts.label_box(file, window, f"mask {file}") > 0)
     if not mask.any():
-        raise InputError(f"mask {file}: it is empty", "give one with voxels above 0, where the surface may be")
+        raise InputError(f"mask {file}: it is empty{'' if window.is_whole else ' there'}", "give one with voxels above 0, where the surface may be")
     return mask

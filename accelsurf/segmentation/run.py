@@ -38,6 +38,7 @@ from accelsurf.segmentation.run_setup import (
 )
 from accelsurf.segmentation.run_start import AROUND, start_of_run
 from accelsurf.segmentation.start_checks import start_checks
+from accelsurf.segmentation.window_input import WindowInput
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 
@@ -65,6 +66,8 @@ class Run:
         ``background``.
     clicks : sequence of Click, optional
         On the image's grid, besides those that ``config`` names.
+    part : WindowInput, optional
+        Volume and channels are windows on larger ones, to whose grid the texts of ``config`` belong.
 
     Attributes
     ----------
@@ -97,9 +100,10 @@ class Run:
         objects: ObjectsLike | None = None,
         arrays: Mapping[str, NDArray[np.float32]] | None = None,
         clicks: Sequence[Click] = (),
+        part: WindowInput | None = None,
     ) -> None:
         began = time.perf_counter()
-        begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks)
+        begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks, part)
         self.volume, self.config, self.energy_given, config = volume, begin.config, energy, begin.config
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
         self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
@@ -111,7 +115,9 @@ class Run:
             self.check(edit, ids or [1], config.edit[:number])
         self.workers = Workers(thread_count(config))
         named = energy is None or isinstance(energy, str)
-        grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named)
+        self._window = None if part is None else part.open_window
+        whole = None if self._window is None else self._window.geometry
+        grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named, whole)
         self._levels = len(grids)
         self._inputs = LevelInputs(self.prepared.images, distance, grids)
         self.level_warnings = thin_start_warnings(starts, self.geometry, self.has_ids)
@@ -229,7 +235,20 @@ class Run:
             steps = self._ensemble.step(left, not self._stop_requested)
         if steps:
             self._steps_made += 1
+            self._check_window()
         return steps
+
+    def _check_window(self) -> None:
+        """Refuse to go on where a surface, or what its energy sees, comes near an open face of the window.
+
+        Raises
+        ------
+        LeavesWindow
+        """
+        if self._window is not None:
+            for one in self._all:
+                if one.surface.size:
+                    self._window.check(*one.seen(), self.grid.factors)
 
     def current(self) -> tuple[Step, ...]:
         """The present state of each object: its last record once it has ended, else a record without motion."""

@@ -40,7 +40,11 @@ ObjectsLike = str | Volume | NDArray[Any]
 
 
 def choose_levels(
-    config: RunConfig, geometry: Geometry, psi: NDArray[np.float32] | None, has_name: bool
+    config: RunConfig,
+    geometry: Geometry,
+    psi: NDArray[np.float32] | None,
+    has_name: bool,
+    whole: Geometry | None = None,
 ) -> list[pyramid.Level]:
     """The levels of a configuration, finest first; record 0015 defines ``auto``.
 
@@ -53,18 +57,24 @@ def choose_levels(
         Of the start; None for several objects, for which ``auto`` is the image's own grid.
     has_name : bool
         Whether the energy is one with a name.
+    whole : Geometry, optional
+        The grid that ``geometry`` is a window on: there are as many levels as it has.
 
     Raises
     ------
     UsageError
         When the grid does not have so many.
     """
-    shape, spacing, wanted = geometry.shape, geometry.spacing, config.levels
+    shape, spacing, wanted = (whole or geometry).shape, geometry.spacing, config.levels
+
+    def in_window(grids: list[pyramid.Level]) -> list[pyramid.Level]:
+        return grids if whole is None else pyramid.levels(geometry.shape, spacing, len(grids), min_voxels=1)
+
     if wanted == "auto":
         terms = energy_expression.parse(config.energy)
         if psi is None or not has_name or any(TERMS[term.name].keeps_fine_edges for term in terms):
-            return pyramid.levels(shape, spacing, 1)
-        grids = pyramid.levels(shape, spacing, min_voxels=pyramid.AUTO_MIN_VOXELS)
+            return in_window(pyramid.levels(shape, spacing, 1))
+        grids = in_window(pyramid.levels(shape, spacing, min_voxels=pyramid.AUTO_MIN_VOXELS))
         return grids[: pyramid.count_resolved_levels(grids, psi)]
     grids = pyramid.levels(shape, spacing, wanted)
     if len(grids) < wanted:
@@ -72,7 +82,7 @@ def choose_levels(
             f"levels: {wanted} was given, expected at most {len(grids)} for this image",
             f"the coarsest grid has at least {pyramid.MIN_VOXELS} voxels along an axis that is halved",
         )
-    return grids
+    return in_window(grids)
 
 
 def setup_of(settings: RunConfig, place: int, levels: int, geometry: Geometry) -> SolverSetup:

@@ -22,6 +22,7 @@ from accelsurf.segmentation.given import given_arrays
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.preprocessing import PreprocessedInput, preprocess, uses_model
 from accelsurf.segmentation.run_checkpoint import digest_of
+from accelsurf.segmentation.window_input import WindowInput
 from accelsurf.settings.run_config import RunConfig
 
 #: Voxels around an object's own grid that belong to its part of a result.
@@ -66,6 +67,7 @@ def start_of_run(
     objects: Any,
     arrays: Mapping[str, NDArray[np.float32]] | None,
     clicks: Sequence[Click],
+    part: WindowInput | None = None,
 ) -> RunStart:
     """Read and prepare what a run begins with; the parameters are those of `accelsurf.segmentation.run.Run`.
 
@@ -83,12 +85,16 @@ def start_of_run(
             config = config.replace(energy="seeded")
     if labels is not None and any(click.id == 1 for click in clicks) and table is None:
         raise UsageError("inside: clicks were given with objects", "give a table of objects with a column side")
-    volumes = [volume, *channels, *read_further(config.channel)]
-    several = _several(labels, table, clicks, config, volume.geometry)
+    volumes = [volume, *channels, *([] if part is not None else read_further(config.channel))]
+    has_ids = labels is not None
+    if part is not None and part.starts is not None:
+        several, has_ids = list(part.starts), True
+    else:
+        several = _several(labels, table, clicks, config, volume.geometry)
     union = {"start": union_of(several, volume.geometry)} if several else {}
-    prepared, psi = preprocess(volumes, config, {**(arrays or {}), **union}, clicks, labels is not None)
+    prepared, psi = preprocess(volumes, config, {**(arrays or {}), **union}, clicks, has_ids, part)
     contexts, starts = [prepared.context], [ObjectStart(1, (0, 0, 0), psi)]
-    if labels is None:
+    if not has_ids:
         if contexts[0].clicks is None:
             contexts = [_with_clicks(contexts[0], prepared.clicks, 1)]
     else:
@@ -100,7 +106,7 @@ def start_of_run(
         ]
         if table is not None and uses_model(config):
             starts = _of_models(starts, contexts, str(labels), prepared.geometry)
-    return RunStart(config, labels is not None, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
+    return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
 
 
 def _masks_of(clicks: Sequence[Click], geometry: Geometry) -> dict[str, NDArray[Any]]:

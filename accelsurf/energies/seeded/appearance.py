@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from accelsurf.grid.boxes import Box, widened
 from accelsurf.grid.clicks import Click
+from accelsurf.grid.window import Window
 from accelsurf.kernels.arrival import Tissue
 
 Image = NDArray[np.float32]
@@ -104,7 +105,9 @@ def learn(images: Sequence[Image], spacing: Spacing, click: Click) -> Tissue:
     return Tissue(median, deviation, edge, np.array(WEIGHTS))
 
 
-def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue: Tissue) -> float:
+def even_radius(
+    images: Sequence[Image], spacing: Spacing, click: Click, tissue: Tissue, window: Window | None = None
+) -> float:
     """Radius (mm) of the ball, of a flat image the disk, around a click's middle where most voxels look like the click.
 
     Parameters
@@ -115,6 +118,13 @@ def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue:
     click : Click
     tissue : Tissue
         Of the click.
+    window : Window, optional
+        The images are this part of larger ones.
+
+    Raises
+    ------
+    LeavesWindow
+        When voxels near an open face of the window are looked at.
     """
     middle = np.argwhere(click.mask).mean(axis=0) + [s.start for s in click.box]
     flat = images[0].shape[0] == 1
@@ -124,6 +134,8 @@ def even_radius(images: Sequence[Image], spacing: Spacing, click: Click, tissue:
     reach = max(EVEN_REACH * own, MIN_EVEN_REACH * step)
     margin = [int(np.ceil(reach / h)) for h in spacing]
     at = np.round(middle).astype(int)
+    if window is not None:
+        window.check(at - margin, at + margin + 1)
     box = tuple(slice(max(a - m, 0), min(a + m + 1, n)) for a, m, n in zip(at, margin, images[0].shape, strict=True))
     axes = [(np.arange(s.start, s.stop) - a) * h for s, a, h in zip(box, middle, spacing, strict=True)]
     squares = np.meshgrid(*(axis**2 for axis in axes), indexing="ij", sparse=True)

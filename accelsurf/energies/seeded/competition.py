@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.grid.boxes import Box
+from accelsurf.grid.window import Window
 from accelsurf.kernels.arrival import Medium, Tissue, march
 from accelsurf.kernels.grid import Grid
 
@@ -21,10 +22,11 @@ _NEVER_LATE = (0, np.inf)
 
 
 class Field(NamedTuple):
-    """What marches need: the channels in one array, where nothing passes, the grid."""
+    """What marches need: the channels in one array, where nothing passes, the grid, and of what it is a window."""
 
     medium: Medium
     grid: Grid
+    window: Window | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -33,8 +35,8 @@ class Field(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of voxels."""
-        return self.grid.nz * self.grid.ny * self.grid.nx
+        """Number of voxels of the whole grid."""
+        return self.grid.nz * self.grid.ny * self.grid.nx if self.window is None else self.window.voxels
 
     def images_on(self, box: Box) -> list[NDArray[np.float32]]:
         """The channels on a box."""
@@ -47,13 +49,15 @@ class Field(NamedTuple):
         return Field(Medium(values, _ALL_OPEN), self.grid._replace(nz=nz, ny=ny, nx=nx))
 
 
-def field_of(images: Sequence[NDArray[np.float32]], spacing: Sequence[float], mask: Mask | None) -> Field:
+def field_of(
+    images: Sequence[NDArray[np.float32]], spacing: Sequence[float], mask: Mask | None, window: Window | None = None
+) -> Field:
     """The channels for marches on their grid; a single one is not copied."""
     nz, ny, nx = images[0].shape
     channels = [np.ravel(image) for image in images]
     values = channels[0][None] if len(channels) == 1 else np.stack(channels)
     passes = np.zeros(0, np.bool_) if mask is None else np.ascontiguousarray(mask).ravel()
-    return Field(Medium(values, passes), Grid(nz, ny, nx, *(float(h) for h in spacing)))
+    return Field(Medium(values, passes), Grid(nz, ny, nx, *(float(h) for h in spacing)), window)
 
 
 def arrival(
@@ -68,10 +72,17 @@ def arrival(
 
     It does not come where its time is not below ``cap`` (n,) float32, nor, with ``late`` = (count, factor), to times
     later than a bucket after ``factor`` times that of the voxel number ``count``.
+
+    Raises
+    ------
+    LeavesWindow
+        When it comes near an open face of the field's window.
     """
-    times = np.full(field.size, np.inf, np.float32)
+    times = np.full(field.medium.values.shape[1], np.inf, np.float32)
     times[seeds] = 0.0
     order = march(times, field.medium, tissue, field.grid, seeds, cap, late, max(max_count, len(seeds)))
+    if field.window is not None:
+        field.window.check_cells(order)
     return times, order[np.argsort(times[order], kind="stable")]
 
 
@@ -83,7 +94,7 @@ def from_beyond(field: Field, tissue: Tissue, beyond: Mask) -> NDArray[np.float3
     times = np.where(beyond, np.float32(0.0), np.float32(np.inf)).ravel()
     seeds = np.flatnonzero(beyond & ndimage.binary_dilation(~beyond, ndimage.generate_binary_structure(3, 1)))
     edges = tissue._replace(weights=tissue.weights * np.array((1, 1, 1, 0, 1, 1)))
-    march(times, field.medium, edges, field.grid, seeds, _NO_CAP, _NEVER_LATE, field.size)
+    march(times, field.medium, edges, field.grid, seeds, _NO_CAP, _NEVER_LATE, times.size)
     return times.reshape(beyond.shape)
 
 

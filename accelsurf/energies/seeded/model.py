@@ -22,6 +22,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.grid.window import Window
 from accelsurf.kernels.arrival import Tissue
 
 #: Smoothing of the image before anything is learned from it, of the smallest spacing.
@@ -93,6 +94,7 @@ def seeded_model(
     mask: Mask | None = None,
     threads: int = 1,
     previous: SeededModel | None = None,
+    window: Window | None = None,
 ) -> SeededModel:
     """Make the model of one object from its clicks.
 
@@ -112,9 +114,13 @@ def seeded_model(
         Marches from so many clicks at once; the result is the same for any number.
     previous : SeededModel, optional
         The model of the first of these clicks, all else being the same: the result is the same, sooner.
+    window : Window, optional
+        The images are this part of larger ones; the result is the part of theirs.
 
     Raises
     ------
+    LeavesWindow
+        When the model looks at what is near an open face of the window.
     InputError
         When there is no inside click, or the first one lies outside the box or the mask.
     """
@@ -124,20 +130,23 @@ def seeded_model(
     allowed = _allowed(images[0].shape, box, mask)
     if previous is not None and previous.answer is not None and _goes_on(clicks, previous.clicks, previous.answer):
         smooth, answer, proposal = previous.images, previous.answer, previous.proposal
-        field, shown, corrections = field_of(smooth, spacing, allowed), previous.shown, previous.corrections
+        field, shown = field_of(smooth, spacing, allowed, window), previous.shown
+        corrections = previous.corrections
         known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
     else:
         smooth = _smoothed(images, spacing)
-        field = field_of(smooth, spacing, allowed)
+        field = field_of(smooth, spacing, allowed, window)
         answer, proposal = _first(smooth, spacing, field, clicks, size_mm3, box is not None)
         known, left = Clicks((inside[0],), clicks.shape), [one for one in clicks.clicks if one is not inside[0]]
-        shown, corrections = _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, None)), ()
+        shown = _shown(images, spacing, (allowed, window), answer, known, (size_mm3 is not None, None))
+        corrections = ()
     assert shown is not None  # an answer was shown
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         marched = pool.map(partial(later_times, smooth, spacing, field, answer=answer), left)
         for click, times in zip(left, marched, strict=True):
             answer, known = with_click(answer, field, click, times), known.with_more([click])
-            before, shown = shown, _shown(images, spacing, allowed, answer, known, (size_mm3 is not None, shown), pool)
+            stated = size_mm3 is not None, shown
+            before, shown = shown, _shown(images, spacing, (allowed, window), answer, known, stated, pool)
             corrections = corrections_with(corrections, click, (before, shown), spacing, clicks.shape)
     arrays = on_whole_grid(answer, at_edges(shown, images, smooth, spacing, clicks, allowed), clicks.shape)
     area = area_weight(images, spacing, arrays[1], allowed)
@@ -147,15 +156,19 @@ def seeded_model(
 def _shown(
     images: Sequence[Image],
     spacing: Spacing,
-    allowed: Mask | None,
+    where: tuple[Mask | None, Window | None],
     answer: Answer,
     clicks: Clicks,
     earlier: tuple[bool, Shown | None],
     pool: ThreadPoolExecutor | None = None,
 ) -> Shown:
     """What is shown after some clicks, by their answer and whether a size was stated, and what was shown before."""
+    allowed, window = where
     parts = contest(images, spacing, clicks, allowed, answer.count, pool)
-    return mixed_answer(answer, parts, clicks, *earlier)
+    shown = mixed_answer(answer, parts, clicks, *earlier)
+    if window is not None:
+        window.check_box(shown.box)
+    return shown
 
 
 def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
@@ -202,7 +215,7 @@ def _first(
         times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * size_mm3 / voxel) + 1)
         proposal, early = of_size(times, order, voxel, size_mm3), -np.inf
     else:
-        flat, radius = field.shape[0] == 1, even_radius(images, spacing, click, tissue)
+        flat, radius = field.shape[0] == 1, even_radius(images, spacing, click, tissue, field.window)
         prior = prior_of(len(seeds), open_count if boxed else None, count_of(radius, spacing, flat), flat)
         times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
         seen = field.medium.values, edges_of(images, spacing, tissue, order), times, order, len(seeds), prior, voxel
