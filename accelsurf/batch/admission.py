@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import re
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.errors import AccelsurfError
 from accelsurf.io.headers import count_values
+from accelsurf.segmentation.memory_need import PROCESS_BYTES, bytes_text, run_bytes
 
-#: Bytes of a process that has loaded what a case needs, and of a case by its values: with clicks, and without.
-PROCESS_BYTES, CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
 #: Share of the free memory that a batch takes unless it is told.
 FREE_SHARE = 0.8
-
-_MEMORY = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,6})?) *([kmgt]i?)?b?", re.IGNORECASE)
-_UNITS = {"": 1, **{letter: 1000**n for n, letter in enumerate("kmgt", 1)}}
-_UNITS |= {f"{letter}i": 1024**n for n, letter in enumerate("kmgt", 1)}
-
 
 @dataclass(frozen=True)
 class Need:
@@ -74,7 +67,7 @@ def need_of(image: Path, channels: Sequence[Path | str] = (), clicks: bool = Fal
         values = sum(count_values(Path(path)) for path in (image, *channels))
     except (AccelsurfError, OSError) as error:
         return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
-    return Need(values, PROCESS_BYTES + values * (CLICKS_BYTES if clicks else PLAIN_BYTES))
+    return Need(values, run_bytes(values, clicks))
 
 
 def admit(
@@ -123,37 +116,6 @@ def by_cluster(needs: Sequence[Need], threads: int | None = None) -> Admission:
     Admission(jobs=2, threads=1, bytes=3000)
     """
     return Admission(max(len(needs), 1), threads or 1, sum(need.bytes for need in needs))
-
-
-def memory_of(text: str) -> int:
-    """Return bytes that are written with a unit.
-
-    Raises
-    ------
-    UsageError
-        When they are not.
-
-    Examples
-    --------
-    >>> memory_of("4GB"), memory_of("512 MiB"), memory_of("1.5g")
-    (4000000000, 536870912, 1500000000)
-    """
-    found = _MEMORY.fullmatch(text.strip())
-    size = int(float(found[1]) * _UNITS[(found[2] or "").lower()]) if found is not None else 0
-    if size < 1 << 20:
-        raise UsageError(f"--max-memory: {text} was given, expected at least 1MB", "as in --max-memory 4GB")
-    return size
-
-
-def bytes_text(size: int) -> str:
-    """Return a size as people read it.
-
-    Examples
-    --------
-    >>> bytes_text(1_234_000_000), bytes_text(56_000_000)
-    ('1.23 GB', '56 MB')
-    """
-    return f"{size / 1e9:.3g} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
 
 
 def plan_rows(needs: Mapping[str, Need], admission: Admission) -> list[tuple[str, str, str, str]]:

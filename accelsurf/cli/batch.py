@@ -61,7 +61,7 @@ class BatchOptions:
     @property
     def memory(self) -> int | None:
         """Bytes of all cases together, where they were given."""
-        from accelsurf.batch.admission import memory_of
+        from accelsurf.segmentation.memory_need import memory_of
 
         return None if self.max_memory is None else memory_of(self.max_memory)
 
@@ -189,10 +189,11 @@ def admitted(
 
 def _print_plan(work: Batch, scheduler: str | None) -> int:
     """Print what each case needs and what would run at once; some failed where one cannot be run."""
-    from accelsurf.batch.admission import bytes_text, plan_rows
+    from accelsurf.batch.admission import plan_rows
     from accelsurf.batch.run import SOME_FAILED
     from accelsurf.cli.error_lines import MAX_ERROR, printable
     from accelsurf.cli.progress import table
+    from accelsurf.segmentation.memory_need import bytes_text
 
     rows = plan_rows(work.needs, work.admission)
     cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]

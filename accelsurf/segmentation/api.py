@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +11,16 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
-from accelsurf.grid.clicks import NO_OBJECT, SIDES
+from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
-from accelsurf.segmentation.late_growth import LateGrowth
-from accelsurf.segmentation.refine import with_refinements
 from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
+from accelsurf.segmentation.to_end import finished
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 
@@ -88,7 +86,7 @@ def segment(
     """
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
-    return _finished(run, _without_id(on_step), on_warning, checkpoints)
+    return finished(run, _without_id(on_step), on_warning, checkpoints)
 
 
 def evolve(
@@ -189,7 +187,7 @@ def segment_objects(
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
-    return _finished(run, on_step, on_warning, checkpoints)
+    return finished(run, on_step, on_warning, checkpoints)
 
 
 def _file_of(path: str | Path | None) -> CheckpointFile | None:
@@ -199,35 +197,6 @@ def _file_of(path: str | Path | None) -> CheckpointFile | None:
 def _without_id(on_step: Callable[[StepRecord], bool | None] | None) -> OnObjectStep | None:
     """The same for a run of several objects."""
     return None if on_step is None else lambda record, own: on_step(record)
-
-
-def _finished(
-    run: Run,
-    on_step: OnObjectStep | None,
-    on_warning: Callable[[str], None] | None,
-    checkpoints: CheckpointFile | None = None,
-) -> Result:
-    """The result with its corrections, of a run that goes to the end, or until ``on_step`` returns true."""
-    growth = LateGrowth(run.volume.geometry.shape)
-    with run:
-        notes = [] if checkpoints is None else checkpoints.restore(run, growth)
-        if on_warning is not None:
-            for warning in (*run.level_warnings, *notes):
-                on_warning(warning)
-        while made := run.step():
-            asked = False
-            for step in (one for one in made if one.object_id != NO_OBJECT):
-                own = next(one for one in run.objects if one.id == step.object_id)
-                growth.watch(step, run.grid, own.corner, run.prepared.first)
-                if on_step is not None and on_step(step.record, step.object_id):
-                    asked = True
-            if checkpoints is not None:
-                checkpoints.watch(run, growth, at_once=asked)
-            if asked:
-                run.request_stop()
-        result = result_of(run)
-    result = replace(result, late_growth=growth.place(), warnings=[*result.warnings, *notes])
-    return with_refinements(result, on_step)
 
 
 def _run_of(

@@ -123,5 +123,6 @@ def read_mask(file: str, window: Window) -> NDArray[np.bool_]:
     """
     mask = np.asarray(starts.label_box(file, window, f"mask {file}") > 0)
     if not mask.any():
-        raise InputError(f"mask {file}: it is empty{'' if window.is_whole else ' there'}", "give one with voxels above 0, where the surface may be")
+        there = "" if window.is_whole else " there"
+        raise InputError(f"mask {file}: it is empty{there}", "give one with voxels above 0, where the surface may be")
     return mask

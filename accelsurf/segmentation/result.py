@@ -24,6 +24,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.grid.window import Window
 from accelsurf.segmentation.combined_objects import combined_history, common_terms
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.rest_points import RestPoint
@@ -200,6 +201,8 @@ class Result:
         What a person has clicked, on the image's grid.
     state : RunState or None
         What `accelsurf.refine` goes on from; None where it is not to be kept.
+    window : Window or None
+        What part of a larger grid ``geometry`` is; None where it is the whole.
     """
 
     objects: tuple[SegmentedObject, ...]
@@ -220,6 +223,7 @@ class Result:
     late_growth: tuple[float, float, float] | None = None
     clicks: Clicks | None = None
     state: RunState | None = None
+    window: Window | None = None
 
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)

@@ -107,6 +107,8 @@ class TermSpec:
         Of the settings: whether it learns once from the start, unless it is given something else to learn from.
     uses_model : bool
         Whether it is of the model of what a person has clicked, which then gives the start too.
+    needs_whole : bool
+        Whether it looks at all of the image, beyond what lies near the surface and `WholeImage` tells.
     """
 
     name: str
@@ -124,6 +126,7 @@ class TermSpec:
     check: Callable[[Values], str] = _no_complaint
     learns: Callable[[Values], bool] = _never
     uses_model: bool = False
+    needs_whole: bool = False
 
     def is_used(self, key: str, settings: Values) -> bool:
         """Whether a setting of the run acts on the term with these settings of its own."""
@@ -183,6 +186,7 @@ TERMS: Registry[TermSpec] = Registry(
         channels="mean",
         example="local-region",
         reach=f"{_MAKERS}:local_region_reach",
+        needs_whole=True,
     ),
     TermSpec(
         "likelihood",
@@ -227,6 +231,7 @@ TERMS: Registry[TermSpec] = Registry(
         uses=("edge_scale", "edge_contrast", "balloon"),
         example="geodesic",
         keeps_fine_edges=True,
+        needs_whole=True,
     ),
     TermSpec(
         "balloon",
@@ -251,6 +256,7 @@ TERMS: Registry[TermSpec] = Registry(
         f"{_MAKERS}:seeded",
         {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
         uses_model=True,
+        needs_whole=True,
     ),
     TermSpec("area", "the surface's area; its weight is in mm, as --smoothness", f"{_MAKERS}:area", sees_image=False),
 )

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.batch.admission import PROCESS_BYTES, Admission, Need, admit, memory_of, need_of, plan_rows
+from accelsurf.batch.admission import Admission, Need, admit, need_of, plan_rows
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io.headers import count_values
+from accelsurf.segmentation.memory_need import PROCESS_BYTES, memory_of
 
 GB = 10**9
 

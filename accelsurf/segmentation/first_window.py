@@ -1,0 +1,165 @@
+"""The first window of a run: what the person has named, and some voxels around it."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies.seeded.appearance import EVEN_REACH, MIN_EVEN_REACH, radius_of
+from accelsurf.energies.seeded.contest import WALKS_REACH
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import Box, bounding_box, enclosing, whole_box, widened
+from accelsurf.grid.clicks import SIDES, Click
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.slabs import slabs
+from accelsurf.grid.volume import Volume
+from accelsurf.grid.window import GUARD, Window
+from accelsurf.initialization import starts
+from accelsurf.initialization.clicks import KINDS, read_clicks
+from accelsurf.io import meshes
+from accelsurf.segmentation.preprocessing import uses_model
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.volumes import volume_mm3
+from accelsurf.settings.wording import shown
+
+#: Voxels around what was named: as many as its extent, and at least so many.
+MIN_MARGIN = 4 * GUARD
+
+
+def first_box(config: RunConfig, geometry: Geometry) -> Box:
+    """Return the box of a whole grid that a run begins on.
+
+    Parameters
+    ----------
+    config : RunConfig
+        Its start and its clicks are near the object.
+    geometry : Geometry
+        Of the whole grid.
+
+    Raises
+    ------
+    UsageError
+        When a start looks at values everywhere; InputError when one lies outside.
+    """
+    clicked = [*config.inside, *config.outside]
+    texts = [*config.start, *(config.foreground or ()), *(config.background or ()), *clicked]
+    boxes = [extent_of(text, geometry) for text in texts if text != starts.CLICKS]
+    if not boxes:
+        raise UsageError("start: there is no click inside", "give --inside point:X,Y,Z, or another start")
+    box = functools.reduce(enclosing, boxes)
+    margin = [max(MIN_MARGIN, max(s.stop - s.start for s in box)) for _ in range(3)]
+    if clicked and uses_model(config):
+        margin = _model_margin(config, geometry, box)
+    return widened(box, geometry.shape, margin)
+
+
+def _model_margin(config: RunConfig, geometry: Geometry, box: Box) -> list[int]:
+    """How many voxels beyond the clicks their model looks at, as far as it is known before it is made."""
+    spacing, smallest = geometry.spacing, min(geometry.steps)
+    clicks = clicks_of(config, geometry)
+    flat = geometry.shape[0] == 1
+    widest = max(
+        (radius_of(float(np.count_nonzero(one.mask)), spacing, flat) for one in clicks if one.side == "inside"),
+        default=smallest,
+    )
+    reach = max(EVEN_REACH * widest, MIN_EVEN_REACH * smallest, 2.0 * WALKS_REACH * widest)
+    if config.size is not None:
+        voxels = volume_mm3(config.size) / math.prod(spacing)
+        reach = max(reach, WALKS_REACH * radius_of(voxels, spacing, flat))
+    return [math.ceil(reach / h) + 2 * GUARD for h in spacing]
+
+
+def clicks_of(config: RunConfig, geometry: Geometry) -> list[Click]:
+    """The clicks of a configuration that are points, strokes or balls, on the whole grid."""
+    grid = Volume(np.zeros((1, 1, 1), np.uint8), Geometry((1, 1, 1), (1.0, 1.0, 1.0)))
+    window = Window(geometry, whole_box(geometry.shape))
+    out: list[Click] = []
+    for side in SIDES:
+        texts = [text for text in getattr(config, side) if text.partition(":")[0] in ("point", "stroke", "ball")]
+        out += read_clicks(texts, side, grid, window=window)
+    return out
+
+
+def extent_of(text: str, geometry: Geometry) -> Box:
+    """Return the box of a start or click on a grid.
+
+    Parameters
+    ----------
+    text : str
+        As `accelsurf.initialization.starts.parse` or `accelsurf.initialization.clicks.read_clicks` take it.
+    geometry : Geometry
+
+    Raises
+    ------
+    UsageError
+        When it cannot be parsed, or looks at values everywhere; InputError when it lies outside of the grid.
+
+    Examples
+    --------
+    >>> extent_of("ball:4,4,4,2", Geometry((20, 20, 9), (1.0, 1.0, 1.0)))
+    (slice(2, 7, None), slice(2, 7, None), slice(2, 7, None))
+    """
+    if text.partition(":")[0] in KINDS or text.startswith("ball:"):
+        grid = Volume(np.zeros((1, 1, 1), np.uint8), Geometry((1, 1, 1), (1.0, 1.0, 1.0)))
+        found = read_clicks([text], "inside", grid, window=Window(geometry, whole_box(geometry.shape)))
+        box = found[0].box
+        for click in found[1:]:
+            box = enclosing(box, click.box)
+        return _at_faces(box, text, geometry)
+    start = starts.parse(text)
+    if start.kind in starts.BY_VALUES:
+        raise UsageError(
+            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
+            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
+        )
+    if start.kind == "label":
+        return _of_label(start, geometry)
+    if start.kind == "center":
+        half = 0.25 * min(n * h for n, h in zip(geometry.shape, geometry.spacing, strict=True) if n > 1)
+        middle = [0.5 * (n - 1) for n in geometry.shape]
+        points = [[m + sign * half / h for m, h in zip(middle, geometry.spacing, strict=True)] for sign in (-1, 1)]
+        return _around(np.array(points), text, geometry)
+    if start.kind == "mesh":
+        corners = meshes.read(start.file)[0] * ((-1.0, -1.0, 1.0) if start.word == "ras" else (1.0, 1.0, 1.0))
+    else:
+        low, high = start.numbers[:3], start.numbers[3:]
+        corners = np.array([[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
+        if start.vox:
+            return _around(corners[:, ::-1], text, geometry)
+    return _around(geometry.world_to_index(corners), text, geometry)
+
+
+def _around(index: NDArray[np.float64], text: str, geometry: Geometry) -> Box:
+    """The voxels around places (n, 3), as far as the grid goes."""
+    low, high = np.floor(index.min(axis=0)).astype(int), np.ceil(index.max(axis=0)).astype(int) + 1
+    z, y, x = (
+        slice(max(int(a), 0), min(int(b), n)) for a, b, n in zip(low, high, geometry.shape, strict=True)
+    )
+    return _at_faces((z, y, x), text, geometry)
+
+
+def _at_faces(box: Box, text: str, geometry: Geometry) -> Box:
+    if any(s.start >= s.stop for s in box):
+        raise InputError(f"start {shown(text)!r}: no voxel centre is inside it", starts.extent_hint(geometry))
+    return box
+
+
+def _of_label(start: starts.Start, geometry: Geometry) -> Box:
+    """The box of some labels of a map, which is read a slab at a time."""
+    found: Box | None = None
+    for planes in slabs(geometry.shape):
+        slab: Box = (planes, slice(0, geometry.shape[1]), slice(0, geometry.shape[2]))
+        labels = starts.label_box(start.file, Window(geometry, slab), f"start label:{start.file}")
+        own = bounding_box(start.mask_of(labels))
+        if own is not None:
+            here = slice(own[0].start + planes.start, own[0].stop + planes.start), own[1], own[2]
+            found = here if found is None else enclosing(found, here)
+    if found is None:
+        raise InputError(
+            f"start label:{shown(start.file)}: the label map has no voxel of these labels",
+            "give a map and labels that it has",
+        )
+    return found

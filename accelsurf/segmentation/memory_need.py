@@ -1,0 +1,68 @@
+"""How much memory a run takes, by the number of its voxels, and what is said where it is too much."""
+
+from __future__ import annotations
+
+import re
+
+from accelsurf.errors import UsageError
+
+#: Bytes of a process that has loaded what a run needs, and of a run by its values: with clicks, and without.
+PROCESS_BYTES, CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
+
+_MEMORY = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,6})?) *([kmgt]i?)?b?", re.IGNORECASE)
+_UNITS = {"": 1, **{letter: 1000**n for n, letter in enumerate("kmgt", 1)}}
+_UNITS |= {f"{letter}i": 1024**n for n, letter in enumerate("kmgt", 1)}
+
+
+def run_bytes(values: int, clicks: bool) -> int:
+    """Return the estimated peak of a process that runs on so many values, all channels together.
+
+    Parameters
+    ----------
+    values : int
+    clicks : bool
+        Whether the run learns from clicks, which takes more.
+    """
+    return PROCESS_BYTES + values * (CLICKS_BYTES if clicks else PLAIN_BYTES)
+
+
+def values_within(bytes: int, clicks: bool) -> int:
+    """Return how many values a run may have within some memory; the inverse of `run_bytes`.
+
+    Examples
+    --------
+    >>> values_within(run_bytes(1000, True), True)
+    1000
+    """
+    return max(0, bytes - PROCESS_BYTES) // (CLICKS_BYTES if clicks else PLAIN_BYTES)
+
+
+def bytes_text(size: int) -> str:
+    """Return a size as people read it.
+
+    Examples
+    --------
+    >>> bytes_text(1_234_000_000), bytes_text(56_000_000)
+    ('1.23 GB', '56 MB')
+    """
+    return f"{size / 1e9:.3g} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
+
+
+def memory_of(text: str) -> int:
+    """Return bytes that are written with a unit.
+
+    Raises
+    ------
+    UsageError
+        When they are not.
+
+    Examples
+    --------
+    >>> memory_of("4GB"), memory_of("512 MiB"), memory_of("1.5g")
+    (4000000000, 536870912, 1500000000)
+    """
+    found = _MEMORY.fullmatch(text.strip())
+    size = int(float(found[1]) * _UNITS[(found[2] or "").lower()]) if found is not None else 0
+    if size < 1 << 20:
+        raise UsageError(f"--max-memory: {text} was given, expected at least 1MB", "as in --max-memory 4GB")
+    return size

@@ -1,0 +1,248 @@
+"""A run on an image that is not in memory: in a window that is made larger until the surface stays within it.
+
+The result has the bytes of a run on the whole image, whatever windows came before the last one: see
+`accelsurf.grid.window`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.grid import pyramid
+from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.grid.window import GUARD, LeavesWindow, Window, aligned, enlarged
+from accelsurf.io.lazy_volume import LazyVolume
+from accelsurf.segmentation.first_window import first_box
+from accelsurf.segmentation.memory_need import bytes_text, run_bytes, values_within
+from accelsurf.segmentation.preprocessing import in_mm, uses_model
+from accelsurf.segmentation.refiner import OnObjectStep
+from accelsurf.segmentation.region_of_interest import cropped, region_of_run
+from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_setup import needs_seed, seeded
+from accelsurf.segmentation.to_end import finished
+from accelsurf.segmentation.whole_image import WholeImage
+from accelsurf.segmentation.window_input import WindowInput, has_region
+from accelsurf.settings import energy_expression
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.run_config import RunConfig
+
+#: A window grows by so many times its extent where it was left, or by less where memory does not hold that.
+GROWTH = 1.0
+#: What the voxels of a region of interest have around them: a result ends half a voxel beyond the region.
+AROUND_REGION = 2
+
+
+@dataclass(frozen=True)
+class LargeImage:
+    """The channels of an image that is read in parts, and the memory that a run on it may take.
+
+    Attributes
+    ----------
+    channels : tuple of LazyVolume
+        On one grid.
+    max_bytes : int
+        Estimates of a run's peak (`accelsurf.segmentation.memory_need`) stay within it.
+    statistics : tuple of LazyVolume or None
+        A coarser level of each channel that percentiles and the like are taken from; None: the channels themselves.
+    """
+
+    channels: tuple[LazyVolume, ...]
+    max_bytes: int
+    statistics: tuple[LazyVolume, ...] | None = None
+
+    @property
+    def geometry(self) -> Geometry:
+        """The whole grid."""
+        return self.channels[0].geometry
+
+    def check(self) -> None:
+        """Refuse channels that lie on different grids.
+
+        Raises
+        ------
+        GeometryError
+        """
+        for one in self.channels[1:]:
+            if not one.geometry.matches(self.geometry):
+                raise GeometryError(
+                    f"channel {one.source or ''}: on another grid than the image: "
+                    f"{one.geometry.difference(self.geometry)}",
+                    "resample it to the image's grid first",
+                )
+
+    def whole(self, config: RunConfig) -> tuple[WholeImage, ...]:
+        """What a run needs of each whole channel, which is read through when it is first asked for."""
+        sigma = in_mm(config.presmooth, self.geometry)
+        levels = self.statistics or (None,) * len(self.channels)
+        return tuple(WholeImage(one, sigma, coarse) for one, coarse in zip(self.channels, levels, strict=True))
+
+
+def segment_in_windows(
+    image: LargeImage,
+    config: RunConfig,
+    on_step: OnObjectStep | None = None,
+    on_warning: Callable[[str], None] | None = None,
+    on_window: Callable[[Window], None] | None = None,
+) -> Result:
+    """Segment one object in an image that is read in parts.
+
+    Parameters
+    ----------
+    image : LargeImage
+    config : RunConfig
+        Its start and clicks are near the object, or it has a region of interest.
+    on_step, on_warning : callable, optional
+        As of `accelsurf.segment`; steps of a window that is left are told too.
+    on_window : callable, optional
+        Called with each window before its run begins.
+
+    Returns
+    -------
+    Result
+        On the grid of its ``window``.
+
+    Raises
+    ------
+    UsageError
+        When a setting needs the whole image in memory.
+    InputError
+        As of `accelsurf.segment`, and when the window that the object needs is larger than memory.
+    """
+    config = seeded(config) if needs_seed(config) else config
+    check_settings(config)
+    image.check()
+    blocks = blocks_of(config, image.geometry)
+    window = Window(image.geometry, _first(config, image.geometry, blocks))
+    whole = () if has_region(config) else image.whole(config)
+    while True:
+        refuse_too_large(window, image, config)
+        if on_window is not None:
+            on_window(window)
+        try:
+            return _in(window, whole, image, config, on_step, on_warning)
+        except LeavesWindow as face:
+            window = larger(window, face, blocks, image, config)
+
+
+def _first(config: RunConfig, geometry: Geometry, blocks: Sequence[int]) -> Box:
+    if has_region(config):
+        return widened(region_of_run(config, geometry), geometry.shape, [AROUND_REGION] * 3)
+    return aligned(first_box(config, geometry), geometry, blocks)
+
+
+def _in(
+    window: Window,
+    whole: tuple[WholeImage, ...],
+    image: LargeImage,
+    config: RunConfig,
+    on_step: OnObjectStep | None,
+    on_warning: Callable[[str], None] | None,
+) -> Result:
+    """The result of a run in a window."""
+    run = run_in(window, whole, image, config)
+    result = finished(run, on_step, on_warning)
+    return replace(result, window=window, state=None, warnings=[*result.warnings, *_notes(whole)])
+
+
+def _notes(whole: Sequence[WholeImage]) -> list[str]:
+    """What numbers of the whole image are taken from, where not from all of it."""
+    found = {one.statistics for one in whole} - {"exact"}
+    return [f"values of the whole image are those of {where}" for where in sorted(found)]
+
+
+def run_in(
+    window: Window, whole: tuple[WholeImage, ...], image: LargeImage, config: RunConfig, starts: Any = None
+) -> Run:
+    """Return the run in a window.
+
+    Parameters
+    ----------
+    window : Window
+    whole : tuple of WholeImage
+        Of each channel; empty with a region of interest.
+    image : LargeImage
+    config : RunConfig
+    starts : tuple of ObjectStart, optional
+        As of `WindowInput`.
+
+    Raises
+    ------
+    LeavesWindow
+        When the window is too small for the model of clicks.
+    """
+    geometry = cropped(window.geometry, window.box)
+    volumes = [Volume(one.read(window.box), geometry, dict(one.metadata), one.source) for one in image.channels]
+    channels = whole or image.whole(config)
+    smoothed = tuple(one.window(window.box) for one in channels)
+    return Run(volumes[0], config, channels=volumes[1:], part=WindowInput(window, smoothed, whole, starts))
+
+
+def blocks_of(config: RunConfig, geometry: Geometry) -> tuple[int, int, int]:
+    """Voxels of a block of the coarsest grid that a run may use, along each axis."""
+    most = None if config.levels == "auto" else config.levels
+    return pyramid.levels(geometry.shape, geometry.spacing, most)[-1].factors
+
+
+def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> None:
+    """Refuse a window whose run would take more memory than it may.
+
+    Raises
+    ------
+    InputError
+        With the estimate.
+    """
+    values = math.prod(window.shape) * len(image.channels)
+    needed = run_bytes(values, uses_model(config))
+    if needed > image.max_bytes:
+        size = " x ".join(str(n) for n in reversed(window.shape))
+        what = "the region has" if has_region(config) else "the object needs a window of"
+        raise InputError(
+            f"{what} {size} voxels, for which a run takes about {bytes_text(needed)} of memory; "
+            f"{bytes_text(image.max_bytes)} are allowed",
+            "take a coarser level of the image (--level), a smaller --roi, or more --max-memory",
+        )
+
+
+def larger(window: Window, face: LeavesWindow, blocks: Sequence[int], image: LargeImage, config: RunConfig) -> Window:
+    """Return the next window: larger where it was left, as far as memory goes.
+
+    Where it does not go far enough, the smallest that is larger is returned, which `refuse_too_large` names.
+    """
+    most = values_within(image.max_bytes, uses_model(config)) // len(image.channels)
+    factor = GROWTH
+    while True:
+        box = enlarged(window, face, blocks, factor)
+        if math.prod(s.stop - s.start for s in box) <= most:
+            break
+        if all(factor * (s.stop - s.start) <= 4 * GUARD for s in window.box):
+            break
+        factor *= 0.7
+    return Window(window.geometry, box)
+
+
+def check_settings(config: RunConfig) -> None:
+    """Refuse what a run in a window cannot do.
+
+    Raises
+    ------
+    UsageError
+        Naming the setting.
+    """
+    hint = "give --roi around the object, or let the image be read into memory (more --max-memory)"
+    for name in ("edit", "refine", "checkpoint"):
+        if getattr(config, name):
+            raise UsageError(f"{name}: it was given, and the image is read in parts", hint)
+    if has_region(config):
+        return
+    for term in energy_expression.parse(config.energy):
+        if TERMS[term.name].needs_whole:
+            raise UsageError(f"energy: {term.name} looks at the whole image, which is read in parts", hint)
+    if config.mask is not None and uses_model(config):
+        raise UsageError("mask: it was given with clicks, whose model looks at all of it", "give --box, or --roi")
