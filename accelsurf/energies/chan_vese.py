@@ -31,6 +31,8 @@ class ChanVese(ImageEnergy):
         l1/l2, with l1 + l2 = 2: above 1 the inside must fit its mean more closely than the outside its own.
     elsewhere : Elsewhere, optional
         `RegionMoments` of the part of the object and of the image that are not on this grid; they count in the means.
+    whole : RegionMoments, optional
+        Of the whole image, where this grid is a window of it; by default those of ``image``.
     """
 
     def __init__(
@@ -41,6 +43,7 @@ class ChanVese(ImageEnergy):
         epsilon: float = 0.0,
         balance: float = 1.0,
         elsewhere: Elsewhere | None = None,
+        whole: RegionMoments | None = None,
     ) -> None:
         super().__init__(image, alpha)
         self._interface = Interface(float(epsilon))
@@ -48,7 +51,7 @@ class ChanVese(ImageEnergy):
         self._area = AreaTerm(alpha)
         self._fixed = means
         self._elsewhere = elsewhere
-        self._all = self.sums.whole_image()
+        self._all = whole or self.sums.whole_image()
         if elsewhere is not None:
             self._all = self._all.plus(elsewhere.all)
         self.means = means or (0.0, 0.0)

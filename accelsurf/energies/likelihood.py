@@ -12,7 +12,7 @@ from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.energies.interface import Interface
-from accelsurf.energies.region_sums import Elsewhere, MomentTracker, RegionMoments
+from accelsurf.energies.region_sums import Elsewhere, MomentTracker, RegionMoments, sums_by_plane
 from accelsurf.errors import InputError
 from accelsurf.kernels import histogram
 from accelsurf.levelset import BandChange, LevelSet, dot
@@ -53,6 +53,10 @@ class GaussianLikelihood(ImageEnergy):
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
     elsewhere : Elsewhere, optional
         `RegionMoments` of the part of the object and of the image that are not on this grid; they count in the models.
+    whole : RegionMoments, optional
+        Of the whole image, where this grid is a window of it; by default those of ``image``.
+    min_variance : float, optional
+        Smallest variance of a region; by default `least_variance` of ``image``.
     """
 
     def __init__(
@@ -62,15 +66,17 @@ class GaussianLikelihood(ImageEnergy):
         models: tuple[Gaussian, Gaussian] | None = None,
         epsilon: float = 0.0,
         elsewhere: Elsewhere | None = None,
+        whole: RegionMoments | None = None,
+        min_variance: float | None = None,
     ) -> None:
         super().__init__(image, alpha)
         self._interface = Interface(float(epsilon))
         self._area = AreaTerm(alpha)
         self._elsewhere = elsewhere
-        self._all = self.sums.whole_image()
+        self._all = whole or self.sums.whole_image()
         if elsewhere is not None:
             self._all = self._all.plus(elsewhere.all)
-        self._min_variance = least_variance(image)
+        self._min_variance = least_variance(image) if min_variance is None else min_variance
         self._fixed = models
         self.models = models or (Gaussian(0.0, 1.0), Gaussian(0.0, 1.0))
 
@@ -119,6 +125,19 @@ def gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
     return Gaussian(float(sample.mean()), max(float(sample.var()), min_variance))
 
 
+def gaussian_of_sums(sums: RegionMoments, min_variance: float) -> Gaussian:
+    """The same as `gaussian_of`, of the sums over a region.
+
+    Raises
+    ------
+    InputError
+        When there are no values.
+    """
+    if not sums.voxels > 0:
+        raise InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
+    return _gaussian(sums, min_variance)
+
+
 def robust_gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
     """Gaussian of sample values by their median and median absolute deviation: a few outliers do not change it.
 
@@ -151,14 +170,11 @@ class Parzen:
 
     Parameters
     ----------
-    image : ndarray
-        Its percentiles set where the bins lie.
+    low, high : float
+        Values between which the bins lie.
     """
 
-    def __init__(self, image: np.ndarray) -> None:
-        low, high = (float(v) for v in np.percentile(image, END_PERCENTILES))
-        if not high > low:
-            low, high = float(np.min(image)), float(np.max(image))
+    def __init__(self, low: float, high: float) -> None:
         margin = MARGIN * (high - low) or 1.0
         #: (value of the first bin, bins per value)
         self.scale = (low - margin, (BINS - 1) / (high - low + 2.0 * margin))
@@ -166,6 +182,12 @@ class Parzen:
         window = np.exp(-0.5 * (away / PARZEN_SIGMA) ** 2)
         # Columns sum to 1: the part of a window beyond the ends goes to the bins near them.
         self._window = window / window.sum(axis=0)
+
+    @classmethod
+    def of_image(cls, image: np.ndarray) -> Parzen:
+        """The bins for an image: between its percentiles, or its extremes where those are equal."""
+        low, high = (float(v) for v in np.percentile(image, END_PERCENTILES))
+        return cls(low, high) if high > low else cls(float(np.min(image)), float(np.max(image)))
 
     def histogram(self, values: np.ndarray) -> np.ndarray:
         """Histogram (BINS,) of values, each shared by the two bins next to it."""
@@ -205,14 +227,16 @@ class HistogramLikelihood(Energy):
         Values in any unit; U is in mm3.
     alpha : float
         Weight of the area, mm.
-    samples : (ndarray, ndarray), optional
-        Values inside and outside, in the image's unit, to learn fixed densities from.
+    learned : (ndarray, ndarray), optional
+        Histograms (BINS,) of samples inside and outside, as `Parzen.histogram` makes them, for fixed densities.
     epsilon : float
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
     parzen : Parzen, optional
         The bins; by default from the image.
     elsewhere : Elsewhere, optional
         Histograms (BINS,) of the part of the object and of the image that are not on this grid.
+    whole : ndarray (BINS,), optional
+        Histogram of the whole image, where this grid is a window of it; by default that of ``image``.
 
     Raises
     ------
@@ -224,42 +248,43 @@ class HistogramLikelihood(Energy):
         self,
         image: np.ndarray,
         alpha: float = 0.0,
-        samples: tuple[np.ndarray, np.ndarray] | None = None,
+        learned: tuple[np.ndarray, np.ndarray] | None = None,
         epsilon: float = 0.0,
         parzen: Parzen | None = None,
         elsewhere: Elsewhere | None = None,
+        whole: np.ndarray | None = None,
     ) -> None:
         self.sums = MomentTracker(image)
         self.alpha = float(alpha)
         self._area = AreaTerm(alpha)
         self._interface = Interface(float(epsilon))
-        self._parzen = parzen or Parzen(image)
+        self._parzen = parzen or Parzen.of_image(image)
         self._beyond_band = np.zeros(BINS)
-        self._all = np.zeros(BINS)
-        for begin in range(0, self.sums.image.size, 1 << 20):
-            self._all += self._parzen.histogram(self.sums.image[begin : begin + (1 << 20)])
+        self._all = sums_by_plane(np.asarray(image, np.float32), self._parzen.histogram) if whole is None else whole
         self._elsewhere = elsewhere
         if elsewhere is not None:
             self._all = self._all + elsewhere.all
         self._fixed: np.ndarray | None = None
-        if samples is not None:
-            if not all(values.size for values in samples):
+        if learned is not None:
+            # Shares of bins leave rounding errors in differences of histograms.
+            if not all(counts.sum() > 0.5 for counts in learned):
                 raise InputError(
                     "likelihood: a region to learn from has no voxel", "give --foreground and --background voxels"
                 )
-            p1, p2 = (self._parzen.density(self._parzen.histogram(values)) for values in samples)
+            p1, p2 = (self._parzen.density(counts) for counts in learned)
             self._fixed = np.stack([-np.log(p1), -np.log(p2)])
         self._table = np.zeros(BINS)
 
     def start(self, surface: LevelSet) -> None:
         """Make the histogram of the inside voxels that are not in the band."""
         self.sums.start(surface)
-        self._beyond_band = surface.workers.block_sums(
+        self._beyond_band = surface.workers.plane_sums(
             histogram.inside_histogram,
-            self.sums.image.size,
+            surface.shape,
             BINS,
             surface.dense,
             self.sums.image,
+            surface.grid,
             self._parzen.scale,
         )
 

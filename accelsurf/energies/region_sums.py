@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.front_samples import check_shape
+from accelsurf.grid.slabs import sum_in_order
 from accelsurf.kernels import region
-from accelsurf.kernels.grid import BLOCK
-from accelsurf.levelset import BandChange, LevelSet, dot
+from accelsurf.levelset import BandChange, LevelSet
+
+#: Sums (m,) over values that add up: those of two sets of voxels are the sums of both together.
+Summing = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 
 
 class RegionMoments(NamedTuple):
@@ -23,6 +27,25 @@ class RegionMoments(NamedTuple):
     def plus(self, other: RegionMoments) -> RegionMoments:
         """The sums over both of two regions that do not overlap."""
         return RegionMoments(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+def moments_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Number, sum and sum of squares of some values, (3,)."""
+    exact = values.astype(np.float64)
+    return np.array([exact.size, exact.sum(), (exact * exact).sum()])
+
+
+def sums_by_plane(
+    image: NDArray[np.float32], summing: Summing, where: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
+    """Sums (m,) of an image (nz, ny, nx), or of its voxels ``where``, plane after plane.
+
+    Those of some voxels have the same bytes on every box that contains them; those of a whole image the same if it is
+    read some planes at a time.
+    """
+    return sum_in_order(
+        summing(plane.ravel() if where is None else plane[where[z]]) for z, plane in enumerate(image)
+    )
 
 
 class Elsewhere(NamedTuple):
@@ -67,15 +90,14 @@ class MomentTracker:
             When the image is not on the surface's grid.
         """
         check_shape(self._shape, surface)
-        self._beyond_band = surface.workers.block_sums(
-            region.inside_sums, self.image.size, 3, surface.dense, self.image
+        self._beyond_band = surface.workers.plane_sums(
+            region.inside_sums, surface.shape, 3, surface.dense, self.image, surface.grid
         )
 
     def follow(self, change: BandChange) -> None:
         """Update the sums by the cells that entered or left the band."""
-        self._beyond_band = (
-            self._beyond_band + self._plain_sums(change.left_inside) - self._plain_sums(change.entered_inside)
-        )
+        left, entered = (moments_of(self.image[cells]) for cells in (change.left_inside, change.entered_inside))
+        self._beyond_band = self._beyond_band + left - entered
 
     def state(self) -> np.ndarray:
         """The sums beyond the band, whose last digits depend on the steps before."""
@@ -94,9 +116,4 @@ class MomentTracker:
 
     def whole_image(self) -> RegionMoments:
         """Sums over the whole volume."""
-        sums = [self._plain_sums(slice(i, i + 1024 * BLOCK)) for i in range(0, self.image.size, 1024 * BLOCK)]
-        return RegionMoments(*(float(v) for v in np.sum(sums, axis=0)))
-
-    def _plain_sums(self, cells: NDArray[np.int64] | slice) -> np.ndarray:
-        values = self.image[cells].astype(np.float64)
-        return np.array([values.size, values.sum(), dot(values, values)])
+        return RegionMoments(*(float(v) for v in sums_by_plane(self.image.reshape(self._shape), moments_of)))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 #: Voxels of a slab.
 SLAB_VOXELS = 1 << 20
@@ -31,6 +34,22 @@ def slabs(shape: Sequence[int], multiple: int = 1, at_least: int = 1) -> Iterato
     planes = max(multiple * max(1, SLAB_VOXELS // (multiple * voxels)), at_least)
     for begin in range(0, shape[0], planes):
         yield slice(begin, min(begin + planes, shape[0]))
+
+
+def sum_in_order(rows: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The sum of rows (m,), one added after the other: rows of 0 before, between and after them do not change it.
+
+    Examples
+    --------
+    >>> sum_in_order(np.array([[0.0], [0.1], [0.0], [0.2], [0.3]]))
+    array([0.6])
+    """
+    total: NDArray[np.float64] | None = None
+    for row in rows:
+        total = np.array(row, np.float64) if total is None else total + row
+    if total is None:
+        raise ValueError("no rows to add")
+    return total
 
 
 def runs(size: int) -> Iterator[slice]:

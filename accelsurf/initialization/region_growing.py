@@ -14,6 +14,7 @@ from skimage.graph import MCP_Geometric
 
 from accelsurf.grid.boxes import Box, widened
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.slabs import sum_in_order
 
 #: A path through a voxel counts twice its length when the value differs from the seed's by this many standard
 #: deviations of the seed's neighbours, but at least by this fraction of the range of the image's middle 99 percent.
@@ -34,10 +35,22 @@ def otsu_level(values: NDArray[Any]) -> float:
     >>> otsu_level(np.array([0.0, 0.0, 10.0, 10.0]))
     5.0
     """
-    flat = np.asarray(values).ravel()
-    first = threshold_otsu(flat)
-    above = flat > first
-    return 0.5 * (float(flat[above].mean(dtype=np.float64)) + float(flat[~above].mean(dtype=np.float64)))
+    array = np.asarray(values)
+    first = threshold_otsu(array.ravel())
+    planes = array if array.ndim > 2 else array[np.newaxis]
+    return between_means(sum_in_order(sums_beside(plane, first) for plane in planes))
+
+
+def sums_beside(plane: NDArray[Any], threshold: Any) -> NDArray[np.float64]:
+    """Number and sum of the values above a threshold, then of the others, (4,)."""
+    above = plane > threshold
+    sums = ((np.count_nonzero(side), plane[side].sum(dtype=np.float64)) for side in (above, ~above))
+    return np.array([v for pair in sums for v in pair], np.float64)
+
+
+def between_means(sums: NDArray[np.float64]) -> float:
+    """The middle between the means of two classes, of their `sums_beside`."""
+    return 0.5 * (float(sums[1] / sums[0]) + float(sums[3] / sums[2]))
 
 
 def otsu(values: NDArray[Any], dark: bool = False) -> NDArray[np.bool_]:

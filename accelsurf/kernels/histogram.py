@@ -35,16 +35,17 @@ def weighted_histogram(first_block, last_block, cells, weight, image, scale, sum
 
 
 @kernel(stage=Stage.ENERGY)
-def inside_histogram(first_block, last_block, dense, image, scale, sums):
-    """Per block of voxels of the whole volume: histogram of the image over the inside voxels not in the band."""
+def inside_histogram(first_plane, last_plane, dense, image, grid, scale, sums):
+    """Per plane of the volume: histogram of the image over the inside voxels not in the band."""
     low, per_value = scale
     bins = sums.shape[1]
-    for block in range(first_block, last_block):
-        for cell in range(block * BLOCK, min((block + 1) * BLOCK, image.shape[0])):
+    size = grid.ny * grid.nx
+    for plane in range(first_plane, last_plane):
+        for cell in range(plane * size, (plane + 1) * size):
             if dense.slot[cell] < 0 and dense.psi[cell] < 0.0:
                 below, share = bin_of(image[cell], low, per_value, bins)
-                sums[block, below] += 1.0 - share
-                sums[block, below + 1] += share
+                sums[plane, below] += 1.0 - share
+                sums[plane, below + 1] += share
 
 
 @kernel(stage=Stage.ENERGY)

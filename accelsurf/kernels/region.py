@@ -256,21 +256,22 @@ def weighted_sums(first_block, last_block, cells, weight, image, sums):
 
 
 @kernel(stage=Stage.ENERGY)
-def inside_sums(first_block, last_block, dense, image, sums):
-    """Per block of voxels of the whole volume: sums over the inside voxels not in the band of (1, I, I^2)."""
-    for block in range(first_block, last_block):
+def inside_sums(first_plane, last_plane, dense, image, grid, sums):
+    """Per plane of the volume: sums over the inside voxels not in the band of (1, I, I^2), one after the other."""
+    size = grid.ny * grid.nx
+    for plane in range(first_plane, last_plane):
         count = 0.0
         total = 0.0
         squares = 0.0
-        for cell in range(block * BLOCK, min((block + 1) * BLOCK, image.shape[0])):
+        for cell in range(plane * size, (plane + 1) * size):
             if dense.slot[cell] < 0 and dense.psi[cell] < 0.0:
                 value = np.float64(image[cell])  # float() would stay float32
                 count += 1.0
                 total += value
                 squares += value * value
-        sums[block, 0] = count
-        sums[block, 1] = total
-        sums[block, 2] = squares
+        sums[plane, 0] = count
+        sums[plane, 1] = total
+        sums[plane, 2] = squares
 
 
 @kernel(stage=Stage.BAND)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from accelsurf.grid.slabs import sum_in_order
 from accelsurf.kernels.grid import BLOCK
 
 #: Smallest number of blocks that is worth a second thread.
@@ -60,6 +62,20 @@ class Workers:
         self._count(kernel, began)
         total: np.ndarray = rows.sum(axis=0)
         return total
+
+    def plane_sums(
+        self, kernel: Callable[..., Any], shape: tuple[int, int, int], columns: int, *args: Any
+    ) -> np.ndarray:
+        """Sum the rows that ``kernel(first_plane, last_plane, *args, rows)`` leaves, one per plane, in order.
+
+        Rows of planes with nothing to add are 0: what is summed has the same bytes on every box that contains it.
+        """
+        self.visited += math.prod(shape)
+        rows = np.zeros((shape[0], columns))
+        began = time.perf_counter()
+        self._share_out(kernel, shape[0], 1, (*args, rows))
+        self._count(kernel, began)
+        return sum_in_order(rows)
 
     def serial(self, kernel: Callable[..., Any], *args: Any) -> Any:
         """Call a kernel that one thread must do, on this one."""

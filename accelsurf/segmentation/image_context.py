@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from accelsurf.energies import Parzen
 from accelsurf.energies.likelihood import MIN_DEVIATION, robust_gaussian_of
-from accelsurf.energies.region_sums import Elsewhere, RegionMoments
+from accelsurf.energies.region_sums import Elsewhere, RegionMoments, Summing, moments_of, sums_by_plane
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.grid.window import Window
 from accelsurf.initialization.region_growing import otsu_level
-from accelsurf.segmentation.region_totals import RegionTotals, moments_of
+from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.settings.energy_terms import HALF, Values
 from accelsurf.settings.run_config import RunConfig
 
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 LEARNED_DEVIATIONS = 2.5
 #: No voxel is nearer to the first surface of the clicks' model than this part of half a voxel.
 MIN_DEPTH = 0.02
+#: The problem and the hint where likelihood has no sample.
+NO_SAMPLE = "likelihood with update=no was given nothing to learn from", "give --foreground, or use update=yes"
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -65,11 +67,6 @@ class TrainingVoxels(NamedTuple):
     inside: Mask
     foreground: Mask
     background: Mask | None
-
-    @property
-    def outside(self) -> Mask:
-        """Voxels of the background."""
-        return ~self.foreground if self.background is None else self.background
 
 
 class ModelInputs(NamedTuple):
@@ -138,8 +135,7 @@ class ImageContext:
             None if foreground is None else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
         )
         self.others = tuple(self.images[1:] if others is None else others)
-        self._learned: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
-        self._outside: dict[int, NDArray[Any]] = {}
+        self._background: dict[tuple[int, str], NDArray[np.float64]] = {}
         self._found: dict[tuple[Any, ...], Any] = {}
         self._totals: RegionTotals | None = None
         self._box = _EVERYWHERE
@@ -156,7 +152,7 @@ class ImageContext:
         """
         part = copy.copy(self)
         if self._is_start and self._training is not None:
-            part._training, part._learned = self._training._replace(box=box_at(corner, start.shape), inside=start), {}
+            part._training = self._training._replace(box=box_at(corner, start.shape), inside=start)
         return part
 
     def with_channels(self, images: Sequence[Image], field: Callable[[], Image] | None = None) -> ImageContext:
@@ -252,17 +248,26 @@ class ImageContext:
             self._found[key] = make(self.images[channel], *args)
         return cast("Found", self._found[key])
 
-    def samples(self, channel: int) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Values of a channel inside and outside, from which likelihood learns."""
-        if channel not in self._learned:
-            training = self._trained_on(
-                "likelihood with update=no was given nothing to learn from", "give --foreground, or use update=yes"
-            )
-            image = self.images[channel]
-            if channel not in self._outside:
-                self._outside[channel] = image[training.outside]
-            self._learned[channel] = image[training.box][training.inside], self._outside[channel]
-        return self._learned[channel]
+    def sample(self, channel: int) -> NDArray[np.float32]:
+        """Values of a channel inside, from which likelihood learns."""
+        training = self._trained_on(*NO_SAMPLE)
+        return self.images[channel][training.box][training.inside]
+
+    def sums_of_background(self, channel: int, kind: str, summing: Summing) -> NDArray[np.float64]:
+        """Sums of a channel over the background that likelihood learns from; ``kind`` is their name.
+
+        Unless voxels of the background are given, they are those of everything less those of the foreground: the
+        same, wherever the image ends beyond the foreground.
+        """
+        training, image = self._trained_on(*NO_SAMPLE), self.images[channel]
+        if (channel, kind) not in self._background:
+            if training.background is not None:
+                sums = sums_by_plane(image, summing, training.background)
+            else:
+                everything = sums_by_plane(image, summing)
+                sums = everything - sums_by_plane(image, summing, training.foreground)
+            self._background[channel, kind] = sums
+        return self._background[channel, kind]
 
     def _trained_on(self, problem: str, hint: str) -> TrainingVoxels:
         if self._training is None:

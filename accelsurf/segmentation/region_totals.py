@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.energies.region_sums import Summing, sums_by_plane
 from accelsurf.grid.boxes import Box
-from accelsurf.grid.slabs import runs
-
-#: Sums (m,) over values that add up: those of two sets of voxels are the sums of both together.
-Summing = Callable[[NDArray[np.float32]], NDArray[np.float64]]
-
-
-def moments_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Number, sum and sum of squares of some values, (3,)."""
-    exact = values.astype(np.float64)
-    return np.array([exact.size, exact.sum(), (exact * exact).sum()])
 
 
 class RegionTotals:
@@ -69,9 +60,7 @@ class RegionTotals:
         return total[0] - summing(image[inside]), total[1] - summing(image.ravel())
 
     def _over_everything(self, image: NDArray[np.float32], summing: Summing) -> NDArray[np.float64]:
-        flat, psi = image.reshape(-1), self._psi.reshape(-1)
-        parts = [np.stack([summing(flat[some][psi[some] < 0]), summing(flat[some])]) for some in runs(flat.size)]
-        return np.asarray(np.sum(parts, axis=0))
+        return np.stack([sums_by_plane(image, summing, self._psi < 0), sums_by_plane(image, summing)])
 
     def change(self, box: Box, before: NDArray[np.bool_], after: NDArray[np.bool_]) -> None:
         """Follow a change of the object's voxels in a box.

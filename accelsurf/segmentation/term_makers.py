@@ -23,13 +23,13 @@ from accelsurf.energies import (
     Parzen,
     RegionField,
     Threshold,
-    gaussian_of,
 )
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
 from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
 from accelsurf.energies.image_noise import area_against_noise, noise_of
-from accelsurf.energies.likelihood import least_variance, robust_gaussian_of
+from accelsurf.energies.likelihood import gaussian_of_sums, least_variance, robust_gaussian_of
 from accelsurf.energies.local_region import TENT
+from accelsurf.energies.region_sums import RegionMoments, moments_of
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import axis_steps
@@ -93,17 +93,20 @@ def likelihood(inputs: TermInputs) -> Made:
     model, epsilon = inputs.settings.get("model", "gauss"), inputs.number("epsilon", 0.0)
     used: dict[str, Any] = {"model": model, "update": update, "epsilon": epsilon}
     if model == "histogram":
-        learned = context.samples(channel) if update == "no" else None
-        parzen = context.once(Parzen, channel)
+        parzen = context.once(Parzen.of_image, channel)
+        learned = None
+        if update == "no":
+            counts = parzen.histogram(context.sample(channel))
+            learned = counts, context.sums_of_background(channel, "histogram", parzen.histogram)
         elsewhere = context.histograms_elsewhere(channel, parzen)
         return HistogramLikelihood(image, inputs.alpha, learned, epsilon, parzen, elsewhere), used
+    least = context.once(least_variance, channel)
     if update == "yes":
         moments = context.moments_elsewhere(channel)
-        return GaussianLikelihood(image, inputs.alpha, epsilon=epsilon, elsewhere=moments), used
-    inside, outside = context.samples(channel)
-    least = context.once(least_variance, channel)
+        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, min_variance=least), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
-    one, other = robust_gaussian_of(inside, least), gaussian_of(outside, least)
+    one = robust_gaussian_of(context.sample(channel), least)
+    other = gaussian_of_sums(RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least)
     low, width = context.scales[channel]
     for name, (mean, variance) in (("inside", one), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}

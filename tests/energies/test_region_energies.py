@@ -13,11 +13,13 @@ from accelsurf.energies import (
     Geodesic,
     HistogramLikelihood,
     LocalRegion,
+    Parzen,
     Threshold,
     WeightedSum,
     gaussian_of,
     local_region,
 )
+from accelsurf.energies.likelihood import BINS
 from accelsurf.energies.threshold import threshold_field
 from accelsurf.errors import InputError, UsageError
 from accelsurf.levelset import LevelSet
@@ -43,6 +45,8 @@ def image(grid):
 
 
 SAMPLES = tuple(np.random.default_rng(seed).normal(mean, 0.5, 4000) for seed, mean in ((1, 0.7), (2, -0.8)))
+PARZEN = Parzen(-1.2, 2.1)
+COUNTS = tuple(PARZEN.histogram(values) for values in SAMPLES)
 ENERGIES = {
     "local": lambda grid: LocalRegion(image(grid), 6.0),
     "local, smeared, area": lambda grid: LocalRegion(image(grid), 4.0, alpha=0.5, epsilon=1.5),
@@ -53,7 +57,7 @@ ENERGIES = {
     ),
     "histogram": lambda grid: HistogramLikelihood(image(grid)),
     "histogram, smeared, area": lambda grid: HistogramLikelihood(image(grid), alpha=0.7, epsilon=1.5),
-    "histogram, fixed": lambda grid: HistogramLikelihood(image(grid), samples=SAMPLES),
+    "histogram, fixed": lambda grid: HistogramLikelihood(image(grid), learned=COUNTS, parzen=PARZEN),
     "threshold": lambda grid: Threshold(image(grid), low=0.2),
     "threshold, window, area": lambda grid: Threshold(image(grid), -0.2, 0.9, soft=0.4, alpha=0.8),
     "sum": lambda grid: WeightedSum(
@@ -230,7 +234,7 @@ def test_weighted_sum_adds_values_forces_and_alphas():
 
 def test_nothing_to_learn_from_is_told():
     with pytest.raises(InputError, match="no voxel"):
-        HistogramLikelihood(image("3D"), samples=(np.zeros(0), np.ones(3)))
+        HistogramLikelihood(image("3D"), learned=(np.zeros(BINS), np.ones(BINS)))
     with pytest.raises(InputError, match="no voxel"):
         gaussian_of(np.zeros(0), 0.1)
 

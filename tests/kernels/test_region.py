@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import region
-from accelsurf.kernels.grid import BATCH, BLOCK, Band, DenseArrays
+from accelsurf.kernels.grid import BATCH, BLOCK, Band, DenseArrays, Grid
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -331,14 +331,15 @@ def test_weighted_sums_by_blocks():
 
 def test_inside_sums_leave_the_band_and_the_outside_out():
     rng = np.random.default_rng(3)
-    n = 2 * BLOCK + 11
-    psi = rng.standard_normal(n).astype(np.float32)
-    slot = np.where(rng.random(n) < 0.3, 5, -1).astype(np.int32)
-    image = rng.standard_normal(n).astype(np.float32)
-    sums = np.zeros((3, 3))
-    region.inside_sums(0, 3, DenseArrays(psi, slot), image, sums)
-    counted = image[(psi < 0) & (slot < 0)].astype(np.float64)
-    np.testing.assert_allclose(sums.sum(axis=0), [counted.size, counted.sum(), (counted**2).sum()], rtol=1e-12)
+    grid = Grid(4, 5, 13, 1.0, 1.0, 1.0)
+    psi, image = rng.standard_normal((2, 4, 65)).astype(np.float32)
+    slot = np.where(rng.random((4, 65)) < 0.3, 5, -1).astype(np.int32)
+    sums = np.full((4, 3), -7.0)
+    region.inside_sums(1, 3, DenseArrays(psi.ravel(), slot.ravel()), image.ravel(), grid, sums)
+    for plane in (1, 2):
+        counted = image[plane][(psi[plane] < 0) & (slot[plane] < 0)].astype(np.float64)
+        np.testing.assert_allclose(sums[plane], [counted.size, counted.sum(), (counted**2).sum()], rtol=1e-12)
+    assert (sums[[0, 3]] == -7.0).all(), "planes that were not asked for"
 
 
 @pytest.mark.parametrize("size", [1, BLOCK - 1, BLOCK, 2 * BLOCK + 5])

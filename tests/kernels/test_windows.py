@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import histogram, windows
-from accelsurf.kernels.grid import BLOCK, Band
+from accelsurf.kernels.grid import BLOCK, Band, Grid
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -105,8 +105,8 @@ def test_histograms_share_values_between_bins():
     np.testing.assert_allclose(rows.sum(axis=0), reference.histogram(image, weight, *scale, bins), atol=1e-9)
     lattice, _ = reference.whole_band(rng.normal(size=shape))
     lattice.slot[rng.random(image.size) < 0.6] = -1
-    rows = np.zeros_like(rows)
-    histogram.inside_histogram(0, len(rows), lattice, image.ravel(), scale, rows)
+    rows, grid = np.zeros((shape[0], bins)), Grid(*shape, 1.0, 1.0, 1.0)
+    histogram.inside_histogram(0, len(rows), lattice, image.ravel(), grid, scale, rows)
     counted = ((lattice.slot < 0) & (lattice.psi < 0)).astype(float)
     np.testing.assert_allclose(rows.sum(axis=0), reference.histogram(image, counted, *scale, bins), atol=1e-9)
 
