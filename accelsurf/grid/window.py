@@ -148,5 +148,6 @@ def enlarged(window: Window, face: LeavesWindow, blocks: Sequence[int], factor: 
     sides = []
     for side, whole, low, high in zip(window.box, window.geometry.shape, face.low, face.high, strict=True):
         more = max(4 * GUARD, round(factor * (side.stop - side.start)))
-        sides.append(slice(max(side.start - more * low, 0), min(side.stop + more * high, whole)))
+        first, end = (more if low else 0), (more if high else 0)
+        sides.append(slice(max(side.start - first, 0), min(side.stop + end, whole)))
     return aligned((sides[0], sides[1], sides[2]), window.geometry, blocks)
