@@ -3,12 +3,14 @@
 from accelsurf.io.files import sha256
 from accelsurf.io.headers import split_name
 from accelsurf.io.images import label_type, read, read_labels, write, write_labels
+from accelsurf.io.label_store import LabelStore
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory
 from accelsurf.io.metadata import WARNING_KEY
 from accelsurf.settings.file_formats import image_suffixes
 
 __all__ = [
+    "LabelStore",
     "LazyVolume",
     "WARNING_KEY",
     "available_memory",

@@ -84,7 +84,7 @@ class FileSet:
             sync(path)
         everything = names if last is None else [*names, last]
         with uninterrupted():
-            if len(everything) == 1 and not gone:
+            if len(everything) == 1 and not gone and not self._has_folder(everything[0]):
                 os.replace(self.drafts / everything[0], self.folder / everything[0])  # all or nothing by itself
             else:
                 sync_folder(self.drafts)
@@ -97,6 +97,11 @@ class FileSet:
                     raise
             self.committed = True
             sync_folder(self.folder)
+
+
+    def _has_folder(self, name: str) -> bool:
+        """Whether the draft of a name, or what it replaces, is a folder: the system does not exchange these."""
+        return (self.drafts / name).is_dir() or (self.folder / name).is_dir()
 
 
 @contextmanager
@@ -205,7 +210,12 @@ def finish_killed_runs(folder: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file is on the disk."""
+    """Wait until a file is on the disk, or all that is in a folder."""
+    if path.is_dir():
+        for inner in path.iterdir():
+            sync(inner)
+        sync_folder(path)
+        return
     with path.open("r+b") as file:
         os.fsync(file.fileno())
 

@@ -45,11 +45,23 @@ def _itk_reason(error: RuntimeError) -> str:
     return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", text)[:200]
 
 
+def file_version(found: os.stat_result) -> tuple[int, ...]:
+    """What changes when a file is written or replaced."""
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
 @contextmanager
-def staging(path: Path) -> Iterator[FileSet]:
+def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]:
     """Drafts of one file, or of one and what belongs to it, gone afterwards whatever happens; see `FileSet.commit`.
 
     They have their final names in a folder of their own, because an .mhd header repeats the name of its data.
+
+    Parameters
+    ----------
+    path : Path
+        What is to be written.
+    folder_marks : tuple of str
+        A folder that is there already is replaced if it has one of these files, else never.
 
     Raises
     ------
@@ -57,7 +69,7 @@ def staging(path: Path) -> Iterator[FileSet]:
         When nothing can be written there, or the work inside raises what a full disk makes Python or ITK raise.
     """
     try:
-        if path.is_dir():
+        if path.is_dir() and not any((path / mark).is_file() for mark in folder_marks):
             raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
         with opened(path.parent, path.name, unique=True) as files:
             yield files
@@ -127,12 +139,24 @@ def incomplete(draft: Path, reason: str) -> str:
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a file's bytes, hexadecimal, read piece by piece.
+    """SHA-256 of a file's bytes, hexadecimal, read piece by piece; of a folder, of the names and bytes of its files.
 
     Raises
     ------
     InputError
         When the file cannot be read.
     """
-    with naming(Path(path)), Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    path = Path(path)
+    with naming(path):
+        if path.is_dir():
+            return _folder_sha256(path)
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _folder_sha256(folder: Path) -> str:
+    total = hashlib.sha256()
+    for name in sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()):
+        with (folder / name).open("rb") as file:
+            total.update(hashlib.file_digest(file, "sha256").digest() + os.fsencode(name) + b"\0")
+    return total.hexdigest()

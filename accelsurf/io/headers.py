@@ -47,7 +47,7 @@ def parse(path: Path) -> tuple[ImageFormat, Any]:
     """
     check_name(path)
     if path.is_dir():
-        raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
+        return _parse_folder(path)
     if not path.exists():
         raise InputError("there is no such file", hint="check the path")
     form = image_format(split_name(path)[1])
@@ -65,6 +65,16 @@ def parse(path: Path) -> tuple[ImageFormat, Any]:
     if data != path and not _OUTSIDE_DATA.get():
         _check_data_folder(path, data)
     return form, header
+
+
+def _parse_folder(path: Path) -> tuple[ImageFormat, Any]:
+    """As `parse`, of a folder: one whose name says that it is an image, or in which the files of such one are."""
+    folders = [form for form in IMAGE_FORMATS.values() if form.folder_marks]
+    named = image_format(split_name(path)[1])
+    for form in folders:
+        if form is named or any((path / mark).is_file() for mark in form.folder_marks):
+            return form, load(form.parse)(path)
+    raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
 
 
 def count_values(path: Path) -> int:

@@ -103,7 +103,11 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
     OutputError
         When the file cannot be written there.
     """
-    path = Path(path)
+    _write(volume, Path(path), labels=False)
+
+
+def _write(volume: Volume, path: Path, labels: bool) -> None:
+    """As `write`, with what the format does for label maps."""
     with naming(path):
         headers.check_name(path)
     stem, suffix = split_name(path)
@@ -112,9 +116,9 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
         raise UsageError(f"{path}: unknown file type, one of {', '.join(image_suffixes())} expected")
     volume = volume.with_array(_storable(volume.array))
     _check_writable(volume.array, form, suffix)
-    with staging(path) as files:
+    with staging(path, form.folder_marks) as files:
         target = files.drafts / (stem + suffix)  # in lower case, as ITK insists on
-        load(form.write)(volume, target)
+        load((form.write_labels if labels else None) or form.write)(volume, target)
         _check_draft(volume, target, path.name)
         target.rename(files.drafts / path.name)
         files.commit(last=path.name)  # of .mhd the data file first: a header never names what is not there
@@ -138,7 +142,7 @@ def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     form = image_format(split_name(path)[1])
     if high == 1 and form is not None and form.white_labels:
         values *= 255
-    write(volume.with_array(values), path)
+    _write(volume.with_array(values), Path(path), labels=True)
 
 
 def stored_grid(geometry: Geometry, suffix: str) -> Geometry:

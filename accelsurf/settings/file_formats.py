@@ -43,11 +43,18 @@ class ImageFormat:
         it; all are in a folder of their own until they are complete.
     read_channels : str or callable, optional
         As ``read``, returns a list of a Volume for each channel; None: the format has one channel.
+    write_labels : str or callable, optional
+        As ``write``, of a label map; None: the same.
     open : str or callable, optional
         Of a Path, that header and an `accelsurf.io.lazy_volume.Opening`, returns a LazyVolume, which is read box by
         box; None: the format is packed as a whole.
+    store : str or callable, optional
+        Of a Path, a Geometry, a type of values, metadata and a path to the image or None, returns what label maps are
+        written with box by box (``write``, ``read``, ``finish``, as of `accelsurf.io.LabelStore`); None: it cannot be.
     has_levels : bool
         Whether a file may hold several levels, channels and time points.
+    folder_marks : tuple of str
+        Files of which an image of this format has one, where it is a folder; empty: it is a file.
     is_anatomical : str or callable, optional
         Of the metadata of a Volume that was read, whether its header said that the world's axes are a patient's; also
         asked of volumes that were read from other formats. None: it never does.
@@ -72,8 +79,11 @@ class ImageFormat:
     write: Function
     read_channels: Function | None = None
     is_anatomical: Function | None = None
+    write_labels: Function | None = None
     open: Function | None = None
+    store: Function | None = None
     has_levels: bool = False
+    folder_marks: tuple[str, ...] = ()
     types: tuple[str, ...] = ()
     only_2d: bool = False
     keeps: GridFidelity = "all"
@@ -104,7 +114,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti_volumes:write",
         f"{_FORMATS}.nifti_volumes:read_channels",
         f"{_FORMATS}.nifti_grid:is_anatomical",
-        f"{_FORMATS}.nifti_volumes:open_lazily",
+        open=f"{_FORMATS}.nifti_volumes:open_lazily",
+        store=f"{_FORMATS}.nifti_volumes:store",
     ),
     ImageFormat(
         "nrrd",
@@ -130,6 +141,20 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
             ("mha", "MetaImage in one file; written compressed"),
             ("mhd", "MetaImage, a header and a data file; written compressed"),
         )
+    ),
+    ImageFormat(
+        "ome.zarr",
+        "OME-Zarr 0.4 or 0.5, a folder of chunks and coarser levels; written as 0.5",
+        (".ome.zarr", ".zarr"),
+        f"{_FORMATS}.ome_zarr:parse",
+        f"{_FORMATS}.ome_zarr:read",
+        f"{_FORMATS}.ome_zarr:write",
+        f"{_FORMATS}.ome_zarr:read_channels",
+        write_labels=f"{_FORMATS}.ome_zarr:write_labels",
+        open=f"{_FORMATS}.ome_zarr:open_lazily",
+        store=f"{_FORMATS}.ome_zarr:store",
+        has_levels=True,
+        folder_marks=("zarr.json", ".zattrs", ".zgroup"),
     ),
     ImageFormat(
         "png",
@@ -263,7 +288,7 @@ def input_help() -> str:
     Examples
     --------
     >>> input_help()
-    '.nii.gz, .nii, .nrrd, .mha, .mhd, .png or .tif'
+    '.nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .png or .tif'
     """
     *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values())  # .tiff is known where .tif is
     return f"{', '.join(others)} or {last}"
@@ -275,7 +300,7 @@ def label_help() -> str:
     Examples
     --------
     >>> label_help()
-    'nii.gz, nii, nrrd, mha, mhd, tif, or for one slice png'
+    'nii.gz, nii, nrrd, mha, mhd, ome.zarr, tif, or for one slice png'
     """
     volumes = [name for name, form in IMAGE_FORMATS.items() if not form.only_2d]
     slices = [name for name, form in IMAGE_FORMATS.items() if form.only_2d]

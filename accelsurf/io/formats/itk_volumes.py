@@ -8,6 +8,7 @@ from pathlib import Path
 import SimpleITK as sitk
 
 from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.formats.nrrd_metaimage import METAIMAGE_ITK_NAME, NRRD_ITK_NAME, NRRD_KEY, put_nrrd_space
@@ -84,7 +85,7 @@ def write_nrrd(volume: Volume, path: Path) -> None:
     """Write an NRRD, compressed, with the lines that placed the volume when it was read."""
     itk.save(volume, path, NRRD_ITK_NAME, compress=True)
     if (lines := volume.metadata.get(NRRD_KEY)) is not None:
-        restore_grid(path, volume, NRRD_ITK_NAME, lambda file: put_nrrd_space(file, lines))
+        restore_grid(path, volume.geometry, NRRD_ITK_NAME, lambda file: put_nrrd_space(file, lines))
 
 
 def write_metaimage(volume: Volume, path: Path) -> None:
@@ -92,15 +93,15 @@ def write_metaimage(volume: Volume, path: Path) -> None:
     itk.save(volume, path, METAIMAGE_ITK_NAME, compress=True)
 
 
-def restore_grid(path: Path, volume: Volume, itk_name: str, put_grid: Callable[[Path], None]) -> None:
+def restore_grid(path: Path, geometry: Geometry, itk_name: str, put_grid: Callable[[Path], None]) -> None:
     """Give a file the header fields that placed the volume when it was read, where they still place it there.
 
     Parameters
     ----------
     path : Path
         The file.
-    volume : Volume
-        What it holds.
+    geometry : Geometry
+        Where it places what it holds.
     itk_name : str
         The format, as ITK names the class that reads it.
     put_grid : callable
@@ -113,5 +114,5 @@ def restore_grid(path: Path, volume: Volume, itk_name: str, put_grid: Callable[[
     put_grid(trial)
     grid = itk.geometry_of(itk.open_reader(trial, itk_name))
     trial.unlink()
-    if grid.matches(volume.geometry):
+    if grid.matches(geometry):
         put_grid(path)

@@ -5,7 +5,11 @@ ITK turns NaN and infinity into 0 without a word, ignores small slopes, and read
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
@@ -13,6 +17,7 @@ from accelsurf.io import itk
 from accelsurf.io.files import reserve
 from accelsurf.io.formats import itk_volumes, nifti, nifti_grid
 from accelsurf.io.formats.deflate import gzip_file
+from accelsurf.io.formats.nifti_boxes import NiftiBoxes
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
 from accelsurf.io.lazy_volume import LazyVolume, Opening
 from accelsurf.io.memory import check_memory
@@ -95,7 +100,7 @@ def write(volume: Volume, path: Path) -> None:
     reserve(path, volume.array.nbytes + _MAX_HEADER_BYTES)
     itk.save(volume, path, nifti.ITK_NAME, compress=False)
     if (fields := volume.metadata.get(nifti_grid.METADATA_KEY)) is not None:
-        itk_volumes.restore_grid(path, volume, nifti.ITK_NAME, lambda file: nifti_grid.put_grid(file, fields))
+        itk_volumes.restore_grid(path, volume.geometry, nifti.ITK_NAME, lambda file: nifti_grid.put_grid(file, fields))
 
 
 def write_compressed(volume: Volume, path: Path) -> None:
@@ -104,6 +109,13 @@ def write_compressed(volume: Volume, path: Path) -> None:
     write(volume, plain)
     gzip_file(plain, path)
     plain.unlink()
+
+
+def store(
+    path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
+) -> NiftiBoxes:
+    """Begin a file that is written box by box; a NIfTI has no place for the name of its source."""
+    return NiftiBoxes(path, geometry, dtype, metadata)
 
 
 def _read_all(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
+from accelsurf.io.files import file_version
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
 
 #: Rows that lie so near in the file are read with what is between them: a disk gives no less than that.
@@ -90,7 +91,7 @@ class RawVoxels:
                 f"{max(found.st_size - layout.offset, 0)}",
                 TRUNCATED_HINT,
             )
-        self._version = _version(found)
+        self._version = file_version(found)
 
     def read(self, box: Box) -> NDArray[Any]:
         """Return the values in a box; see `accelsurf.io.LazyVolume.read`.
@@ -103,7 +104,7 @@ class RawVoxels:
         stored = np.empty([s.stop - s.start for s in box], self.layout.stored)
         # Opened anew each time: a file that is gone or replaced is noticed, and nothing is left open.
         with self.layout.path.open("rb", buffering=0) as file:
-            if _version(os.fstat(file.fileno())) != self._version:
+            if file_version(os.fstat(file.fileno())) != self._version:
                 raise InputError(
                     "the file has changed while it was read", "let no other program write it; then start again"
                 )
@@ -133,6 +134,40 @@ class RawVoxels:
         return count
 
 
+def write_box(layout: RawLayout, box: Box, array: NDArray[Any]) -> None:
+    """Write the values of a box into a file that is long enough.
+
+    Parameters
+    ----------
+    layout : RawLayout
+        Where voxels lie.
+    box : three slices
+        (z, y, x), within the grid.
+    array : ndarray, shape of the box
+        Of the type of the layout.
+    """
+    _, ny, nx = layout.shape
+    stored = np.ascontiguousarray(array, layout.stored)
+    item = layout.stored.itemsize
+    with layout.path.open("r+b", buffering=0) as file:
+        for plane, z in zip(stored, _range(box[0]), strict=True):
+            at = layout.offset + ((z * ny + box[1].start) * nx + box[2].start) * item
+            if plane.shape[1] == nx:
+                _put(file, at, plane)
+            else:
+                for row, values in enumerate(plane):
+                    _put(file, at + row * nx * item, values)
+
+
+def _put(file: BinaryIO, offset: int, array: NDArray[Any]) -> None:
+    """Write the bytes of a contiguous array at an offset."""
+    raw = memoryview(array.reshape(-1).view(np.uint8).data)
+    file.seek(offset)
+    at = 0
+    while at < len(raw):
+        at += file.write(raw[at:])  # less than all where the disk is nearly full; the next call then says so
+
+
 def native(stored: NDArray[Any]) -> NDArray[Any]:
     """The same numbers in this machine's byte order."""
     return stored.astype(stored.dtype.newbyteorder("="), copy=False)
@@ -140,11 +175,6 @@ def native(stored: NDArray[Any]) -> NDArray[Any]:
 
 def _range(along: slice) -> range:
     return range(along.start, along.stop)
-
-
-def _version(found: os.stat_result) -> tuple[int, ...]:
-    """What changes when a file is written or replaced."""
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _fill(file: BinaryIO, offset: int, array: NDArray[Any]) -> int:

@@ -1,0 +1,260 @@
+"""What the metadata of an OME-Zarr image say: its axes, its levels, and where their voxels are.
+
+Versions 0.4 and 0.5 differ in the place of the metadata only. Axes of space are given in their order in the array;
+lengths may have any unit. OME-Zarr has no direction of the axes in the world: accelsurf keeps it in an attribute of its
+own when it writes, with what `accelsurf.grid.volume.Volume` calls metadata.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Floats, Geometry
+from accelsurf.io.metadata import WARNING_KEY
+
+#: Name of the attribute that accelsurf writes.
+OWN_KEY = "accelsurf"
+VERSIONS = ("0.4", "0.5")
+_DAMAGED_HINT = "is the store complete? copy or export it again"
+_MM = {
+    **{"angstrom": 1e-7, "picometer": 1e-9, "nanometer": 1e-6, "micrometer": 1e-3, "millimeter": 1.0},
+    **{"centimeter": 10.0, "decimeter": 100.0, "meter": 1e3, "inch": 25.4, "foot": 304.8, "yard": 914.4},
+    **{"nm": 1e-6, "um": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3, "micron": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3},
+}
+
+
+@dataclass(frozen=True)
+class OmeAxis:
+    """An axis of the arrays.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        "space", "time", "channel", or another word.
+    unit : str
+        Empty where none is given.
+    """
+
+    name: str
+    kind: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class OmeLevel:
+    """A level of the pyramid.
+
+    Attributes
+    ----------
+    path : str
+        Of its array, within the image.
+    scale, translation : tuple of float
+        Along each axis, in the unit of the axis.
+    """
+
+    path: str
+    scale: tuple[float, ...]
+    translation: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class OmeMetadata:
+    """The metadata of an image.
+
+    Attributes
+    ----------
+    version : str
+        Of OME-Zarr.
+    axes : tuple of OmeAxis
+    levels : tuple of OmeLevel
+        Finest first.
+    direction : ndarray (3, 3)
+        As in `Geometry`; the identity where accelsurf has not written it.
+    metadata : dict of str to str
+        As in `Volume`, with a warning where the axes have no unit.
+    """
+
+    version: str
+    axes: tuple[OmeAxis, ...]
+    levels: tuple[OmeLevel, ...]
+    direction: Floats
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def space_axes(self) -> tuple[int, ...]:
+        """Which axes of the array are z, y, x, or y, x; by their names, else in the order of the array."""
+        found = [i for i, axis in enumerate(self.axes) if axis.kind == "space"]
+        names = [self.axes[i].name.lower() for i in found]
+        wanted = ("z", "y", "x")[3 - len(found) :]
+        return tuple(found[names.index(name)] for name in wanted) if set(names) == set(wanted) else tuple(found)
+
+    def geometry(self, level: int, shape: Sequence[int]) -> Geometry:
+        """The grid of a level whose array has a shape.
+
+        Raises
+        ------
+        GeometryError
+            When it is none.
+        """
+        axes = self.space_axes
+        units = [_mm_per_unit(self.axes[i].unit) for i in axes]
+        here, finest = self.levels[level], self.levels[0]
+        spacing = [here.scale[i] * unit for i, unit in zip(axes, units, strict=True)]
+        first = [finest.translation[i] * unit for i, unit in zip(axes, units, strict=True)]
+        shift = [
+            (here.translation[i] - finest.translation[i]) * unit for i, unit in zip(axes, units, strict=True)
+        ]
+        flat = 3 - len(axes)  # one slice, of 1 mm
+        origin = np.array([*first[::-1], *[0.0] * flat])
+        if level:  # the finest is placed exactly
+            origin = origin + self.direction @ np.array([*shift[::-1], *[0.0] * flat])
+        x, y, z = origin.tolist()
+        counts = (*[1] * flat, *(int(shape[i]) for i in axes))
+        return Geometry(counts, (*[1.0] * flat, *spacing), (x, y, z), self.direction)  # type: ignore[arg-type]
+
+
+def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
+    """Read the attributes of a group.
+
+    Raises
+    ------
+    InputError
+        When it is no image of a known version, or the metadata are damaged.
+    """
+    ome = attributes.get("ome", attributes)
+    if not isinstance(ome, Mapping) or "multiscales" not in ome:
+        raise InputError(*_other_kind(ome if isinstance(ome, Mapping) else {}))
+    try:
+        (scales, *others) = ome["multiscales"]
+        version = str(ome["version"] if "ome" in attributes else scales.get("version", "0.4"))
+        if version not in VERSIONS:
+            raise InputError(
+                f"OME-Zarr {version[:20]} given, {' or '.join(VERSIONS)} expected", "convert it, e.g. with ngff-zarr"
+            )
+        if others:
+            raise InputError(f"{1 + len(others)} images in one group given, one expected", "save them apart")
+        axes = tuple(
+            OmeAxis(str(axis["name"]), str(axis.get("type") or ""), str(axis.get("unit") or ""))
+            for axis in scales["axes"]
+        )
+        common = scales.get("coordinateTransformations")
+        levels = tuple(_level(dataset, common, len(axes)) for dataset in scales["datasets"])
+        direction, metadata = _own(attributes.get(OWN_KEY, {}))
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        message = f"the OME-Zarr metadata are damaged ({type(error).__name__}: {error})"
+        raise InputError(message, _DAMAGED_HINT) from None
+    space = [axis for axis in axes if axis.kind == "space"]
+    if not levels or not 2 <= len(space) <= 3 or len(axes) > 5:
+        raise InputError(
+            f"an OME-Zarr of {len(levels)} levels with axes {', '.join(axis.name for axis in axes)} given, "
+            "expected one level or more, with two or three axes of space",
+            _DAMAGED_HINT,
+        )
+    if all(not axis.unit for axis in space):
+        metadata[WARNING_KEY] = "the OME-Zarr gives no unit of length: it is taken as mm"
+    for axis in space:
+        _mm_per_unit(axis.unit)
+    return OmeMetadata(version, axes, levels, direction, metadata)
+
+
+def _other_kind(ome: Mapping[str, Any]) -> tuple[str, str]:
+    """What a group is that is no image, and what to do."""
+    if "plate" in ome:
+        return "an OME-Zarr plate of many images given, one image expected", "give one of its fields, as PLATE/A/1/0"
+    if "well" in ome:
+        return "an OME-Zarr well of many fields given, one image expected", "give one of them, as WELL/0"
+    if "labels" in ome:
+        names = ", ".join(map(str, ome["labels"][:5])) if isinstance(ome["labels"], list) else ""
+        return f"the label maps of an OME-Zarr given ({names}), one image expected", "give one of them, as labels/NAME"
+    return "a Zarr without the metadata of an OME-Zarr image given: nothing says how large a voxel is", (
+        "convert it to OME-Zarr, e.g. with ngff-zarr"
+    )
+
+
+def _level(dataset: Mapping[str, Any], common: Any, axes: int) -> OmeLevel:
+    """A level by its own transformations, and then those of all levels."""
+    path = str(dataset["path"])
+    if not path or path.startswith(("/", "\\")) or ".." in path.replace("\\", "/").split("/") or "\0" in path:
+        raise ValueError(f"the path of a level is {path!r}")
+    scale, translation = _transform(dataset["coordinateTransformations"], axes)
+    if common:
+        more, offset = _transform(common, axes)
+        translation = tuple(m * t + o for m, t, o in zip(more, translation, offset, strict=True))
+        scale = tuple(m * s for m, s in zip(more, scale, strict=True))
+    return OmeLevel(path, scale, translation)
+
+
+def _transform(given: Any, axes: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Scale and translation of a list of transformations: one scale, then perhaps one translation."""
+    kinds = [one["type"] for one in given]
+    if kinds not in (["scale"], ["scale", "translation"]):
+        raise ValueError(f"coordinateTransformations are {kinds}, expected a scale, then perhaps a translation")
+    numbers = [tuple(float(value) for value in one[one["type"]]) for one in given]
+    if any(len(some) != axes or not all(map(math.isfinite, some)) for some in numbers):
+        raise ValueError(f"a transformation of {axes} finite numbers expected")
+    return numbers[0], numbers[1] if len(numbers) > 1 else (0.0,) * axes
+
+
+def _own(given: Mapping[str, Any]) -> tuple[Floats, dict[str, str]]:
+    """Direction and metadata that accelsurf has written."""
+    direction = np.array(given.get("direction", np.eye(3)), np.float64)
+    if direction.shape != (3, 3):
+        raise ValueError("the direction is no matrix of 3 x 3")
+    metadata = {str(key): str(value) for key, value in given.get("metadata", {}).items() if key != WARNING_KEY}
+    return direction, metadata
+
+
+def _mm_per_unit(unit: str) -> float:
+    """Millimetres of a unit; of none, 1."""
+    if unit and unit.lower() not in _MM:
+        raise InputError(f"the OME-Zarr gives lengths in {unit[:40]}, a unit of length expected", "correct the unit")
+    return _MM[unit.lower()] if unit else 1.0
+
+
+def attributes_of(
+    geometry: Geometry,
+    levels: Sequence[tuple[str, Sequence[float], Sequence[float]]],
+    metadata: Mapping[str, str],
+    name: str,
+    method: str,
+) -> dict[str, Any]:
+    """The attributes of the group of an image, version 0.5.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        Of the finest level.
+    levels : sequence of (path, spacing, offset)
+        Spacing (z, y, x) in mm, and of the first voxel's centre from that of the finest level, along the axes.
+    metadata : mapping of str to str
+        As in `Volume`.
+    name : str
+        Of the image.
+    method : str
+        How the coarser levels were made.
+    """
+    first = geometry.origin[::-1]
+    datasets = [
+        {
+            "path": path,
+            "coordinateTransformations": [
+                {"type": "scale", "scale": [float(h) for h in spacing]},
+                {"type": "translation", "translation": [float(o + d) for o, d in zip(first, offset, strict=True)]},
+            ],
+        }
+        for path, spacing, offset in levels
+    ]
+    axes = [{"name": name, "type": "space", "unit": "millimeter"} for name in "zyx"]
+    multiscale = {"name": name, "axes": axes, "datasets": datasets, "type": method}
+    own = {
+        "direction": geometry.direction.tolist(),
+        "metadata": {key: value for key, value in metadata.items() if key != WARNING_KEY},
+    }
+    return {"ome": {"version": VERSIONS[-1], "multiscales": [multiscale]}, OWN_KEY: own}

@@ -1,0 +1,204 @@
+"""OME-Zarr images: their header, a level of one channel and time point lazily, or all of it in memory."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.io.formats import itk_volumes
+from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
+from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
+from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array
+from accelsurf.io.headers import split_name
+from accelsurf.io.lazy_volume import LazyVolume, Opening
+from accelsurf.io.memory import check_memory
+
+_SERIES_KEY = "bioformats2raw.layout"
+
+
+@dataclass(frozen=True, eq=False)
+class OmeHeader:
+    """What an OME-Zarr claims.
+
+    Attributes
+    ----------
+    folder : Path
+        The group of the image.
+    ome : OmeMetadata
+        Its metadata.
+    shape : tuple of int
+        Of the array of the finest level, all axes.
+    dtype : numpy.dtype
+        Of its values.
+    """
+
+    folder: Path
+    ome: OmeMetadata
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def values(self) -> int:
+        """How many values the finest level has, those of all channels and time points together."""
+        return math.prod(self.shape)
+
+    def count(self, kind: str) -> int:
+        """How many channels ("channel") or time points ("time") there are."""
+        return math.prod(n for n, axis in zip(self.shape, self.ome.axes, strict=True) if axis.kind == kind)
+
+
+def parse(path: Path) -> OmeHeader:
+    """Read the metadata of an image, or of the only one in a store that bioformats2raw has written.
+
+    Raises
+    ------
+    InputError
+        When there is none, or it is damaged.
+    """
+    if not path.is_dir():
+        raise InputError("this is a file, the folder of an OME-Zarr expected", "unpack it if it is zipped")
+    attributes = _attributes(path)
+    ome = attributes.get("ome", attributes)
+    if isinstance(ome, dict) and _SERIES_KEY in ome and "multiscales" not in ome:
+        series = sorted(entry.name for entry in os.scandir(path) if entry.name.isdigit())
+        if len(series) != 1:
+            raise InputError(
+                f"an OME-Zarr of {len(series)} images given, one expected", f"give one of them, as {path.name}/0"
+            )
+        path = path / series[0]
+        attributes = _attributes(path)
+    ome = parse_attributes(attributes)
+    array = open_array(path, ome.levels[0].path)
+    if len(array.shape) != len(ome.axes):
+        raise InputError(
+            f"the OME-Zarr names {len(ome.axes)} axes, its array has {len(array.shape)}", "export it again"
+        )
+    return OmeHeader(path, ome, tuple(map(int, array.shape)), np.dtype(array.dtype))
+
+
+def _attributes(path: Path) -> dict[str, Any]:
+    zarr = library()
+    try:
+        return dict(zarr.open_group(path, mode="r", use_consolidated=False).attrs)
+    except (PermissionError, MemoryError):
+        raise
+    except Exception as error:  # json, zarr and its metadata classes raise errors of many kinds
+        if any((path / mark).is_file() for mark in MARKS):
+            message = " ".join(str(error).split())[:200]
+            raise InputError(f"the metadata of the Zarr are damaged ({message})", "copy the store again") from error
+        raise InputError("this folder is no Zarr: no zarr.json or .zgroup is in it", "is it the right one?") from error
+
+
+def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
+    """Open a level of one channel and time point.
+
+    Parameters
+    ----------
+    path : Path
+        The folder, as it was given.
+    header : OmeHeader
+        What it claims.
+    opening : Opening
+        Which level, channel and time point.
+
+    Raises
+    ------
+    InputError
+        When there are several channels or time points and none was named.
+    UsageError
+        When there is no such level, channel or time point.
+    """
+    ome = header.ome
+    if not 0 <= opening.level < len(ome.levels):
+        raise UsageError(
+            f"level {opening.level} asked for, the image has {len(ome.levels)}", f"give 0 to {len(ome.levels) - 1}"
+        )
+    asked = {"channel": opening.channel_index, "time": opening.time_index}
+    index: list[int | None] = []
+    for axis, n in zip(ome.axes, header.shape, strict=True):
+        index.append(None if axis.kind == "space" else _place(axis.kind, n, asked.get(axis.kind)))
+    for kind, place in asked.items():
+        if place and all(axis.kind != kind for axis in ome.axes):
+            raise UsageError(f"{kind} {place} asked for, the image has one", "leave it out")
+    voxels = ZarrVoxels(header.folder, ome.levels[opening.level].path, index, ome.space_axes, opening.cache_bytes)
+    full = [1] * len(ome.axes)
+    for place, n in zip(ome.space_axes, voxels.shape[3 - len(ome.space_axes) :], strict=True):
+        full[place] = n
+    return LazyVolume(voxels, ome.geometry(opening.level, full), dict(ome.metadata), path)
+
+
+def _place(kind: str, n: int, asked: int | None) -> int:
+    """The index along an axis that is none of space."""
+    name = {"channel": "channels", "time": "time points"}.get(kind, f"entries of an axis of type {kind or 'none'}")
+    if asked is None and n > 1:
+        how = f"say which: {kind}_index=0 to {n - 1}, or extract one" if kind in ("channel", "time") else "extract one"
+        raise InputError(f"an image of {n} {name} given, one expected", how)
+    if not 0 <= (asked or 0) < n:
+        raise UsageError(f"{kind} {asked} asked for, the image has {n} {name}", f"give 0 to {n - 1}")
+    return asked or 0
+
+
+def read(path: Path, header: OmeHeader, available: int) -> Volume:
+    """Read the finest level of an image of one channel and time point.
+
+    Raises
+    ------
+    InputError
+        When it is larger than the memory, a chunk is damaged, or there are several channels or time points.
+    """
+    return _in_memory(open_lazily(path, header, Opening(cache_bytes=0)), available, 1)
+
+
+def read_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
+    """Read the channels of an image.
+
+    Raises
+    ------
+    InputError
+        As `read`, and for more than `itk_volumes.MAX_CHANNELS` channels.
+    """
+    count = header.count("channel")
+    itk_volumes.check_channels(count)
+    lazy = [open_lazily(path, header, Opening(channel_index=i, cache_bytes=0)) for i in range(count)]
+    return [_in_memory(one, available, count) for one in lazy]
+
+
+def _in_memory(lazy: LazyVolume, available: int, count: int) -> Volume:
+    check_memory(lazy.geometry.size, count * lazy.dtype.itemsize, available)
+    return Volume(lazy.voxels.read(whole_box(lazy.shape)), lazy.geometry, lazy.metadata, lazy.source)
+
+
+def write(volume: Volume, path: Path) -> None:
+    """Write OME-Zarr 0.5 with coarser levels of means."""
+    _write(volume, path, labels=False)
+
+
+def write_labels(volume: Volume, path: Path) -> None:
+    """Write a label map as OME-Zarr 0.5, with coarser levels of nearest neighbours and a colour for each label."""
+    _write(volume, path, labels=True)
+
+
+def _write(volume: Volume, path: Path, labels: bool) -> None:
+    name = split_name(path)[0]
+    pyramid = ZarrPyramid(path, volume.geometry, volume.array.dtype, volume.metadata, name, labels)
+    for first in range(0, volume.array.shape[0], CHUNK):
+        box = (slice(first, min(first + CHUNK, volume.array.shape[0])), *whole_box(volume.array.shape)[1:])
+        pyramid.write(box, volume.array[box])
+    pyramid.finish()
+
+
+def store(
+    path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
+) -> ZarrPyramid:
+    """Begin a label map that is written box by box."""
+    return ZarrPyramid(path, geometry, dtype, metadata, split_name(path)[0], True, source)

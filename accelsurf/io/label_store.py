@@ -1,0 +1,174 @@
+"""A label map on a grid that is written box by box, and is never in memory as a whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from threading import Lock
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import AccelsurfError, OutputError, UsageError
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.io import headers
+from accelsurf.io.files import SPACE_HINT, naming, staging
+from accelsurf.io.lazy_volume import check_box
+from accelsurf.settings.file_formats import IMAGE_FORMATS, image_format
+from accelsurf.settings.registry import load
+
+
+class LabelStore:
+    """A label map that is being written. It appears when it is finished, whole, or not at all.
+
+    Used with ``with``, it is finished at the end, and discarded where an error ends the block.
+
+    Parameters
+    ----------
+    path : path-like
+        An ``.ome.zarr``, in which chunks of zeros take no space, or a ``.nii``, sparse where the file system can. An
+        existing one is replaced.
+    geometry : Geometry
+        The whole grid.
+    dtype : dtype
+        uint8, uint16 or uint32.
+    metadata : mapping of str to str, optional
+        As in `Volume`: of the image, so that the labels lie where it does.
+    source : path-like, optional
+        The image; an OME-Zarr of labels names the OME-Zarr that it was made from.
+
+    Raises
+    ------
+    UsageError
+        When the suffix or the type is another one.
+    OutputError
+        When nothing can be written there.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from accelsurf import io
+    >>> grid, box = Geometry((100, 100, 100), (1.0, 1.0, 1.0)), (slice(4, 6), slice(0, 2), slice(8, 9))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with LabelStore(f"{folder}/cells.nii", grid, np.uint8) as store:
+    ...         store.write(box, np.full((2, 2, 1), 7, np.uint8))
+    ...     int(io.read(f"{folder}/cells.nii").array.sum())
+    28
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        geometry: Geometry,
+        dtype: Any,
+        metadata: Mapping[str, str] | None = None,
+        source: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self.path, self.geometry, self.dtype = Path(path), geometry, np.dtype(dtype)
+        if self.dtype.name not in ("uint8", "uint16", "uint32"):
+            raise UsageError(f"labels of type {self.dtype} given, uint8, uint16 or uint32 expected")
+        with naming(self.path):
+            headers.check_name(self.path)
+        form = image_format(headers.split_name(self.path)[1])
+        if form is None or form.store is None:
+            known = [one.suffixes[0] for one in IMAGE_FORMATS.values() if one.store is not None]
+            raise UsageError(f"{self.path}: label maps are written box by box as {' or '.join(known)}")
+        self._lock = Lock()
+        self._stack = ExitStack()
+        try:
+            self._files = self._stack.enter_context(staging(self.path, form.folder_marks))
+            with self._naming():
+                draft = self._files.drafts / self.path.name
+                self._store = load(form.store)(draft, geometry, self.dtype, metadata or {}, self._relative(source))
+        except BaseException:
+            self.discard()
+            raise
+
+    def write(self, box: Box, array: NDArray[Any]) -> None:
+        """Write the labels of a box; those that were there are replaced. Several threads may call it.
+
+        Raises
+        ------
+        UsageError
+            When the box goes beyond the grid, or the array has another shape or type.
+        OutputError
+            When the disk is full or gone; nothing is left behind then.
+        """
+        check_box(box, self.geometry.shape)
+        shape = tuple(s.stop - s.start for s in box)
+        if array.shape != shape or array.dtype != self.dtype:
+            raise UsageError(f"labels {array.shape} of {array.dtype} given, {shape} of {self.dtype} expected")
+        with self._lock, self._naming():
+            self._store.write(box, np.ascontiguousarray(array))
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the labels of a box, 0 where none were written.
+
+        Raises
+        ------
+        UsageError
+            When the box goes beyond the grid.
+        """
+        check_box(box, self.geometry.shape)
+        with self._lock, self._naming():
+            values: NDArray[Any] = self._store.read(box)
+        return values
+
+    def finish(self) -> None:
+        """Make the coarser levels, and put the label map in its place.
+
+        Raises
+        ------
+        OutputError
+            When it cannot be written; nothing is left behind then.
+        """
+        with self._lock, self._naming():
+            self._store.finish()
+            self._files.commit(last=self.path.name)
+        self._close()
+
+    def discard(self) -> None:
+        """Remove what was written; after `finish` this does nothing."""
+        self._close()
+
+    def __enter__(self) -> LabelStore:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if kind is None:
+            self.finish()
+        else:
+            self.discard()
+
+    def _close(self) -> None:
+        self._stack.pop_all().close()
+
+    @contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Turn what goes wrong into one line with the name of the file, and remove what was written."""
+        try:
+            yield
+        except AccelsurfError as error:
+            self._close()
+            message = error.message.replace(str(self._files.drafts), str(self.path.parent))
+            raise type(error)(message, error.hint) from error
+        except OSError as error:
+            self._close()
+            raise OutputError(
+                f"{self.path}: cannot be written ({error.strerror or error})",
+                f"does the folder {self.path.parent} exist, is it writable? {SPACE_HINT}",
+            ) from error
+        except BaseException:
+            self._close()
+            raise
+
+    def _relative(self, source: str | os.PathLike[str] | None) -> str | None:
+        """The path of an image that is a folder, as seen from the labels."""
+        if source is None or not Path(source).is_dir():
+            return None
+        return Path(os.path.relpath(source, self.path)).as_posix()
