@@ -236,19 +236,33 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
         When it cannot be read; UsageError when a format cannot hold the result.
     """
     from accelsurf import io
-    from accelsurf.io import channels, images
+    from accelsurf.io import channels
 
     volume, *more = log.timed("load", lambda: channels.read(place.source))
-    log.geometry = volume.geometry
     if log.checksum is None:
         log.checksum = log.timed("load", lambda: io.sha256(place.source))
+    check_formats(place, config, volume, log)
+    return [volume, *more]
+
+
+def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> None:
+    """Note what is said about an image, and check that the formats of the outputs can hold a result on its grid.
+
+    Raises
+    ------
+    UsageError
+        When one cannot.
+    """
+    from accelsurf import io
+    from accelsurf.io import images
+
+    log.geometry = volume.geometry
     if note := volume.metadata.get(io.WARNING_KEY):
         log.warnings.append(note)
     labels = place.label_format(config)
     output_names.check(config, labels, volume.geometry)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
-    return [volume, *more]
 
 
 def evolve(

@@ -15,6 +15,7 @@ from accelsurf.settings.trace_columns import row_values
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
+    from accelsurf.grid.window import Window
 
 
 #: What the bar shows until the first step, when nothing else moves.
@@ -88,6 +89,14 @@ class Watcher:
         self.said.add(text)
         say(f"warning: {text}")
 
+    def on_window(self, window: Window) -> None:
+        """Show the part of a large image that a run begins on."""
+        if self._bar is not None:
+            self._bar.window(" x ".join(str(n) for n in reversed(window.shape)))
+        if self._show_json:
+            first, size = list(reversed(window.corner)), list(reversed(window.shape))
+            print_json({"event": "window", "run": self._label, "first_voxel": first, "size": size})
+
     def on_step(self, record: StepRecord, object_id: int | None = None) -> bool:
         """Show one step, of the object ``object_id`` if there are several.
 
@@ -139,6 +148,9 @@ class _Bar:
         if record.level:
             state = f"level {record.level}, {state}"
         self._progress.update(self._task, completed=record.step, state=state)
+
+    def window(self, size: str) -> None:
+        self._progress.update(self._task, completed=0, state=f"a window of {size} voxels")
 
     def stop(self) -> None:
         self._progress.stop()

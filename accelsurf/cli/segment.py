@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from accelsurf.cli.large_image import ImageParts
 from accelsurf.cli.options import FILES, SHOW, Display, InputFile, Output, Overwrite, Settings, required, run_config
-from accelsurf.errors import UsageError
+from accelsurf.errors import AccelsurfError
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished
@@ -24,6 +25,7 @@ def segment(
     resume: Annotated[bool, Parameter(negative=(), show_default=False, group=FILES)] = False,
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     profile: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    parts: ImageParts | None = None,
     settings: Settings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
@@ -56,6 +58,7 @@ def segment(
         print(run_config(settings, config).to_toml(), end="")
         return 0
     from accelsurf.cli.case import report_failure, run_case
+    from accelsurf.cli.large_image import computed
     from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
 
@@ -63,7 +66,8 @@ def segment(
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
         run = run_config(settings, config)
-    except UsageError as error:
+        run, compute = computed(place, run, parts or ImageParts())
+    except AccelsurfError as error:
         report_failure(place, error)
         raise
     if resume:
@@ -71,7 +75,7 @@ def segment(
         if (code := code_of_ended(place, run, display.quiet)) is not None:
             return code
         place = taken_up(place, run)
-    done = run_case(place, run, Watcher(display), strict)
+    done = run_case(place, run, Watcher(display), strict, compute)
     _print_summary(place.name, done, display.quiet, profile)
     return done.code
 

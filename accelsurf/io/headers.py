@@ -72,9 +72,18 @@ def _parse_folder(path: Path) -> tuple[ImageFormat, Any]:
     folders = [form for form in IMAGE_FORMATS.values() if form.folder_marks]
     named = image_format(split_name(path)[1])
     for form in folders:
-        if form is named or any((path / mark).is_file() for mark in form.folder_marks):
+        if form is named or _has_marks(path, form):
             return form, load(form.parse)(path)
     raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
+
+
+def _has_marks(path: Path, form: ImageFormat) -> bool:
+    return any((path / mark).is_file() for mark in form.folder_marks)
+
+
+def is_image_folder(path: Path) -> bool:
+    """Whether a folder has the files of an image that is stored as one."""
+    return any(_has_marks(path, form) for form in IMAGE_FORMATS.values())
 
 
 def count_values(path: Path) -> int:

@@ -19,6 +19,7 @@ from accelsurf.report.environment import peak_rss_mb, versions
 
 if TYPE_CHECKING:
     from accelsurf.analysis.quality import Quality
+    from accelsurf.grid.window import Window
     from accelsurf.segmentation.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 
@@ -127,7 +128,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         Of several objects the sums, and an entry for each in ``objects``. With None every value is null.
     """
     if result is None:
-        keys = ("stop", "resolved_settings", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2")
+        keys = ("stop", "window", "resolved_settings", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2")
         return dict.fromkeys((*keys, "enclosed_mm2", "length_mm", "components", "touches_border", "quality", "objects"))
     last = result.history[-1] if result.history else None
     # Coarse levels have another image, with less noise: energies are comparable on one level only.
@@ -139,6 +140,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "time": result.stop.time,
             "message": result.stop.message,
         },
+        "window": describe_window(result.window),
         "resolved_settings": result.resolved_settings,
         "levels": describe_levels(result),
         "edits": [
@@ -166,6 +168,13 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         "quality": describe_quality(result.quality),
         "objects": describe_objects(result) if result.has_ids else None,
     }
+
+
+def describe_window(window: Window | None) -> dict[str, Any] | None:
+    """Return the part of the report about the window of a large image that the run was made in, x before y and z."""
+    if window is None:
+        return None
+    return {"first_voxel": list(reversed(window.corner)), "size": list(reversed(window.shape))}
 
 
 def describe_quality(quality: Quality | None) -> dict[str, Any] | None:

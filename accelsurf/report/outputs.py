@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf import io
 from accelsurf.io.files import write_bytes
@@ -80,7 +81,18 @@ def _has_surface(result: Result) -> bool:
 def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     """The writer of the label map."""
     if "labels" in names and _has_surface(result):
-        yield "labels", names["labels"], lambda path: io.write_labels(result.labels_volume(), path)
+        yield "labels", names["labels"], lambda path: _write_labels(result, result.labels, path)
+
+
+def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
+    """Write labels on the image's grid; of a result in a window they are 0 beyond it."""
+    volume, window = result.labels_volume().with_array(labels), result.window
+    if window is None:
+        io.write_labels(volume, path)
+        return
+    own = volume.array.astype(io.label_type(int(volume.array.max())))
+    with io.LabelStore(path, window.geometry, own.dtype, volume.metadata, result.volume.source) as store:
+        store.write(window.box, own)
 
 
 def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
@@ -97,7 +109,7 @@ def _write_rest(result: Result, number: int, path: Path) -> None:
         own = one.labels if len(one.rests) < number else one.rests[number - 1].labels
         part = labels[one.box]
         part[(own > 0) & (part == 0)] = one.id
-    io.write_labels(result.labels_volume().with_array(labels), path)
+    _write_labels(result, labels, path)
 
 
 def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:

@@ -1,0 +1,178 @@
+"""Images that are read in parts: where they do not fit into the memory, or are a level of a store's pyramid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from accelsurf.cli.options import FILES
+from accelsurf.errors import UsageError
+from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.cli.case import Compute, Log
+    from accelsurf.cli.place import Place
+    from accelsurf.cli.progress import Watcher
+    from accelsurf.io import LazyVolume
+    from accelsurf.segmentation.result import Result
+    from accelsurf.segmentation.windowed import LargeImage
+
+#: Part of the free memory that a run may take unless it is told.
+FREE_SHARE = 0.8
+#: Statistics of an image of more voxels are taken from a coarser level, where its store has one of at most so many.
+MAX_STREAMED = 1 << 31
+#: Formats of label maps that are written box by box.
+STORES = ("ome.zarr", "nii")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ImageParts:
+    """Which part of a file is the image, and how much of it may be in memory."""
+
+    max_memory: Annotated[str | None, Parameter(group=FILES, show_default="0.8 of what is free")] = None
+    """Memory that the run may take, as 4GB. A larger image is read in parts near the object, with the same result; one
+    whose object needs more is refused."""
+
+    level: Annotated[int, Parameter(group=FILES)] = 0
+    """Level of an image that is stored as a pyramid (OME-Zarr); 0 is the finest."""
+
+    channel_index: Annotated[int | None, Parameter(group=FILES, show_default=False)] = None
+    """Channel of an OME-Zarr image, from 0 on; needed where it has several."""
+
+    time_index: Annotated[int | None, Parameter(group=FILES, show_default=False)] = None
+    """Time point of an OME-Zarr image, from 0 on; needed where it has several."""
+
+    @property
+    def allowed_bytes(self) -> int:
+        """Memory that the run may take."""
+        from accelsurf import io
+        from accelsurf.segmentation.memory_need import memory_of
+
+        return int(FREE_SHARE * io.available_memory()) if self.max_memory is None else memory_of(self.max_memory)
+
+    @property
+    def names_part(self) -> bool:
+        """Whether a level, channel or time point was asked for."""
+        return self.level != 0 or self.channel_index is not None or self.time_index is not None
+
+    def open(self, path: Path, level: int | None = None) -> LazyVolume:
+        """Open an image, or another level of it, without reading its voxels."""
+        from accelsurf import io
+
+        at = self.level if level is None else level
+        return io.open_volume(path, level=at, channel_index=self.channel_index, time_index=self.time_index)
+
+
+def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunConfig, Compute | None]:
+    """Return the settings and the function by which a case is computed: None where the image is read as a whole.
+
+    Raises
+    ------
+    InputError
+        When the header cannot be read; UsageError when a setting needs the whole image in memory.
+    """
+    from accelsurf.segmentation.memory_need import run_bytes
+    from accelsurf.segmentation.preprocessing import uses_model
+
+    image = _image(place.source, config, parts)
+    if image is None:
+        return config, None
+    voxels = 1
+    for n in image.geometry.shape:
+        voxels *= n
+    if run_bytes(voxels * len(image.channels), uses_model(config)) <= image.max_bytes:
+        return config, _in_memory(image)
+    return _for_windows(place, config), _in_windows(image)
+
+
+def _image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
+    """The image, opened, where it may be read in parts; None where it is an ordinary one that fits."""
+    from accelsurf.errors import InputError
+    from accelsurf.io.headers import count_values
+    from accelsurf.segmentation.memory_need import run_bytes
+    from accelsurf.segmentation.preprocessing import uses_model
+    from accelsurf.segmentation.windowed import LargeImage
+
+    if not parts.names_part and not source.is_dir():
+        try:
+            needed = run_bytes(count_values(source), uses_model(config))
+        except InputError:
+            return None  # said again where it is read, with the name of the file
+        if needed <= parts.allowed_bytes:
+            return None
+    channels = [parts.open(source), *(parts.open(Path(file)) for file in config.channel)]
+    return LargeImage(tuple(channels), parts.allowed_bytes, _coarser(source, parts, channels))
+
+
+def _coarser(source: Path, parts: ImageParts, channels: list[LazyVolume]) -> tuple[LazyVolume, ...] | None:
+    """The level that statistics are taken from; None where the image itself is read through for them."""
+    level, found = parts.level, channels[0]
+    while _voxels(found) > MAX_STREAMED and len(channels) == 1:
+        try:
+            level += 1
+            found = parts.open(source, level)
+        except UsageError:
+            return None  # there is no coarser one
+    return None if found is channels[0] else (found,)
+
+
+def _voxels(image: LazyVolume) -> int:
+    nz, ny, nx = image.geometry.shape
+    return nz * ny * nx
+
+
+def _for_windows(place: Place, config: RunConfig) -> RunConfig:
+    """The settings of a run in windows: its label map is written box by box."""
+    if config.format is not None and config.format not in STORES:
+        raise UsageError(
+            f"format: {config.format} was given, and the image is read in parts, expected {' or '.join(STORES)}",
+            "leave it out, or let the image be read into memory (more --max-memory)",
+        )
+    for name, given in (("save_sdf", config.save_sdf), ("keep_state", config.keep_state == "yes")):
+        if given:
+            raise UsageError(
+                f"{name.replace('_', '-')}: it was given, and the image is read in parts", "leave it out, or give --roi"
+            )
+    own = place.label_format(config)
+    return config if own in STORES else config.replace(format="nii")
+
+
+def _in_memory(image: LargeImage) -> Compute:
+    """The computation of a case whose image is read as a whole from a part of its file."""
+
+    def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+        from accelsurf.cli.case import check_formats, evolve_at
+        from accelsurf.grid.boxes import whole_box
+        from accelsurf.grid.volume import Volume
+
+        volume, *more = (
+            log.timed("load", lambda one=one: Volume(  # type: ignore[misc]
+                one.read(whole_box(one.geometry.shape)), one.geometry, dict(one.metadata), one.source
+            ))
+            for one in image.channels
+        )
+        check_formats(place, config, volume, log)
+        return evolve_at(place, volume, more, config, watcher, log)
+
+    return compute
+
+
+def _in_windows(image: LargeImage) -> Compute:
+    """The computation of a case in windows of its image."""
+
+    def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+        from accelsurf.segmentation.windowed import segment_in_windows
+
+        log.geometry = image.geometry
+        with watcher.watch(place.name, config.max_steps):
+            result = segment_in_windows(
+                image, config, lambda record, own: watcher.on_step(record), watcher.on_warning, watcher.on_window
+            )
+        log.warnings.extend(result.warnings)
+        return result
+
+    return compute
