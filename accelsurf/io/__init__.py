@@ -3,15 +3,18 @@
 from accelsurf.io.files import sha256
 from accelsurf.io.headers import split_name
 from accelsurf.io.images import label_type, read, read_labels, write, write_labels
+from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory
 from accelsurf.io.metadata import WARNING_KEY
 from accelsurf.settings.file_formats import image_suffixes
 
 __all__ = [
+    "LazyVolume",
     "WARNING_KEY",
     "available_memory",
     "image_suffixes",
     "label_type",
+    "open_volume",
     "read",
     "read_labels",
     "sha256",

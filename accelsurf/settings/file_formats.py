@@ -43,6 +43,11 @@ class ImageFormat:
         it; all are in a folder of their own until they are complete.
     read_channels : str or callable, optional
         As ``read``, returns a list of a Volume for each channel; None: the format has one channel.
+    open : str or callable, optional
+        Of a Path, that header and an `accelsurf.io.lazy_volume.Opening`, returns a LazyVolume, which is read box by
+        box; None: the format is packed as a whole.
+    has_levels : bool
+        Whether a file may hold several levels, channels and time points.
     is_anatomical : str or callable, optional
         Of the metadata of a Volume that was read, whether its header said that the world's axes are a patient's; also
         asked of volumes that were read from other formats. None: it never does.
@@ -67,6 +72,8 @@ class ImageFormat:
     write: Function
     read_channels: Function | None = None
     is_anatomical: Function | None = None
+    open: Function | None = None
+    has_levels: bool = False
     types: tuple[str, ...] = ()
     only_2d: bool = False
     keeps: GridFidelity = "all"
@@ -97,6 +104,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti_volumes:write",
         f"{_FORMATS}.nifti_volumes:read_channels",
         f"{_FORMATS}.nifti_grid:is_anatomical",
+        f"{_FORMATS}.nifti_volumes:open_lazily",
     ),
     ImageFormat(
         "nrrd",

@@ -77,6 +77,14 @@ class NiftiHeader:
         plain = (self.slope, self.intercept) == (1.0, 0.0) or self.voxel_type.kind == "f"
         return self.voxel_type.newbyteorder("=") if plain else np.dtype(np.float32)
 
+    def values(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """Return the values that stored numbers stand for, of ``value_type``."""
+        if (self.slope, self.intercept) != (1.0, 0.0):
+            with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold becomes infinite, as in ITK
+                stored = stored.astype(np.float64) * self.slope + self.intercept
+                return stored.astype(self.value_type)
+        return stored.astype(self.value_type, copy=False)
+
     @property
     def claimed_bytes(self) -> int:
         """Bytes from the start of the file to the end of the voxels, as the header would have it."""
@@ -256,13 +264,7 @@ def read_channels(file: NiftiFile) -> list[NDArray[Any]]:
     header = file.nifti
     nx, ny, nz = header.size[:3]
     stored = _stored(file).reshape(header.channels, nz, ny, nx)
-    channels = []
-    for channel in stored:
-        if (header.slope, header.intercept) != (1.0, 0.0):
-            with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold becomes infinite, as in ITK
-                channel = (channel.astype(np.float64) * header.slope + header.intercept).astype(header.value_type)
-        channels.append(np.ascontiguousarray(channel, header.value_type))
-    return channels
+    return [np.ascontiguousarray(header.values(channel)) for channel in stored]
 
 
 def _stored(file: NiftiFile) -> NDArray[Any]:

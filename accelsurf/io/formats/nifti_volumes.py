@@ -13,6 +13,8 @@ from accelsurf.io import itk
 from accelsurf.io.files import reserve
 from accelsurf.io.formats import itk_volumes, nifti, nifti_grid
 from accelsurf.io.formats.deflate import gzip_file
+from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
+from accelsurf.io.lazy_volume import LazyVolume, Opening
 from accelsurf.io.memory import check_memory
 from accelsurf.io.metadata import WARNING_KEY
 
@@ -61,6 +63,31 @@ def read_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[V
         return [read(path, header, available)]
     itk_volumes.check_channels(header.nifti.channels)
     return _read_all(path, header, available)
+
+
+def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
+    """Open an uncompressed file of one volume, to be read box by box.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : NiftiFile
+        What its header claims.
+    opening : Opening
+        Has no more to say here.
+
+    Raises
+    ------
+    InputError
+        As `read`.
+    """
+    fields = header.nifti
+    nifti.check_single(fields)
+    nx, ny, nz = fields.size
+    voxels = RawVoxels(RawLayout(path, fields.data_offset, fields.voxel_type, (nz, ny, nx)), fields.values)
+    geometry = fields.grid.geometry() if fields.version == 2 else itk.geometry_of(itk.open_reader(path, nifti.ITK_NAME))
+    return LazyVolume(voxels, geometry, _metadata(header, geometry), path)
 
 
 def write(volume: Volume, path: Path) -> None:

@@ -1,0 +1,160 @@
+"""Voxels that lie in a file as they are, one after the other: any box of them is read by itself.
+
+They are read, not mapped into memory: a map counts against limits of the address space (``ulimit -v``), and a file that
+is cut short, or a network drive that goes away, would end the process by a signal instead of an error.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.grid.boxes import Box
+from accelsurf.io.formats.deflate import TRUNCATED_HINT
+
+#: Rows that lie so near in the file are read with what is between them: a disk gives no less than that.
+_MAX_GAP_BYTES = 4096
+#: Bytes that are read at once with gaps between rows.
+_BLOCK_BYTES = 1 << 22
+
+
+@dataclass(frozen=True)
+class RawLayout:
+    """Where voxels lie in a file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    offset : int
+        Bytes before the first voxel.
+    stored : numpy.dtype
+        Of a voxel in the file, with its byte order.
+    shape : tuple of int
+        (nz, ny, nx); x runs fastest.
+    """
+
+    path: Path
+    offset: int
+    stored: np.dtype[Any]
+    shape: tuple[int, int, int]
+
+    @property
+    def end(self) -> int:
+        """Bytes from the start of the file to the end of the voxels."""
+        return self.offset + math.prod(self.shape) * self.stored.itemsize
+
+
+class RawVoxels:
+    """The voxels of a file, read where they lie.
+
+    Parameters
+    ----------
+    layout : RawLayout
+        Where they are.
+    values : callable, optional
+        Makes of an array of stored numbers the values that they stand for, in a new array or the same.
+
+    Attributes
+    ----------
+    dtype : numpy.dtype
+        Of the values.
+    bytes_read : int
+        Bytes that were read from the file so far.
+
+    Raises
+    ------
+    InputError
+        When the file ends before the last voxel.
+    """
+
+    def __init__(self, layout: RawLayout, values: Callable[[NDArray[Any]], NDArray[Any]] | None = None) -> None:
+        self.layout = layout
+        self._values = values or native
+        self.dtype = self._values(np.zeros(1, layout.stored)).dtype
+        self.bytes_read = 0
+        self._lock = Lock()
+        found = layout.path.stat()
+        if found.st_size < layout.end:
+            raise InputError(
+                f"the header announces {layout.end - layout.offset} bytes of voxels, the file holds "
+                f"{max(found.st_size - layout.offset, 0)}",
+                TRUNCATED_HINT,
+            )
+        self._version = _version(found)
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the values in a box; see `accelsurf.io.LazyVolume.read`.
+
+        Raises
+        ------
+        InputError
+            When the file has changed since it was opened; OSError when it is gone.
+        """
+        stored = np.empty([s.stop - s.start for s in box], self.layout.stored)
+        # Opened anew each time: a file that is gone or replaced is noticed, and nothing is left open.
+        with self.layout.path.open("rb", buffering=0) as file:
+            if _version(os.fstat(file.fileno())) != self._version:
+                raise InputError(
+                    "the file has changed while it was read", "let no other program write it; then start again"
+                )
+            count = sum(self._read_plane(file, z, box, stored[z - box[0].start]) for z in _range(box[0]))
+        with self._lock:
+            self.bytes_read += count
+        return np.ascontiguousarray(self._values(stored))
+
+    def _read_plane(self, file: BinaryIO, z: int, box: Box, plane: NDArray[Any]) -> int:
+        """Read the rows of a box in one plane; the bytes that were read."""
+        _, ny, nx = self.layout.shape
+        item = self.layout.stored.itemsize
+        rows, columns = plane.shape
+        gap = (nx - columns) * item
+        at = self.layout.offset + ((z * ny + box[1].start) * nx + box[2].start) * item
+        if gap == 0:
+            return _fill(file, at, plane)
+        if gap > _MAX_GAP_BYTES:
+            return sum(_fill(file, at + row * nx * item, plane[row]) for row in range(rows))
+        count, step = 0, max(1, _BLOCK_BYTES // (nx * item))
+        for first in range(0, rows, step):
+            some = min(step, rows - first)
+            block = np.empty(some * nx - (nx - columns), self.layout.stored)  # to the end of the last row
+            count += _fill(file, at + first * nx * item, block)
+            for row in range(some):
+                plane[first + row] = block[row * nx : row * nx + columns]
+        return count
+
+
+def native(stored: NDArray[Any]) -> NDArray[Any]:
+    """The same numbers in this machine's byte order."""
+    return stored.astype(stored.dtype.newbyteorder("="), copy=False)
+
+
+def _range(along: slice) -> range:
+    return range(along.start, along.stop)
+
+
+def _version(found: os.stat_result) -> tuple[int, ...]:
+    """What changes when a file is written or replaced."""
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def _fill(file: BinaryIO, offset: int, array: NDArray[Any]) -> int:
+    """Fill a contiguous array with the bytes from an offset on; their number."""
+    raw = memoryview(array.reshape(-1).view(np.uint8).data)
+    file.seek(offset)
+    at = 0
+    while at < len(raw):
+        count = file.readinto(raw[at:])  # type: ignore[attr-defined]
+        if not count:
+            raise InputError(f"{len(raw)} bytes of voxels expected at byte {offset}, {at} read", TRUNCATED_HINT)
+        at += count
+    return at

@@ -1,0 +1,221 @@
+"""Images that stay where they are: a box of voxels is read when it is asked for.
+
+`accelsurf.io.read` brings a whole image into memory; `open_volume` reads its header only. What a box holds is the same,
+voxel by voxel, in the same type.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.io import headers
+from accelsurf.io.files import naming
+from accelsurf.settings.registry import load
+
+#: Bytes of unpacked chunks or pages that are held at most, where the caller says nothing.
+CACHE_BYTES = 1 << 28
+
+
+class VoxelSource(Protocol):
+    """Where the voxels of a `LazyVolume` come from."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the values, in this machine's byte order."""
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes that were read so far."""
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the voxels of a box within the grid as a new C-contiguous array; may be called by several threads."""
+
+
+@dataclass(frozen=True)
+class Opening:
+    """What `open_volume` was asked for beside the name of the image; see there."""
+
+    level: int = 0
+    channel_index: int | None = None
+    time_index: int | None = None
+    cache_bytes: int = CACHE_BYTES
+
+
+class LazyVolume:
+    """An image on a grid whose voxels are read box by box.
+
+    Parameters
+    ----------
+    voxels : VoxelSource
+        Of the shape of the grid.
+    geometry : Geometry
+        The whole grid.
+    metadata : dict of str to str, optional
+        As in `Volume`.
+    source : Path, optional
+        The file or folder.
+
+    Attributes
+    ----------
+    voxels, geometry, metadata, source
+        The same.
+    """
+
+    def __init__(
+        self,
+        voxels: VoxelSource,
+        geometry: Geometry,
+        metadata: dict[str, str] | None = None,
+        source: Path | None = None,
+    ) -> None:
+        self.voxels, self.geometry, self.source = voxels, geometry, source
+        self.metadata: dict[str, str] = metadata or {}
+
+    @classmethod
+    def of_array(cls, volume: Volume) -> LazyVolume:
+        """A volume that is in memory, to be read like one that is not."""
+        return cls(_ArrayVoxels(volume.array), volume.geometry, dict(volume.metadata), volume.source)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the values, as `accelsurf.io.read` would give them."""
+        return self.voxels.dtype
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Voxels of the whole grid, (nz, ny, nx)."""
+        return self.geometry.shape
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes that were read from the file so far; of packed chunks and pages, those after unpacking."""
+        return self.voxels.bytes_read
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the voxels of a box.
+
+        Parameters
+        ----------
+        box : three slices
+            (z, y, x), each with a first voxel and the one after the last, within the grid.
+
+        Returns
+        -------
+        ndarray, shape of the box
+            A new array, C-contiguous.
+
+        Raises
+        ------
+        UsageError
+            When the box is empty or goes beyond the grid.
+        InputError
+            When the file cannot be read, is damaged, or is no longer the one that was opened.
+
+        Examples
+        --------
+        >>> image = LazyVolume.of_array(Volume.from_array(np.arange(24).reshape(2, 3, 4)))
+        >>> image.read((slice(1, 2), slice(0, 2), slice(2, 4))).tolist()
+        [[[14, 15], [18, 19]]]
+        """
+        check_box(box, self.shape)
+        if self.source is None:
+            return self.voxels.read(box)
+        with naming(self.source):
+            return self.voxels.read(box)
+
+    def __repr__(self) -> str:
+        source = f", source={str(self.source)!r}" if self.source is not None else ""
+        return f"LazyVolume({self.dtype}, {self.geometry!r}{source})"
+
+
+class _ArrayVoxels:
+    """Voxels in memory; they count as read when they are asked for."""
+
+    def __init__(self, array: NDArray[Any]) -> None:
+        self._array, self.dtype = array, array.dtype.newbyteorder("=")
+        self.bytes_read = 0
+
+    def read(self, box: Box) -> NDArray[Any]:
+        values = np.array(self._array[box], self.dtype, order="C", copy=True)
+        self.bytes_read += values.nbytes
+        return values
+
+
+def check_box(box: Box, shape: tuple[int, int, int]) -> None:
+    """Refuse a box that is no part of a grid.
+
+    Raises
+    ------
+    UsageError
+        With the box and the grid.
+    """
+    for along, n in zip(box, shape, strict=True):
+        start, stop = along.start, along.stop
+        if along.step not in (None, 1) or start is None or stop is None or not 0 <= start < stop <= n:
+            text = ", ".join(f"{s.start}:{s.stop}" + (f":{s.step}" if s.step else "") for s in box)
+            raise UsageError(
+                f"the box [{text}] was given, expected one within the grid {shape}",
+                "give the first voxel and the one after the last, (z, y, x)",
+            )
+
+
+def open_volume(
+    path: str | os.PathLike[str],
+    *,
+    level: int = 0,
+    channel_index: int | None = None,
+    time_index: int | None = None,
+    cache_bytes: int = CACHE_BYTES,
+    outside_data: bool = False,
+) -> LazyVolume:
+    """Open an image without reading its voxels.
+
+    Parameters
+    ----------
+    path : path-like
+        An uncompressed NIfTI.
+    level : int, optional
+        Of an image that is stored as a pyramid: 0 is the finest.
+    channel_index, time_index : int, optional
+        Which channel and time point, from 0 on; needed where there are several.
+    cache_bytes : int, optional
+        Bytes of unpacked chunks or pages that are held at most; those that were used last stay. Voxels that lie in a
+        file as they are need none: the operating system has a cache of files.
+    outside_data : bool, optional
+        As for `accelsurf.io.read`.
+
+    Raises
+    ------
+    InputError
+        When the image is missing, damaged, too short, or packed as a whole, so that no box can be read by itself;
+        GeometryError as `accelsurf.io.read`.
+    UsageError
+        When there is no such level, channel or time point.
+    """
+    path = Path(path)
+    with naming(path), headers.outside_data_allowed(outside_data):
+        form, header = headers.parse(path)
+        if form.open is None:
+            raise InputError(
+                f"a {form.suffixes[0]} is packed or held as a whole, an image that is read box by box expected",
+                "convert it to OME-Zarr, or save it uncompressed as .nii, .nrrd or .mha",
+            )
+        opening = Opening(level, channel_index, time_index, cache_bytes)
+        if not form.has_levels and (level, channel_index or 0, time_index or 0) != (0, 0, 0):
+            raise UsageError(
+                f"level {level}, channel {channel_index or 0}, time point {time_index or 0} asked for: "
+                f"a {form.suffixes[0]} has one of each",
+                "leave them out",
+            )
+        volume: LazyVolume = load(form.open)(path, header, opening)
+    return volume
