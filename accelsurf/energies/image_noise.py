@@ -50,15 +50,25 @@ def noise_of(image: NDArray[np.float32]) -> float:
     -----
     Of a large image some voxels are looked at, the same from either end of each axis.
     """
+    return noise_of_samples([image[np.ix_(*at)] for at in sample_places(image.shape)])
+
+
+def sample_places(shape: Sequence[int]) -> list[tuple[NDArray[np.int64], ...]]:
+    """Indices (z, y, x) of the voxels that `noise_of` looks at: along each axis those before, at and after places."""
     apart = 1
-    while math.prod(math.ceil(n / apart) for n in image.shape) > SAMPLES:
+    while math.prod(math.ceil(n / apart) for n in shape) > SAMPLES:
         apart += 1
+    places = []
+    for axis in (i for i, n in enumerate(shape) if n > 2):
+        at = [_evenly(n - 2 if i == axis else n, apart) for i, n in enumerate(shape)]
+        places += [tuple(one + shift if i == axis else one for i, one in enumerate(at)) for shift in (0, 1, 2)]
+    return places
+
+
+def noise_of_samples(samples: Sequence[NDArray[np.float32]]) -> float:
+    """The noise, as `noise_of` has it, from the values at its `sample_places`."""
     found = []
-    for axis in (i for i, n in enumerate(image.shape) if n > 2):
-        at = [_evenly(n - 2 if i == axis else n, apart) for i, n in enumerate(image.shape)]
-        before, here, after = (
-            image[np.ix_(*(one + shift if i == axis else one for i, one in enumerate(at)))] for shift in (0, 1, 2)
-        )
+    for before, here, after in zip(samples[0::3], samples[1::3], samples[2::3], strict=True):
         found.append(float(np.median(np.abs((before + after) - (here + here)))) / SECOND_DIFFERENCE)
     return min(found, default=0.0)
 

@@ -186,8 +186,13 @@ class Parzen:
     @classmethod
     def of_image(cls, image: np.ndarray) -> Parzen:
         """The bins for an image: between its percentiles, or its extremes where those are equal."""
-        low, high = (float(v) for v in np.percentile(image, END_PERCENTILES))
-        return cls(low, high) if high > low else cls(float(np.min(image)), float(np.max(image)))
+        return cls.between(np.percentile(image, END_PERCENTILES), np.array([np.min(image), np.max(image)]))
+
+    @classmethod
+    def between(cls, percentiles: np.ndarray, extremes: np.ndarray) -> Parzen:
+        """The same of the `END_PERCENTILES` (2,) and extremes (2,) of an image."""
+        low, high = (float(v) for v in percentiles)
+        return cls(low, high) if high > low else cls(float(extremes[0]), float(extremes[1]))
 
     def histogram(self, values: np.ndarray) -> np.ndarray:
         """Histogram (BINS,) of values, each shared by the two bins next to it."""

@@ -139,6 +139,22 @@ def restrict(array: NDArray[np.float32], fine: Level, coarse: Level) -> NDArray[
     return np.ascontiguousarray(array)
 
 
+def planes_of_blocks(planes: slice, fine: Level, coarse: Level) -> slice:
+    """Planes of ``fine``, along the first axis, that the means on some planes of the next level ``coarse`` are of.
+
+    Examples
+    --------
+    >>> fine, coarse = levels((17, 17, 17), (1.0, 1.0, 1.0))
+    >>> planes_of_blocks(slice(2, 4), fine, coarse)
+    slice(3, 8, None)
+    """
+    if 0 not in _halved(fine, coarse):
+        return planes
+    offset = _offset(fine, coarse, 0)
+    low, high = _touched(offset, planes.start)[0], _touched(offset, planes.stop - 1)[1]
+    return slice(max(low, 0), min(high, fine.shape[0]))
+
+
 def _block_means(array: NDArray[np.float32], axis: int, offset: float, count: int) -> NDArray[np.float32]:
     """The means over ``count`` blocks along an axis; the first is centred at index ``offset`` of the array."""
     n = array.shape[axis]

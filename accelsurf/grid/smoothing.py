@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import Box, widened
 from accelsurf.kernels.smoothing import smooth_across_rows, smooth_rows
 
 #: A Gaussian ends so many standard deviations from its middle; one narrower than this (voxels) does nothing.
@@ -58,6 +60,40 @@ def gaussian_mm(
     return out
 
 
+def gaussian_on_box(
+    read: Callable[[Box], NDArray[Any]], shape: Sequence[int], spacing: Sequence[float], sigma: float, box: Box
+) -> NDArray[np.float32]:
+    """A box of the image that `gaussian_mm` makes of a whole one, of which only the box and its halo are read.
+
+    Parameters
+    ----------
+    read : callable
+        Returns the values of a box of the whole image.
+    shape, spacing : sequence of 3
+        Of the whole image; mm.
+    sigma : float
+        Standard deviation, mm.
+    box : tuple of slice
+
+    Returns
+    -------
+    ndarray of the box's shape, float32
+    """
+    halo = [reach_of(sigma / h) if n > 1 and sigma > 0 else 0 for n, h in zip(shape, spacing, strict=True)]
+    around = widened(box, shape, halo)
+    values = read(around).astype(np.float32, copy=False)
+    if sigma > 0:
+        # What is wrong at faces of the halo reaches no further than the halo is wide.
+        values = gaussian_mm(values, spacing, sigma)
+    inner = tuple(slice(b.start - a.start, b.stop - a.start) for a, b in zip(around, box, strict=True))
+    return np.ascontiguousarray(values[inner])
+
+
+def reach_of(width: float) -> int:
+    """How far the weights of a Gaussian of a ``width`` in voxels reach, voxels."""
+    return int(REACH * width + 0.5) if width > MIN_WIDTH else 0
+
+
 def gaussian_weights(width: float) -> NDArray[np.float64]:
     """Weights of a voxel and of those up to four widths, in voxels, to either side of it; of all they sum up to 1.
 
@@ -66,6 +102,6 @@ def gaussian_weights(width: float) -> NDArray[np.float64]:
     >>> gaussian_weights(0.5).round(3)
     array([0.787, 0.106, 0.   ])
     """
-    reach = int(REACH * width + 0.5)
+    reach = reach_of(width)
     weights = np.exp(-0.5 / (width * width) * np.arange(-reach, reach + 1) ** 2)
     return np.asarray((weights / weights.sum())[reach:])

@@ -13,10 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid import thumbnail
 from accelsurf.grid.geometry import Geometry
-
-MAX_VALUE, MIN_RANGE = 1e30, 1e-30
-"""Values beyond the first mean "no value" in many files, and their squares are beyond 32-bit floats; so is the inverse
-of a range below the second."""
+from accelsurf.grid.image_check import ImageCheck, Places
 
 
 def plain_array(value: Any, name: str) -> NDArray[Any]:
@@ -161,12 +158,15 @@ class Volume:
         InputError
             When a voxel is NaN or infinite, or too large for float32; the message has the count and the first place.
         """
-        _refuse_nonfinite(self.array)
+        if self.array.dtype.kind == "f" and not np.isfinite(self.array).all():
+            check = ImageCheck()
+            check.add(self.array)
+            check.refuse_nonfinite()
         with np.errstate(over="ignore"):  # a float64 beyond float32 becomes inf; named below
             values = np.array(self.array, dtype=np.float32, order="C", copy=True)
         if self.array.dtype.itemsize > 4 and not np.isfinite(values).all():
             raise InputError(
-                f"{_where(~np.isfinite(values))} beyond the range of 32-bit floats (3.4e38)",
+                f"{Places.of(~np.isfinite(values))} beyond the range of 32-bit floats (3.4e38)",
                 hint="rescale the image, e.g. divide it by its largest value",
             )
         return values
@@ -182,47 +182,16 @@ def check_image(volume: Volume) -> None:
     Raises
     ------
     InputError
-        When a voxel is NaN, infinite or beyond `MAX_VALUE`, when their range is below `MIN_RANGE`, or when all voxels
+        When a voxel is NaN, infinite or beyond 1e30, when their range is below 1e-30, or when all voxels
         have the same value.
 
     Examples
     --------
     >>> check_image(Volume.from_array([[0, 1], [1, 0]]))
     """
-    _refuse_nonfinite(volume.array)
-    low, high = volume.array.min(), volume.array.max()
-    if max(float(high), -float(low)) > MAX_VALUE:
-        raise InputError(
-            f"{_where(np.abs(volume.array) > MAX_VALUE)} beyond {MAX_VALUE:g} ({low:g} to {high:g})",
-            hint="such values often mean that there is no value: replace them by that of the background",
-        )
-    if 0.0 < float(high) - float(low) < MIN_RANGE:
-        raise InputError(
-            f"the image has values from {low:g} to {high:g}, a range of at least {MIN_RANGE:g} expected",
-            hint="rescale the image, e.g. divide it by its largest value",
-        )
-    if low == high:
-        raise InputError(
-            f"the image is constant: every voxel is {low}",
-            hint="object and background have the same value; is this the right file?",
-        )
-
-
-def _refuse_nonfinite(array: NDArray[Any]) -> None:
-    if array.dtype.kind != "f" or np.isfinite(array).all():
-        return
-    nans, bad = np.isnan(array), ~np.isfinite(array)
-    raise InputError(
-        f"{_where(bad)} not finite ({int(nans.sum())} NaN, {int(bad.sum() - nans.sum())} infinite)",
-        hint="replace them first, e.g. volume.with_array(numpy.nan_to_num(volume.array, posinf=0, neginf=0))",
-    )
-
-
-def _where(bad: NDArray[np.bool_]) -> str:
-    """'3 voxels are', with the first place in the order people type it, x first."""
-    count = int(bad.sum())
-    z, y, x = (int(i) for i in np.unravel_index(int(bad.argmax()), bad.shape))
-    return f"{count} {'voxel is' if count == 1 else 'voxels are'} (first at index x={x}, y={y}, z={z})"
+    check = ImageCheck()
+    check.add(volume.array)
+    check.refuse()
 
 
 def array_on_grid(value: Volume | NDArray[Any], geometry: Geometry, name: str) -> NDArray[Any]:

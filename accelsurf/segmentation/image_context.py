@@ -17,6 +17,7 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import axis_steps
+from accelsurf.grid.pyramid import levels
 from accelsurf.grid.window import Window
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.segmentation.region_totals import RegionTotals
@@ -25,6 +26,7 @@ from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.energies.seeded.model import SeededModel
+    from accelsurf.segmentation.whole_image import WholeImage
 
 #: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
 #: between two of them, and ConfidenceConnected of ITK takes as many.
@@ -112,6 +114,8 @@ class ImageContext:
         The other channels, after the first, on the grid at hand; by default that of ``images``.
     is_start : bool, optional
         Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
+    whole : sequence of WholeImage, optional
+        Of each channel, where ``images`` are a window of larger ones: what is said of whole channels is then of these.
 
     Notes
     -----
@@ -127,10 +131,11 @@ class ImageContext:
         background: Mask | None = None,
         others: Sequence[Image] | None = None,
         is_start: bool = False,
+        whole: Sequence[WholeImage] = (),
     ) -> None:
         self.images, self.scales, self.spacing = list(images), list(scales), spacing
         self.foreground, self.background = foreground, background
-        self._is_start = is_start
+        self._is_start, self._whole = is_start, tuple(whole)
         self._training = (
             None if foreground is None else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
         )
@@ -245,8 +250,20 @@ class ImageContext:
         """``make(image, *args)`` of a whole channel, computed once for all objects."""
         key = (make, channel, args)
         if key not in self._found:
-            self._found[key] = make(self.images[channel], *args)
+            found = self._whole[channel].found(make, *args) if self._whole else make(self.images[channel], *args)
+            self._found[key] = found
         return cast("Found", self._found[key])
+
+    def whole_sums(
+        self, channel: int, spacing: Spacing, kind: str, summing: Summing
+    ) -> NDArray[np.float64] | None:
+        """Sums over a whole channel on the level with a ``spacing``, mm; None where the image at hand is the whole."""
+        if not self._whole:
+            return None
+        whole = self._whole[channel]
+        grids = levels(whole.geometry.shape, whole.geometry.spacing)
+        number = [grid.spacing for grid in grids].index(spacing)
+        return whole.sums(grids, number, kind, summing)
 
     def sample(self, channel: int) -> NDArray[np.float32]:
         """Values of a channel inside, from which likelihood learns."""
@@ -264,7 +281,8 @@ class ImageContext:
             if training.background is not None:
                 sums = sums_by_plane(image, summing, training.background)
             else:
-                everything = sums_by_plane(image, summing)
+                whole = self.whole_sums(channel, self.spacing, kind, summing)
+                everything = sums_by_plane(image, summing) if whole is None else whole
                 sums = everything - sums_by_plane(image, summing, training.foreground)
             self._background[channel, kind] = sums
         return self._background[channel, kind]

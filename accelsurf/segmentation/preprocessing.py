@@ -14,8 +14,9 @@ from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageErr
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.image_check import MIN_RANGE
 from accelsurf.grid.smoothing import gaussian_mm
-from accelsurf.grid.volume import MIN_RANGE, Volume, check_image
+from accelsurf.grid.volume import Volume, check_image
 from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import read_clicks
@@ -332,11 +333,16 @@ def in_mm(length: float | str, geometry: Geometry) -> float:
 def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
     """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
     image = volume.as_float32()
-    steps = volume.geometry.steps
-    budgets.SMOOTHING.check(math.ceil(sigma / min(steps)), f"presmooth: a sigma of {sigma:g} mm", kind=UsageError)
+    check_presmooth(sigma, volume.geometry)
     if sigma > 0:
         image = gaussian_mm(image, volume.geometry.spacing, sigma)
     return image
+
+
+def check_presmooth(sigma: float, geometry: Geometry) -> None:
+    """Refuse a Gaussian, ``sigma`` in mm, that takes too long."""
+    voxels = math.ceil(sigma / min(geometry.steps))
+    budgets.SMOOTHING.check(voxels, f"presmooth: a sigma of {sigma:g} mm", kind=UsageError)
 
 
 def scale_of(image: NDArray[np.float32]) -> Scale:
@@ -347,13 +353,18 @@ def scale_of(image: NDArray[np.float32]) -> Scale:
     InputError
         When the image is constant.
     """
-    low, high = np.percentile(image, SCALE_PERCENTILES)
+    return scale_between(np.percentile(image, SCALE_PERCENTILES), np.array([image.min(), image.max()]))
+
+
+def scale_between(percentiles: NDArray[Any], extremes: NDArray[np.float32]) -> Scale:
+    """The same of the percentiles (2,) and extremes (2,) of an image."""
+    low, high = percentiles
     if not high > low:
-        low, high = image.min(), image.max()
+        low, high = extremes
     if not high > low:
         raise InputError(f"the image is constant here: every voxel is {low:g}", "take a larger region of interest")
     width = float(high) - float(low)
-    far = max(float(image.max()) - float(high), float(low) - float(image.min()))
+    far = max(float(extremes[1]) - float(high), float(low) - float(extremes[0]))
     if width < MIN_RANGE or far > MAX_RANGES * width:
         raise InputError(
             f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {MAX_RANGES:g} times "

@@ -51,8 +51,16 @@ def chan_vese(inputs: TermInputs) -> Made:
     elsewhere = context.moments_elsewhere(channel)
     by_noise = area_against_noise(context.once(noise_of, channel), context.images[channel].shape, context.spacing)
     area = inputs.number("area", by_noise)
-    energy = ChanVese(inputs.image, inputs.alpha + area, epsilon=epsilon, balance=balance, elsewhere=elsewhere)
+    energy = ChanVese(
+        inputs.image, inputs.alpha + area, None, epsilon, balance, elsewhere, _moments_of_whole(inputs)
+    )
     return energy, {"balance": balance, "epsilon": epsilon, "area": area}
+
+
+def _moments_of_whole(inputs: TermInputs) -> RegionMoments | None:
+    """Sums over the whole image where the one at hand is a window of it."""
+    sums = inputs.context.whole_sums(inputs.channel, inputs.spacing, "moments", moments_of)
+    return None if sums is None else RegionMoments(*(float(v) for v in sums))
 
 
 def local_region(inputs: TermInputs) -> Made:
@@ -99,11 +107,13 @@ def likelihood(inputs: TermInputs) -> Made:
             counts = parzen.histogram(context.sample(channel))
             learned = counts, context.sums_of_background(channel, "histogram", parzen.histogram)
         elsewhere = context.histograms_elsewhere(channel, parzen)
-        return HistogramLikelihood(image, inputs.alpha, learned, epsilon, parzen, elsewhere), used
+        whole = context.whole_sums(channel, inputs.spacing, "histogram", parzen.histogram)
+        return HistogramLikelihood(image, inputs.alpha, learned, epsilon, parzen, elsewhere, whole), used
     least = context.once(least_variance, channel)
     if update == "yes":
         moments = context.moments_elsewhere(channel)
-        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, min_variance=least), used
+        whole_moments = _moments_of_whole(inputs)
+        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, whole_moments, least), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
     one = robust_gaussian_of(context.sample(channel), least)
     other = gaussian_of_sums(RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least)

@@ -1,0 +1,114 @@
+"""Whether something can be segmented from an image, found from its planes in one pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+
+MAX_VALUE, MIN_RANGE = 1e30, 1e-30
+"""Values beyond the first mean "no value" in many files, and their squares are beyond 32-bit floats; so is the inverse
+of a range below the second."""
+
+
+class ImageCheck:
+    """What is wrong with the voxels of an image; planes are added from the first to the last.
+
+    Attributes
+    ----------
+    low, high : scalar or None
+        Extremes so far, of the image's own dtype.
+
+    Examples
+    --------
+    >>> check = ImageCheck()
+    >>> check.add(np.array([[[0, 1], [1, 0]]]))
+    >>> check.refuse()
+    """
+
+    def __init__(self) -> None:
+        self.low: Any = None
+        self.high: Any = None
+        self._planes = 0
+        self._nans = 0
+        self._nonfinite, self._beyond = Places(), Places()
+
+    def add(self, planes: NDArray[Any]) -> None:
+        """Look at the next planes (n, ny, nx)."""
+        if planes.dtype.kind == "f" and not np.isfinite(planes).all():
+            self._nans += int(np.isnan(planes).sum())
+            self._nonfinite.add(~np.isfinite(planes), self._planes)
+        low, high = planes.min(), planes.max()
+        if max(float(high), -float(low)) > MAX_VALUE:
+            self._beyond.add(np.abs(planes) > MAX_VALUE, self._planes)
+        self.low = low if self.low is None else min(self.low, low)
+        self.high = high if self.high is None else max(self.high, high)
+        self._planes += len(planes)
+
+    def refuse_nonfinite(self) -> None:
+        """Refuse voxels that are NaN or infinite; `InputError` with their number and the first place."""
+        count = self._nonfinite.count
+        if count:
+            raise InputError(
+                f"{self._nonfinite} not finite ({self._nans} NaN, {count - self._nans} infinite)",
+                hint="replace them first, e.g. volume.with_array(numpy.nan_to_num(volume.array, posinf=0, neginf=0))",
+            )
+
+    def refuse(self) -> None:
+        """Refuse an image that nothing can be segmented from, when all planes were added.
+
+        Raises
+        ------
+        InputError
+            When a voxel is NaN, infinite or beyond `MAX_VALUE`, when their range is below `MIN_RANGE`, or when all
+            voxels have the same value.
+        """
+        self.refuse_nonfinite()
+        low, high = self.low, self.high
+        if self._beyond.count:
+            raise InputError(
+                f"{self._beyond} beyond {MAX_VALUE:g} ({low:g} to {high:g})",
+                hint="such values often mean that there is no value: replace them by that of the background",
+            )
+        if 0.0 < float(high) - float(low) < MIN_RANGE:
+            raise InputError(
+                f"the image has values from {low:g} to {high:g}, a range of at least {MIN_RANGE:g} expected",
+                hint="rescale the image, e.g. divide it by its largest value",
+            )
+        if low == high:
+            raise InputError(
+                f"the image is constant: every voxel is {low}",
+                hint="object and background have the same value; is this the right file?",
+            )
+
+
+class Places:
+    """Number of some voxels, and the first of them."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._first = (0, 0, 0)
+
+    @classmethod
+    def of(cls, bad: NDArray[np.bool_]) -> Places:
+        """Those of a whole image."""
+        places = cls()
+        places.add(bad, 0)
+        return places
+
+    def add(self, bad: NDArray[np.bool_], plane: int) -> None:
+        """Count voxels of planes from number ``plane`` on."""
+        if not self.count and bad.any():
+            z, y, x = (int(i) for i in np.unravel_index(int(bad.argmax()), bad.shape))
+            self._first = z + plane, y, x
+        self.count += int(bad.sum())
+
+    def __str__(self) -> str:
+        """'3 voxels are', with the first place in the order people type it, x first."""
+        z, y, x = self._first
+        return (
+            f"{self.count} {'voxel is' if self.count == 1 else 'voxels are'} (first at index x={x}, y={y}, z={z})"
+        )
