@@ -109,9 +109,9 @@ class Window(NamedTuple):
         if any(begins) or any(ends):
             raise LeavesWindow(begins, ends)
 
-    def check_box(self, box: Box) -> None:
+    def check_box(self, box: Box, factors: Sequence[int] = (1, 1, 1)) -> None:
         """`check` of a box that is counted from the window's first voxel."""
-        self.check([s.start for s in box], [s.stop for s in box])
+        self.check([s.start for s in box], [s.stop for s in box], factors)
 
     def check_cells(self, cells: NDArray[np.int64]) -> None:
         """`check` of raveled voxels (n,) of the window."""
