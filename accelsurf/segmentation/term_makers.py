@@ -112,15 +112,15 @@ def likelihood(inputs: TermInputs) -> Made:
     least = context.once(least_variance, channel)
     if update == "yes":
         moments = context.moments_elsewhere(channel)
-        whole_moments = _moments_of_whole(inputs)
-        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, whole_moments, least), used
+        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, _moments_of_whole(inputs), least), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
     one = robust_gaussian_of(context.sample(channel), least)
     other = gaussian_of_sums(RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least)
     low, width = context.scales[channel]
     for name, (mean, variance) in (("inside", one), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
-    return GaussianLikelihood(image, inputs.alpha, (one, other), epsilon), used
+    whole_moments = _moments_of_whole(inputs)
+    return GaussianLikelihood(image, inputs.alpha, (one, other), epsilon, None, whole_moments, least), used
 
 
 def threshold(inputs: TermInputs) -> Made:

@@ -231,7 +231,7 @@ def larger(window: Window, face: LeavesWindow, blocks: Sequence[int], image: Lar
         box = enlarged(window, face, blocks, factor)
         if math.prod(s.stop - s.start for s in box) <= most:
             break
-        if all(factor * (s.stop - s.start) <= 4 * GUARD for s in window.box):
+        if all(factor * (s.stop - s.start) <= GUARD for s in window.box):
             break
         factor *= 0.7
     return Window(window.geometry, box)
@@ -251,6 +251,10 @@ def check_settings(config: RunConfig) -> None:
             raise UsageError(f"{name}: it was given, and the image is read in parts", hint)
     if has_region(config):
         return
+    if config.noise > 0:
+        raise UsageError(f"noise: {config.noise:g} was given, which is laid over the whole image", hint)
+    if config.flow == "flowable-mass":
+        raise UsageError("flow: flowable-mass compares masses on a lattice over the whole image", hint)
     for term in energy_expression.parse(config.energy):
         if TERMS[term.name].needs_whole:
             raise UsageError(f"energy: {term.name} looks at the whole image, which is read in parts", hint)
