@@ -143,7 +143,7 @@ def test_the_memory_that_is_allowed_is_held_or_refused_with_the_estimate(image, 
     assert all(run_bytes(int(np.prod(one.shape)), clicks=False) <= allowed for one in windows)
     assert_same(accelsurf.segment(image, config=config), result)
     with pytest.raises(InputError, match=r"needs a window of .* takes about .* allowed") as refused:
-        segment_in_windows(LargeImage((lazy,), run_bytes(60**3, clicks=False)), config)
+        segment_in_windows(LargeImage((lazy,), run_bytes(44**3, clicks=False)), config)
     assert "--level" in refused.value.hint
 
 
