@@ -210,14 +210,14 @@ class WholeImage:
 
     def _otsu_counts(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Histogram of the scaled image between its extremes, and the edges of the bins."""
-        ends: Any = tuple(self._extremes)  # float32, as numpy takes them from an array
-        edges = np.histogram(self._extremes, OTSU_BINS, ends)[1]
+        edges = np.histogram(self._extremes, OTSU_BINS)[1]
         if isinstance(self._order, IntegerCounts):
             # Values that occur, ascending: how many fall into each bin tells the bin of each.
             occurs = self._order.counts > 0
-            share = np.histogram(self._scaled(self._order.values[occurs]), OTSU_BINS, ends)[0]
+            share = np.histogram(self._scaled(self._order.values[occurs]), OTSU_BINS)[0]
             counts = np.zeros(OTSU_BINS, np.int64)
             np.add.at(counts, np.repeat(np.arange(OTSU_BINS), share), self._order.counts[occurs])
             return counts, edges
+        ends: Any = tuple(self._extremes)  # float32, as numpy takes them from an array
         parts = (np.histogram(self._scaled(values), OTSU_BINS, ends)[0] for _, values in self._slabs.smoothed())
         return np.sum(list(parts), axis=0, dtype=np.int64), edges

@@ -86,6 +86,18 @@ def test_a_window_has_the_bytes_of_the_whole(text, level):
     assert alone != want or "learned" in text, "of the window alone it would be another"
 
 
+def test_the_least_variance_is_that_of_the_whole():
+    """Both sides are even: the range of the whole image alone says how sharp their distributions are."""
+    psi, box = scans()[1], box_at(CORNER, WINDOW)
+    values = np.where(psi < 0, 50.0, 20.0).astype(np.float32)
+    values[0, 0, :30] = 5000.0
+    volume = Volume.from_array(values, SPACING)
+    whole = [WholeImage(LazyVolume.of_array(volume))]
+    want, _, _ = evolved("likelihood", [apply(volume.as_float32(), whole[0].scale)], psi, [whole[0].scale], 0)
+    windows = [apply(whole[0].window(box), whole[0].scale)]
+    assert evolved("likelihood", windows, psi[box].copy(), [whole[0].scale], 0, whole)[0] == want
+
+
 def test_given_background_is_learned_from_as_it_is():
     volumes, psi = scans()
     image = apply(volumes[0].as_float32(), scale_of(volumes[0].as_float32()))
