@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES
 from accelsurf.errors import UsageError
+from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -76,7 +77,6 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
         When the header cannot be read; UsageError when a setting needs the whole image in memory.
     """
     from accelsurf.segmentation.memory_need import run_bytes
-    from accelsurf.segmentation.preprocessing import uses_model
 
     image = _image(place.source, config, parts)
     if image is None:
@@ -84,7 +84,7 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
     voxels = 1
     for n in image.geometry.shape:
         voxels *= n
-    if run_bytes(voxels * len(image.channels), uses_model(config)) <= image.max_bytes:
+    if run_bytes(voxels * len(image.channels), energy_expression.uses_model(config.energy)) <= image.max_bytes:
         return config, _in_memory(image)
     return _for_windows(place, config), _in_windows(image)
 
@@ -94,16 +94,16 @@ def _image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | N
     from accelsurf.errors import InputError
     from accelsurf.io.headers import count_values
     from accelsurf.segmentation.memory_need import run_bytes
-    from accelsurf.segmentation.preprocessing import uses_model
-    from accelsurf.segmentation.windowed import LargeImage
 
     if not parts.names_part and not source.is_dir():
         try:
-            needed = run_bytes(count_values(source), uses_model(config))
+            needed = run_bytes(count_values(source), energy_expression.uses_model(config.energy))
         except InputError:
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:
             return None
+    from accelsurf.segmentation.windowed import LargeImage
+
     channels = [parts.open(source), *(parts.open(Path(file)) for file in config.channel)]
     return LargeImage(tuple(channels), parts.allowed_bytes, _coarser(source, parts, channels))
 

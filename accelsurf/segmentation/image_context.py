@@ -143,7 +143,7 @@ class ImageContext:
         self._background: dict[tuple[int, str], NDArray[np.float64]] = {}
         self._found: dict[tuple[Any, ...], Any] = {}
         self._totals: RegionTotals | None = None
-        self._box = _EVERYWHERE
+        self._box, self._has_box = _EVERYWHERE, False
         self.clicks: Clicks | None = None
         self._model_inputs = ModelInputs()
         self._model: list[SeededModel] = []
@@ -153,9 +153,11 @@ class ImageContext:
     def of_object(self, corner: tuple[int, int, int], start: Mask) -> ImageContext:
         """The context of one of several objects; ``start`` is its mask, from voxel ``corner`` on.
 
-        Where models learn from the start, each object learns from its own. Quantities of whole images are shared.
+        Where models learn from the start, each object learns from its own. Quantities of whole images are shared; sums
+        over regions are of the object's box.
         """
         part = copy.copy(self)
+        part._has_box = True
         if self._is_start and self._training is not None:
             part._training = self._training._replace(box=box_at(corner, start.shape), inside=start)
         return part
@@ -257,8 +259,8 @@ class ImageContext:
     def whole_sums(
         self, channel: int, spacing: Spacing, kind: str, summing: Summing
     ) -> NDArray[np.float64] | None:
-        """Sums over a whole channel on the level with a ``spacing``, mm; None where the image at hand is the whole."""
-        if not self._whole:
+        """Sums over a whole channel on the level with a ``spacing``, mm; None where the image at hand counts."""
+        if not self._whole or self._has_box:
             return None
         whole = self._whole[channel]
         grids = levels(whole.geometry.shape, whole.geometry.spacing)
