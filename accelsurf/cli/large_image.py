@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.windowed import LargeImage
 
-#: Part of the free memory that a run may take unless it is told.
-FREE_SHARE = 0.8
 #: Statistics of an image of more voxels are taken from a coarser level, where its store has one of at most so many.
 MAX_STREAMED = 1 << 31
 #: Formats of label maps that are written box by box.
@@ -51,9 +49,9 @@ class ImageParts:
     def allowed_bytes(self) -> int:
         """Memory that the run may take."""
         from accelsurf import io
-        from accelsurf.segmentation.memory_need import memory_of
+        from accelsurf.segmentation.memory_need import allowed_bytes
 
-        return int(FREE_SHARE * io.available_memory()) if self.max_memory is None else memory_of(self.max_memory)
+        return allowed_bytes(self.max_memory, io.available_memory())
 
     @property
     def names_part(self) -> bool:

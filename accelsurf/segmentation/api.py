@@ -13,14 +13,17 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
+from accelsurf.io import LazyVolume, available_memory, open_volume
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
+from accelsurf.segmentation.memory_need import allowed_bytes
 from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
 from accelsurf.segmentation.to_end import finished
+from accelsurf.segmentation.windowed import LargeImage, segment_in_windows
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 
@@ -28,7 +31,7 @@ __all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "seg
 
 
 def segment(
-    volume: Volume | NDArray[Any],
+    volume: Volume | LazyVolume | NDArray[Any],
     *,
     spacing: float | tuple[float, float, float] | None = None,
     channels: Sequence[Volume | NDArray[Any]] = (),
@@ -37,14 +40,16 @@ def segment(
     on_step: Callable[[StepRecord], bool | None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     checkpoint_to: str | Path | None = None,
+    max_memory: str | None = None,
     **options: Any,
 ) -> Result:
     """Segment one object.
 
     Parameters
     ----------
-    volume : Volume or ndarray (nz, ny, nx)
-        The image; never modified. From `accelsurf.read`, or an array with ``spacing``.
+    volume : Volume, LazyVolume or ndarray (nz, ny, nx)
+        The image; never modified. From `accelsurf.read`, or an array with ``spacing``. One from `accelsurf.open_volume`
+        is read in parts near the object: the result is the same, on the grid of ``result.window``.
     spacing : float or (hz, hy, hx), optional
         mm, for an array only; 1 by default.
     channels : sequence of Volume or ndarray, optional
@@ -60,6 +65,8 @@ def segment(
     checkpoint_to : str or Path, optional
         File of the run's state, written as often as the setting ``checkpoint`` says. Where it exists the run goes on
         from it, and ends with the same bytes as one that was never stopped.
+    max_memory : str, optional
+        Of a LazyVolume: memory that the run may take, as "4GB"; by default 0.8 of what is free.
     **options
         Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
         a Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
@@ -84,6 +91,11 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
+    if isinstance(volume, LazyVolume):
+        large, config = large_of(volume, channels, spacing, config, energy, options, max_memory)
+        return segment_in_windows(large, config, _without_id(on_step), on_warning, checkpoint_to=checkpoint_to)
+    if max_memory is not None:
+        raise UsageError(f"max_memory: {max_memory} was given with an image that is in memory", "use open_volume()")
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
     return finished(run, _without_id(on_step), on_warning, checkpoints)
@@ -188,6 +200,36 @@ def segment_objects(
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
     return finished(run, on_step, on_warning, checkpoints)
+
+
+def large_of(
+    volume: LazyVolume,
+    channels: Sequence[Any],
+    spacing: Any,
+    config: RunConfig | None,
+    energy: EnergyLike | None,
+    options: dict[str, Any],
+    max_memory: str | None,
+) -> tuple[LargeImage, RunConfig]:
+    """The image and the settings of a run that reads its image in parts.
+
+    Raises
+    ------
+    UsageError
+        When something is given as an array, or the energy is one of the user's own.
+    """
+    texts, given = split_given(options)
+    wrong = [*given, *(["spacing"] if spacing is not None else [])]
+    wrong += [] if energy is None or isinstance(energy, str) else ["energy"]
+    wrong += [] if all(isinstance(one, LazyVolume) for one in channels) else ["channels"]
+    if wrong:
+        raise UsageError(
+            f"{wrong[0]}: an array or a function was given with an image that is read in parts",
+            "give texts and open_volume(), or read the image with accelsurf.read",
+        )
+    config, _ = with_options(config, energy, texts)
+    others = [*channels, *(open_volume(file) for file in config.channel)]
+    return LargeImage((volume, *others), allowed_bytes(max_memory, available_memory())), config
 
 
 def _file_of(path: str | Path | None) -> CheckpointFile | None:
