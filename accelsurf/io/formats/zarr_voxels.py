@@ -100,8 +100,8 @@ class ZarrVoxels:
         self._name = path
         self._index, self._order = tuple(index), tuple(order)
         self._flat = 3 - len(self._order)
-        self.shape = (*[1] * self._flat, *(int(self._array.shape[axis]) for axis in self._order))
-        self.chunk_shape = (*[1] * self._flat, *(int(self._array.chunks[axis]) for axis in self._order))
+        nz, ny, nx = (*[1] * self._flat, *(int(self._array.chunks[axis]) for axis in self._order))
+        self.chunk_shape = (nz, ny, nx)
         self.dtype = np.dtype(self._array.dtype).newbyteorder("=")
         self._cache = ChunkCache(cache_bytes)
         mark = "zarr.json" if self._array.metadata.zarr_format == 3 else ".zarray"
