@@ -77,6 +77,18 @@ def _parse_folder(path: Path) -> tuple[ImageFormat, Any]:
     raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
 
 
+def is_stored(path: Path) -> bool:
+    """Whether a path names a file, or a folder that is an image.
+
+    Examples
+    --------
+    >>> is_stored(Path("absent.ome.zarr"))
+    False
+    """
+    marks = {mark for form in IMAGE_FORMATS.values() for mark in form.folder_marks}
+    return path.is_file() or any((path / mark).is_file() for mark in marks)
+
+
 def count_values(path: Path) -> int:
     """How many values an image has, those of all channels together, by its header alone.
 
