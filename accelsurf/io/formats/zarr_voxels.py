@@ -62,8 +62,8 @@ def open_array(folder: Path, path: str) -> Any:
     try:
         array = zarr.open_array(folder / path, mode="r")
         dtype, chunks = np.dtype(array.dtype), tuple(array.chunks)
-        if not all(0 < n <= _MAX_AXIS for n in array.shape):
-            raise ValueError(f"its shape is {array.shape}")
+        if not all(0 < n <= _MAX_AXIS for n in (*array.shape, *chunks)):
+            raise ValueError(f"its shape is {array.shape}, in chunks of {chunks}")
     except (PermissionError, MemoryError):
         raise
     except Exception as error:  # its metadata may be anything, and each part of zarr raises errors of its own
