@@ -191,7 +191,7 @@ def _file_formats() -> str:
         *_table(("Format", "What it is", "Endings", "Values", "Keeps", "Channels", "By boxes"), images),
         "By boxes: `accelsurf.io.open_volume` reads parts of an image that is larger than the memory. NRRD and",
         "MetaImage must then be saved uncompressed, TIFF in grey. OME-Zarr is a folder and needs",
-        '`pip install "accelsurf[zarr]"`; `accelsurf info IMAGE` shows its levels and chunks. A chunk that is not there',
+        '`pip install "accelsurf[zarr]"`; `accelsurf info IMAGE` shows its levels and chunks. A chunk that is absent',
         "has the fill value, as Zarr has it; a damaged one is an error with exit code 3. OME-Zarr has no direction of",
         "the axes: accelsurf writes it into an attribute of its own, which other programs do not read.",
         "",
