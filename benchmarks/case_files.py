@@ -36,5 +36,6 @@ def fault_of(folder: Path, name: str = "ball", beside: Collection[str] = ()) -> 
             except AccelsurfError as error:
                 return f"broken: {error}"
     failed = folder / f"{name}_failed_report.json"
-    others = {path.name for path in folder.iterdir() if path.name.startswith(f"{name}_")} - listed - {failed.name, *beside}
+    others = {path.name for path in folder.iterdir() if path.name.startswith(f"{name}_")}
+    others -= {*listed, failed.name, *beside}
     return f"mixed: {', '.join(sorted(others))} beside the report" if others else ""

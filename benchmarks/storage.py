@@ -33,8 +33,9 @@ from benchmarks.large.voxels import tree_distance
 NEAR, MARGIN, SIDES, BYTES = 6.0, 12, (8, 16, 32), 12
 #: Neighbours beyond a brick that a copy beside it would need, so that a kernel reads one brick only, voxels.
 HALO = 2
-#: Bytes of the table for each brick of the box, and of a row of the band: cell, psi, closest point, state, speed.
-TABLE_BYTES, ROW_BYTES = 4, 4 + 4 + 12 + 1 + 4
+#: Bytes of the table for each brick of the volume, and of a cell of the band in a whole run: the fit of
+#: `scripts/benchmark memory` (results/benchmark_memory.json). The band has half as many cells as are within `NEAR`.
+TABLE_BYTES, ROW_BYTES = 4, 156
 #: Name in the table, file, labels of its reference (none: all above 0).
 REAL = (
     ("brain (niivue mri_brain256)", "mri_brain256", ()),
@@ -55,11 +56,16 @@ def main() -> None:
     given = parser.parse_args()
     rows = [*real_objects(), *phantoms(), *(tree(int(size)) for size in given.sizes.split(","))]
     for row in rows:
-        print(f"{row['object']:45s} {row['voxels']:>14,} window {row['window_bytes'] / 2**20:10.1f} MiB, bricks "
-              + ", ".join(f"{row['bricks'][str(s)]['bytes'] / 2**20:8.1f}" for s in SIDES), flush=True)
+        bricks = ", ".join(f"{mib(row['bricks'][str(side)]['bytes'])}" for side in SIDES)
+        band, window = mib(row["band_rows_bytes"]), mib(row["window_bytes"])
+        print(f"{row['object']:45s} MiB: band {band}, window {window}, bricks {bricks}", flush=True)
     times = access_times(given.repeats)
     print(json.dumps(times, indent=1))
     given.output.write_text(json.dumps({"what": __doc__, "objects": rows, "access": times}, indent=1) + "\n")
+
+
+def mib(count: int) -> str:
+    return f"{count / 2**20:9.1f}"
 
 
 def counted(
