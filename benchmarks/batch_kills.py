@@ -52,7 +52,7 @@ def prepared(folder: Path) -> list[str]:
 
 def trials(folder: Path, count: int, seed: int) -> dict[str, Any]:
     """Kill ``count`` batches and let them go on; return counts and faults."""
-    counts = {"batches": 0, "kills": 0, **dict.fromkeys(KINDS, 0), "had ended": 0, "checkpoints found": 0}
+    counts = {"batches": 0, "kills": 0, **dict.fromkeys(KINDS, 0), "nothing to kill": 0, "checkpoints found": 0}
     faults: list[str] = []
     if count == 0:
         return {**counts, "faults": faults}
@@ -71,7 +71,7 @@ def trials(folder: Path, count: int, seed: int) -> dict[str, Any]:
             said.append(f"{kind} after {moment:.3f} s")
             program = started([*words, "--resume"], out)
             struck, left = killed(program, kind, moment, chance)
-            counts["kills" if struck else "had ended"] += 1
+            counts["kills" if struck else "nothing to kill"] += 1
             counts[kind] += struck
             counts["checkpoints found"] += len(list(out.glob("*/*_checkpoint.npz")))
             faults += [f"{said}: processes are left: {left}"] if left else []
