@@ -40,7 +40,6 @@ def segment(
     on_step: Callable[[StepRecord], bool | None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     checkpoint_to: str | Path | None = None,
-    max_memory: str | None = None,
     **options: Any,
 ) -> Result:
     """Segment one object.
@@ -48,28 +47,24 @@ def segment(
     Parameters
     ----------
     volume : Volume, LazyVolume or ndarray (nz, ny, nx)
-        The image; never modified. From `accelsurf.read`, or an array with ``spacing``. One from `accelsurf.open_volume`
-        is read in parts near the object: the result is the same, on the grid of ``result.window``.
+        The image; never modified. Of `accelsurf.open_volume` parts near the object are read, with the same result.
     spacing : float or (hz, hy, hx), optional
         mm, for an array only; 1 by default.
-    channels : sequence of Volume or ndarray, optional
-        Further ones of the image, on the same grid.
+    channels : sequence of such images, optional
+        Further ones, on the same grid.
     config : RunConfig, optional
     energy : str or Energy or callable, optional
-        A name, over that of ``config``; an `accelsurf.energies.Energy` of your own; or a class or function that makes
-        one of ``(image, spacing)``: `Result.image` and (hz, hy, hx) mm. Settings of named energies are then refused.
+        A name; an `accelsurf.energies.Energy`, or what makes one of `Result.image` and (hz, hy, hx) mm.
     on_step : callable, optional
         Called with each `StepRecord`; a true return value ends the run with the reason ``interrupted``.
     on_warning : callable, optional
         Called before the first step with each of `Result.warnings`.
-    checkpoint_to : str or Path, optional
-        File of the run's state, written as often as the setting ``checkpoint`` says. Where it exists the run goes on
-        from it, and ends with the same bytes as one that was never stopped.
-    max_memory : str, optional
-        Of a LazyVolume: memory that the run may take, as "4GB"; by default 0.8 of what is free.
+    checkpoint_to : path-like, optional
+        File of the run's state, see the setting ``checkpoint``: where it exists the run goes on, to the same bytes.
     **options
         Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
         a Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
+        Of a LazyVolume texts only, and ``max_memory`` for the run, as "4GB" (0.8 of what is free).
 
     Returns
     -------
@@ -78,10 +73,8 @@ def segment(
     Raises
     ------
     UsageError
-        When an option is unknown or out of bounds, a start cannot be parsed, or an energy is incomplete.
-    InputError
-        When the image has NaN or infinite voxels or is constant, the start is outside, empty or full, an energy of your
-        own returns something else than numbers of the right shape, or ``checkpoint_to`` is damaged or of another run.
+        When an option is unknown or out of bounds, a start cannot be parsed, or an energy is incomplete; InputError
+        when the image, the start, what an energy of your own returns, or ``checkpoint_to`` cannot be used.
 
     Examples
     --------
@@ -92,13 +85,11 @@ def segment(
     ('converged', 1, True)
     """
     if isinstance(volume, LazyVolume):
-        large, config = large_of(volume, channels, spacing, config, energy, options, max_memory)
+        large, config = large_of(volume, channels, spacing, config, energy, options)
         return segment_in_windows(large, config, _without_id(on_step), on_warning, checkpoint_to=checkpoint_to)
-    if max_memory is not None:
-        raise UsageError(f"max_memory: {max_memory} was given with an image that is in memory", "use open_volume()")
-    checkpoints = _file_of(checkpoint_to)
-    run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
-    return finished(run, _without_id(on_step), on_warning, checkpoints)
+    state = _file_of(checkpoint_to)
+    run = _run_of(volume, spacing, channels, config, energy, options, None, state)
+    return finished(run, _without_id(on_step), on_warning, state)
 
 
 def evolve(
@@ -209,7 +200,6 @@ def large_of(
     config: RunConfig | None,
     energy: EnergyLike | None,
     options: dict[str, Any],
-    max_memory: str | None,
 ) -> tuple[LargeImage, RunConfig]:
     """The image and the settings of a run that reads its image in parts.
 
@@ -218,6 +208,7 @@ def large_of(
     UsageError
         When something is given as an array, or the energy is one of the user's own.
     """
+    max_memory = options.pop("max_memory", None)
     texts, given = split_given(options)
     wrong = [*given, *(["spacing"] if spacing is not None else [])]
     wrong += [] if energy is None or isinstance(energy, str) else ["energy"]
