@@ -83,7 +83,7 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
     for n in image.geometry.shape:
         voxels *= n
     if run_bytes(voxels * len(image.channels), energy_expression.uses_model(config.energy)) <= image.max_bytes:
-        return config, _in_memory(image)
+        return config, _in_memory(image, not parts.names_part)
     return _for_windows(place, config), _in_windows(image)
 
 
@@ -139,10 +139,14 @@ def _for_windows(place: Place, config: RunConfig) -> RunConfig:
     return config if own in STORES else config.replace(format="nii")
 
 
-def _in_memory(image: LargeImage) -> Compute:
-    """The computation of a case whose image is read as a whole from a part of its file."""
+def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
+    """The computation of a case whose image is read as a whole from a part of its file.
+
+    Without a checksum where that part is a small one of many: a store may have any size.
+    """
 
     def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+        from accelsurf import io
         from accelsurf.cli.case import check_formats, evolve_at
         from accelsurf.grid.boxes import whole_box
         from accelsurf.grid.volume import Volume
@@ -153,6 +157,8 @@ def _in_memory(image: LargeImage) -> Compute:
             ))
             for one in image.channels
         )
+        if has_checksum:
+            log.checksum = log.timed("load", lambda: io.sha256(place.source))
         check_formats(place, config, volume, log)
         return evolve_at(place, volume, more, config, watcher, log)
 
