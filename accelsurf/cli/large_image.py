@@ -90,10 +90,14 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
 def _image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
     """The image, opened, where it may be read in parts; None where it is an ordinary one that fits."""
     from accelsurf.errors import InputError
-    from accelsurf.io.headers import count_values
+    from accelsurf.io.headers import count_values, split_name
     from accelsurf.segmentation.memory_need import run_bytes
+    from accelsurf.settings.file_formats import image_format
 
     if not parts.names_part and not source.is_dir():
+        form = image_format(split_name(source)[1])
+        if parts.max_memory is None and (form is None or form.open is None):
+            return None  # it is read as a whole or not at all
         try:
             needed = run_bytes(count_values(source), energy_expression.uses_model(config.energy))
         except InputError:
