@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.windowed import LargeImage
 
-#: Statistics of an image of more voxels are taken from a coarser level, where its store has one of at most so many.
-MAX_STREAMED = 1 << 31
 #: Formats of label maps that are written box by box.
 STORES = ("ome.zarr", "nii")
 
@@ -58,12 +57,11 @@ class ImageParts:
         """Whether a level, channel or time point was asked for."""
         return self.level != 0 or self.channel_index is not None or self.time_index is not None
 
-    def open(self, path: Path, level: int | None = None) -> LazyVolume:
-        """Open an image, or another level of it, without reading its voxels."""
+    def open(self, path: Path) -> LazyVolume:
+        """Open an image without reading its voxels."""
         from accelsurf import io
 
-        at = self.level if level is None else level
-        return io.open_volume(path, level=at, channel_index=self.channel_index, time_index=self.time_index)
+        return io.open_volume(path, level=self.level, channel_index=self.channel_index, time_index=self.time_index)
 
 
 def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunConfig, Compute | None]:
@@ -79,9 +77,7 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
     image = _image(place.source, config, parts)
     if image is None:
         return config, None
-    voxels = 1
-    for n in image.geometry.shape:
-        voxels *= n
+    voxels = math.prod(image.geometry.shape)
     if run_bytes(voxels * len(image.channels), energy_expression.uses_model(config.energy)) <= image.max_bytes:
         return config, _in_memory(image, not parts.names_part)
     return _for_windows(place, config), _in_windows(image)
@@ -107,24 +103,7 @@ def _image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | N
     from accelsurf.segmentation.windowed import LargeImage
 
     channels = [parts.open(source), *(parts.open(Path(file)) for file in config.channel)]
-    return LargeImage(tuple(channels), parts.allowed_bytes, _coarser(source, parts, channels))
-
-
-def _coarser(source: Path, parts: ImageParts, channels: list[LazyVolume]) -> tuple[LazyVolume, ...] | None:
-    """The level that statistics are taken from; None where the image itself is read through for them."""
-    level, found = parts.level, channels[0]
-    while _voxels(found) > MAX_STREAMED and len(channels) == 1:
-        try:
-            level += 1
-            found = parts.open(source, level)
-        except UsageError:
-            return None  # there is no coarser one
-    return None if found is channels[0] else (found,)
-
-
-def _voxels(image: LazyVolume) -> int:
-    nz, ny, nx = image.geometry.shape
-    return nz * ny * nx
+    return LargeImage.of(channels, parts.allowed_bytes)
 
 
 def _for_windows(place: Place, config: RunConfig) -> RunConfig:

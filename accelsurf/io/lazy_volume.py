@@ -103,6 +103,7 @@ class LazyVolume:
     ) -> None:
         self.voxels, self.geometry, self.source = voxels, geometry, source
         self.layout = layout or StoreLayout((geometry,))
+        self._opening: Opening | None = None
         self.metadata: dict[str, str] = metadata or {}
 
     @classmethod
@@ -119,6 +120,20 @@ class LazyVolume:
     def shape(self) -> tuple[int, int, int]:
         """Voxels of the whole grid, (nz, ny, nx)."""
         return self.geometry.shape
+
+    def coarser(self) -> LazyVolume | None:
+        """The next coarser level of the same image, opened; None where it is stored on no coarser one.
+
+        Raises
+        ------
+        InputError
+            As `open_volume`.
+        """
+        own = self._opening
+        if own is None or self.source is None or own.level + 1 >= len(self.layout.levels):
+            return None
+        level, channel, time, cache = own.level + 1, own.channel_index, own.time_index, own.cache_bytes
+        return open_volume(self.source, level=level, channel_index=channel, time_index=time, cache_bytes=cache)
 
     @property
     def bytes_read(self) -> int:
@@ -242,4 +257,5 @@ def open_volume(
                 "leave them out",
             )
         volume: LazyVolume = load(form.open)(path, header, opening)
+    volume._opening = opening
     return volume

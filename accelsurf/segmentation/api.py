@@ -220,7 +220,7 @@ def large_of(
         )
     config, _ = with_options(config, energy, texts)
     others = [*channels, *(open_volume(file) for file in config.channel)]
-    return LargeImage((volume, *others), allowed_bytes(max_memory, available_memory())), config
+    return LargeImage.of((volume, *others), allowed_bytes(max_memory, available_memory())), config
 
 
 def _file_of(path: str | Path | None) -> CheckpointFile | None:

@@ -35,6 +35,8 @@ from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 
+#: Statistics of an image of more voxels are those of a coarser level, where one of at most so many is stored.
+MAX_STREAMED = 1 << 31
 #: A window grows by so many times its extent where it was left, or by less where memory does not hold that.
 GROWTH = 1.0
 #: Levels for which a first window has room, where their number is chosen by the start.
@@ -54,12 +56,23 @@ class LargeImage:
     max_bytes : int
         Estimates of a run's peak (`accelsurf.segmentation.memory_need`) stay within it.
     statistics : tuple of LazyVolume or None
-        A coarser level of each channel that percentiles and the like are taken from; None: the channels themselves.
+        A coarser level of each channel that percentiles and the like are taken from; None: the channel itself.
     """
 
     channels: tuple[LazyVolume, ...]
     max_bytes: int
-    statistics: tuple[LazyVolume, ...] | None = None
+    statistics: tuple[LazyVolume | None, ...] = ()
+
+    @classmethod
+    def of(cls, channels: Sequence[LazyVolume], max_bytes: int) -> LargeImage:
+        """The image, with statistics of a coarser level where it has more than `MAX_STREAMED` voxels and one is stored.
+
+        Raises
+        ------
+        InputError
+            When a coarser level cannot be read.
+        """
+        return cls(tuple(channels), max_bytes, tuple(_for_statistics(one) for one in channels))
 
     @property
     def geometry(self) -> Geometry:
@@ -86,6 +99,13 @@ class LargeImage:
         sigma = in_mm(config.presmooth, self.geometry)
         levels = self.statistics or (None,) * len(self.channels)
         return tuple(WholeImage(one, sigma, coarse) for one, coarse in zip(self.channels, levels, strict=True))
+
+
+def _for_statistics(image: LazyVolume) -> LazyVolume | None:
+    found: LazyVolume | None = image
+    while found is not None and math.prod(found.geometry.shape) > MAX_STREAMED:
+        found = found.coarser()
+    return None if found is image else found
 
 
 def segment_in_windows(
