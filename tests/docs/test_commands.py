@@ -121,6 +121,9 @@ def folder_of_a_reader():
     for path in (Path("scans/anna.nii.gz"), Path("scans/bert.nii.gz")):
         path.parent.mkdir(exist_ok=True)
         scan_in_place_of(path)
+    z, y, x = np.indices((96, 96, 96)) - 47.5
+    store = Geometry((96, 96, 96), (1.0, 1.0, 1.0), origin=(-47.5, -47.5, -47.5))
+    io.write(Volume((100.0 * (x**2 + y**2 + z**2 < 30**2)).astype(np.float32), store), "ct.ome.zarr")
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
     first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
     assert cli.execute(first.split()) == 0

@@ -213,7 +213,7 @@ def test_statistics_of_an_image_with_many_voxels_are_those_of_a_coarser_level(im
     assert f"values of the whole image are those of a coarser level of {where} voxels" in result.warnings
     low, high = result.resolved_settings["scale"][0].values()
     of_coarse = np.percentile(coarse.read(tuple(slice(0, n) for n in coarse.geometry.shape)), (0.5, 99.5))
-    assert (low, high) == pytest.approx(tuple(of_coarse)) and high < np.percentile(values, 99.5)
+    assert [low, high] == of_coarse.tolist() and high != np.percentile(values, 99.5)
     whole = accelsurf.segment(Volume(values, image.geometry), **options)
     assert abs(result.volume_mm3 - whole.volume_mm3) < 0.02 * whole.volume_mm3
 
