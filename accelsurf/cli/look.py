@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from accelsurf.grid.geometry import Geometry
+    from accelsurf.grid.volume import Volume
+
+#: The finest level of a store with at most so many voxels is shown, unless told.
+MAX_VOXELS = 1 << 27
 
 
 def look(
@@ -23,6 +27,7 @@ def look(
     at: str | None = None,
     window: str = "auto",
     labels: Annotated[Path | None, Parameter(group=FILES)] = None,
+    level: Annotated[int | None, Parameter(group=FILES, show_default="the finest that is not too large")] = None,
     overwrite: Overwrite = False,
 ) -> int:
     """Look at an image: three slices with a grid in mm, without a run.
@@ -43,10 +48,11 @@ def look(
         Values that are black to white: CENTRE,WIDTH, or auto.
     labels
         A label map on the same grid, drawn as contours.
+    level
+        Level of an image that is stored as a pyramid (OME-Zarr); 0 is the finest.
     overwrite
         Replace a picture that exists.
     """
-    from accelsurf.io import channels
     from accelsurf.io.files import write_bytes
     from accelsurf.report.grey_window import parse_window
     from accelsurf.report.output_folder import make_writable
@@ -56,11 +62,11 @@ def look(
     path = _picture(source, output)
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
-    volumes = channels.read(source)
+    volumes, grid = _read(source, level)
     from accelsurf.report.look import look_png  # loads what draws
 
     geometry = volumes[0].geometry
-    place = None if at is None else _place(at, geometry)
+    place = None if at is None else _place(at, grid)
     drawn = None if labels is None else _labels(labels, geometry)
     make_writable(path.parent)
     size = " x ".join(str(n) for n in geometry.size)
@@ -73,6 +79,37 @@ def look(
         print(f"values   {volume.array.min():.6g} to {volume.array.max():.6g}{which}")
     print(f"picture  {path.absolute()}")
     return 0
+
+
+def _read(source: Path, level: int | None) -> tuple[list[Volume], Geometry]:
+    """The channels of an image, of a store those of a level, and the grid that indices belong to.
+
+    That is the grid of the level which was asked for, else of the finest.
+    """
+    import math
+
+    from accelsurf import io
+    from accelsurf.grid.boxes import whole_box
+    from accelsurf.grid.volume import Volume
+    from accelsurf.io import channels
+
+    if level is None and not source.is_dir():
+        volumes = channels.read(source)
+        return volumes, volumes[0].geometry
+    first = io.open_volume(source, level=level or 0, channel_index=0, time_index=0)
+    grids = first.layout.levels
+    shown = level
+    if shown is None:
+        small = (n for n, grid in enumerate(grids) if math.prod(grid.shape) <= MAX_VOXELS)
+        shown = next(small, len(grids) - 1)
+    if len(grids) > 1 or first.layout.time_points > 1:
+        print(f"level    {shown} of 0 to {len(grids) - 1}, time point 0 of {first.layout.time_points}")
+    out = []
+    for channel in range(first.layout.channels):
+        one = io.open_volume(source, level=shown, channel_index=channel, time_index=0)
+        values = one.read(whole_box(one.geometry.shape))
+        out.append(Volume(values, one.geometry, dict(one.metadata), one.source))
+    return out, grids[level or 0]
 
 
 def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:

@@ -82,7 +82,7 @@ def measured(task: dict[str, Any]) -> dict[str, Any]:
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     import accelsurf
 
-    settings = _settings(store, task["run"])
+    settings = settings_of(store, task["run"])
     level = tree_level(task["size"]) if task["run"] == "tree" else 0
     began, used = time.perf_counter(), time.process_time()
     image = accelsurf.open_volume(store / "image.ome.zarr", level=level)
@@ -119,7 +119,7 @@ def tree_level(size: int) -> int:
     return level
 
 
-def _settings(store: Path, run: str) -> dict[str, str]:
+def settings_of(store: Path, run: str) -> dict[str, str]:
     with (store / "cells.csv").open(newline="") as stream:
         row = next(csv.DictReader(stream))
     scene = json.loads((store / "scene.json").read_text())

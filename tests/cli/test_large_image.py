@@ -90,3 +90,16 @@ def test_a_run_in_parts_that_was_interrupted_goes_on(scans, tmp_path):
     assert segment(scans / "a.nii", tmp_path / "twice", *words, "200", "--resume", "--overwrite") == 0
     once, twice = (io.read_labels(tmp_path / way / "a_seg.nii").array for way in ("once", "twice"))
     assert np.array_equal(once, twice)
+
+
+def test_look_shows_a_level_that_is_not_too_large(scans, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("zarr")
+    look = ["look", str(scans / "a.ome.zarr"), "--at", "60,60,50vox", "--overwrite", "-o"]
+    assert cli.execute([*look, str(tmp_path / "fine.png")]) == 0
+    assert "level    0 of 0 to 1" in (said := capsys.readouterr().out) and "size     112 x 112 x 96" in said
+    monkeypatch.setattr("accelsurf.cli.look.MAX_VOXELS", 200_000)
+    assert cli.execute([*look, str(tmp_path / "coarse.png")]) == 0
+    assert "level    1 of 0 to 1" in (said := capsys.readouterr().out) and "size     56 x 56 x 48" in said
+    assert cli.execute([*look, str(tmp_path / "coarse.png"), "--level", "1"]) == 2
+    assert "60,60,50vox lies outside" in capsys.readouterr().err
+    assert cli.execute([*look, str(tmp_path / "coarse.png"), "--level", "5"]) == 2
