@@ -110,17 +110,17 @@ def likelihood(inputs: TermInputs) -> Made:
         whole = context.whole_sums(channel, inputs.spacing, "histogram", parzen.histogram)
         return HistogramLikelihood(image, inputs.alpha, learned, epsilon, parzen, elsewhere, whole), used
     least = context.once(least_variance, channel)
+    everything = _moments_of_whole(inputs)
     if update == "yes":
         moments = context.moments_elsewhere(channel)
-        whole_moments = _moments_of_whole(inputs)
-        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, whole_moments, least), used
+        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, everything, least), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
     one = robust_gaussian_of(context.sample(channel), least)
     other = gaussian_of_sums(RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least)
     low, width = context.scales[channel]
     for name, (mean, variance) in (("inside", one), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
-    return GaussianLikelihood(image, inputs.alpha, (one, other), epsilon), used
+    return GaussianLikelihood(image, inputs.alpha, (one, other), epsilon, whole=everything), used
 
 
 def threshold(inputs: TermInputs) -> Made:

@@ -200,7 +200,7 @@ class WholeImage:
         low, high = self._extremes
         first = low
         if low < high:
-            counts, edges = self._otsu_counts((low, high))
+            counts, edges = self._otsu_counts()
             first = threshold_otsu(hist=(counts, (edges[:-1] + edges[1:]) / 2.0))
         return between_means(
             sum_in_order(
@@ -208,16 +208,16 @@ class WholeImage:
             )
         )
 
-    def _otsu_counts(self, ends: tuple[np.float32, np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def _otsu_counts(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Histogram of the scaled image between its extremes, and the edges of the bins."""
-        edges = np.histogram(self._extremes, OTSU_BINS, ends)[1]
+        edges = np.histogram(self._extremes, OTSU_BINS)[1]
         if isinstance(self._order, IntegerCounts):
             # Values that occur, ascending: how many fall into each bin tells the bin of each.
             occurs = self._order.counts > 0
-            share = np.histogram(self._scaled(self._order.values[occurs]), OTSU_BINS, ends)[0]
-            bin_of = np.repeat(np.arange(OTSU_BINS), share)
+            share = np.histogram(self._scaled(self._order.values[occurs]), OTSU_BINS)[0]
             counts = np.zeros(OTSU_BINS, np.int64)
-            np.add.at(counts, bin_of, self._order.counts[occurs])
+            np.add.at(counts, np.repeat(np.arange(OTSU_BINS), share), self._order.counts[occurs])
             return counts, edges
+        ends: Any = tuple(self._extremes)  # float32, as numpy takes them from an array
         parts = (np.histogram(self._scaled(values), OTSU_BINS, ends)[0] for _, values in self._slabs.smoothed())
         return np.sum(list(parts), axis=0, dtype=np.int64), edges
