@@ -209,13 +209,17 @@ def evolve_at(
     place: Place, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, log: Log
 ) -> Result:
     """Run a case from its start, or from its checkpoint where it is to go on and there is one."""
+    result = evolve(place.name, volume, channels, config, watcher, state_of(place, config))
+    log.warnings.extend(result.warnings)
+    return result
+
+
+def state_of(place: Place, config: RunConfig) -> Path | None:
+    """The file of a run's state, where it has one; that of an earlier run is removed unless it is to go on."""
     state = place.checkpoint_path
     if not place.resume:
         state.unlink(missing_ok=True)
-    wanted = config.checkpoint is not None or state.exists()
-    result = evolve(place.name, volume, channels, config, watcher, state if wanted else None)
-    log.warnings.extend(result.warnings)
-    return result
+    return state if config.checkpoint is not None or state.exists() else None
 
 
 def _refuse_checkpoint(place: Place) -> None:

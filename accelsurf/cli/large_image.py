@@ -165,12 +165,15 @@ def _in_windows(image: LargeImage) -> Compute:
     """The computation of a case in windows of its image."""
 
     def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+        from accelsurf.cli.case import state_of
         from accelsurf.segmentation.windowed import segment_in_windows
 
         log.geometry = image.geometry
+        state = state_of(place, config)
         with watcher.watch(place.name, config.max_steps):
             result = segment_in_windows(
-                image, config, lambda record, own: watcher.on_step(record), watcher.on_warning, watcher.on_window
+                image, config, lambda record, own: watcher.on_step(record), watcher.on_warning, watcher.on_window,
+                state,
             )
         log.warnings.extend(result.warnings)
         return result

@@ -109,9 +109,9 @@ class Window(NamedTuple):
         if any(begins) or any(ends):
             raise LeavesWindow(begins, ends)
 
-    def check_box(self, box: Box) -> None:
+    def check_box(self, box: Box, factors: Sequence[int] = (1, 1, 1)) -> None:
         """`check` of a box that is counted from the window's first voxel."""
-        self.check([s.start for s in box], [s.stop for s in box])
+        self.check([s.start for s in box], [s.stop for s in box], factors)
 
     def check_cells(self, cells: NDArray[np.int64]) -> None:
         """`check` of raveled voxels (n,) of the window."""
@@ -147,7 +147,7 @@ def enlarged(window: Window, face: LeavesWindow, blocks: Sequence[int], factor: 
     """Return a box that is larger at the faces that were reached, by ``factor`` times the window's extent there."""
     sides = []
     for side, whole, low, high in zip(window.box, window.geometry.shape, face.low, face.high, strict=True):
-        more = max(4 * GUARD, round(factor * (side.stop - side.start)))
+        more = max(GUARD, round(factor * (side.stop - side.start)))
         first, end = (more if low else 0), (more if high else 0)
         sides.append(slice(max(side.start - first, 0), min(side.stop + end, whole)))
     return aligned((sides[0], sides[1], sides[2]), window.geometry, blocks)

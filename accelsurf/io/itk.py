@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
@@ -67,9 +68,10 @@ def save(volume: Volume, path: Path, itk_name: str, compress: bool) -> None:
         writer.Execute(image)
 
 
-def voxel_bytes(reader: sitk.ImageFileReader) -> int:
-    """Bytes of a number in the array that a reader will give."""
-    return int(sitk.GetArrayFromImage(sitk.Image(1, 1, reader.GetPixelIDValue())).itemsize)
+def voxel_type(reader: sitk.ImageFileReader) -> np.dtype[Any]:
+    """Type of a number in the array that a reader will give."""
+    dtype: np.dtype[Any] = sitk.GetArrayFromImage(sitk.Image(1, 1, reader.GetPixelIDValue())).dtype
+    return dtype
 
 
 def geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:

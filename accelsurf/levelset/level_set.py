@@ -133,12 +133,6 @@ class LevelSet:
         view.flags.writeable = False
         return view
 
-    def extent(self) -> tuple[np.ndarray, np.ndarray]:
-        """First voxel (3,) of the band and the one after its last; the surface must have a band."""
-        out = np.empty((2, 3), np.int64)
-        self.workers.serial(band_kernels.extent, self.band.cells, self.grid, out)
-        return out[0], out[1]
-
     @property
     def labels(self) -> np.ndarray:
         """Voxels whose centre is inside, uint8 (nz, ny, nx)."""

@@ -91,7 +91,7 @@ def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
         io.write_labels(volume, path)
         return
     own = volume.array.astype(io.label_type(int(volume.array.max())))
-    with io.LabelStore(path, window.geometry, own.dtype, volume.metadata, result.volume.source) as store:
+    with io.LabelStore(path, window.geometry, own.dtype, volume.metadata) as store:
         store.write(window.box, own)
 
 

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from accelsurf.grid.boxes import Box, box_at
 from accelsurf.segmentation.late_growth import LateGrowth
 from accelsurf.segmentation.run_checkpoint import (
     CheckpointHeader,
@@ -53,6 +54,23 @@ class CheckpointFile:
             return config
         seed = read_checkpoint(self.path)[0].settings.get("seed")
         return config if seed is None else config.replace(seed=seed)
+
+    def window(self) -> Box | None:
+        """The part of a large image on which the run is to go on; None where it begins anew.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged.
+        """
+        if not self.path.exists():
+            return None
+        found = read_checkpoint(self.path)[0].window
+        return None if found is None else box_at((found[0], found[1], found[2]), found[3:])
+
+    def clear(self) -> None:
+        """Remove the file: the run begins anew."""
+        self.path.unlink(missing_ok=True)
 
     def restore(self, run: Run, growth: LateGrowth) -> list[str]:
         """Go on from the file, where it exists, and begin to count steps and seconds.

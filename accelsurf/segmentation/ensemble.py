@@ -17,9 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import Step, Stop, StopReason
 from accelsurf.grid.boxes import Corner, box_at, meeting, shared
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.pyramid import Level
+from accelsurf.grid.window import Window
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.evolving_object import EvolvingObject
@@ -47,12 +50,19 @@ class Ensemble:
         Spacings of the axes that count, mm.
     meet : bool
         Whether they can touch; False for a single object.
+    window : Window, optional
+        What part of a larger grid theirs is.
     """
 
     def __init__(
-        self, objects: Sequence[EvolvingObject], workers: Workers, steps: Sequence[float], meet: bool
+        self,
+        objects: Sequence[EvolvingObject],
+        workers: Workers,
+        steps: Sequence[float],
+        meet: bool,
+        window: Window | None = None,
     ) -> None:
-        self._objects, self._workers, self._meets = tuple(objects), workers, meet
+        self._objects, self._workers, self._meets, self._window = tuple(objects), workers, meet, window
         self._smallest = min(steps)
         several = meet and workers.threads > 1
         self._pool = ThreadPoolExecutor(workers.threads) if several else None
@@ -71,10 +81,23 @@ class Ensemble:
             How many steps may follow, this one included, whatever an object has made itself.
         reactivate : bool
             Whether objects that have converged move again when others push into them.
+
+        Raises
+        ------
+        LeavesWindow
+            When a surface, or what its energy sees, comes near an open face of the window.
         """
+        steps = self._steps(steps_left, reactivate)
+        if self._window is not None:
+            for one in self._objects:
+                if one.surface.size:
+                    self._window.check_box(one.seen(), one.grid.factors)
+        return steps
+
+    def _steps(self, steps_left: int, reactivate: bool) -> tuple[Step, ...]:
         if not self._meets:
-            steps = [one.step() for one in self._objects]
-            return tuple(step for step in steps if step is not None)
+            alone = [one.step() for one in self._objects]
+            return tuple(step for step in alone if step is not None)
         moving = [one for one in self._objects if one.moves]
         if not moving:
             return ()
@@ -131,6 +154,13 @@ class Ensemble:
             one.contact.neighbours = [other.as_neighbour for other in moving]
             if one.contact.overlap(one.surface) > deepest:
                 one.reactivate()
+
+    def summary(self, grid: Level) -> LevelSummary:
+        """What was done on the present level, ``grid``, so far."""
+        stops = [one.evolution.stop for one in self._objects]
+        ended = [stop for stop in stops if stop is not None]
+        reason = overall_stop(ended).reason if len(ended) == len(stops) else None
+        return LevelSummary(grid, max(one.steps_on_level() for one in self._objects), reason)
 
     def separated(self, mask_distance: NDArray[np.float32] | None) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""

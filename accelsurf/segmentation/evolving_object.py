@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +18,7 @@ from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.initialization.object_starts import ObjectStart
-from accelsurf.levelset import LevelSet, Workers
+from accelsurf.levelset import LevelSet, Workers, extent_of
 from accelsurf.levelset.transfer import shift_fields
 from accelsurf.segmentation.balls import BallEdit, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
@@ -124,19 +126,15 @@ class EvolvingObject:
 
     def extent(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First voxel of the band and the one after its last, on the level's grid; an empty box without a band."""
-        if self.surface.size == 0:
-            return np.array(self.corner), np.array(self.corner)
-        low, end = self.surface.extent()
-        return low + self.corner, end + self.corner
+        return tuple(np.array(self.corner) + extent_of(self.surface))
 
-    def seen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First voxel and the one after the last that its step depends on: its box, or its band and reach."""
+    def seen(self) -> Box:
+        """The voxels of the level's grid that its step depends on: its box, or its band and what its energy sees."""
         if self._among_others:
-            corner = np.array(self.corner)
-            return corner, corner + self.surface.shape
-        low, end = self.extent()
-        reach = np.ceil(self._setup.reach / np.array(self.grid.spacing)).astype(np.int64)
-        return low - reach, end + reach
+            return box_at(self.corner, self.surface.shape)
+        reach = [math.ceil(self._setup.reach / h) for h in self.grid.spacing]
+        z, y, x = (slice(int(a) - r, int(b) + r) for a, b, r in zip(*self.extent(), reach, strict=True))
+        return z, y, x
 
     # -- starts and levels ---------------------------------------------------------------------------------
 
@@ -330,8 +328,8 @@ class EvolvingObject:
         if self._among_others:
             # On the grid as it is the old energy goes on, until the new one begins.
             extents = [ball.extent(self.grid) for ball in balls if ball.kind == "add"]
-            nothing = np.array(self.grid.shape), np.zeros(3, np.int64)
-            extents.append(LevelClicks(context, self._inputs.grids).extended(*nothing, self.level))
+            none = np.array(self.grid.shape), np.zeros(3, np.int64)
+            extents.append(LevelClicks(context, self._inputs.grids).extended(*none, self.level))
             for low, high in extents:
                 if (low < high).all():
                     self._make_room(low, high)
@@ -341,8 +339,7 @@ class EvolvingObject:
         energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy or clicked else None
         self.evolution = self.evolution.edited(
             energy,
-            setup.flow,
-            setup.limits,
+            setup.flow, setup.limits,
             setup.restart,
             rule_on_level(setup.rule, self.level),
             setup.half_width,

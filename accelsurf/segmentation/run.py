@@ -83,6 +83,8 @@ class Run:
         Image and mask, on the grid of the region of interest.
     objects : tuple of EvolvingObject
         In order of their ids; without what competes for the id 0, "no object".
+    window : Window or None
+        What part of a larger grid the volume is.
     level : int
         The present level; 0 is the image's own grid.
     workers : Workers
@@ -115,9 +117,9 @@ class Run:
             self.check(edit, ids or [1], config.edit[:number])
         self.workers = Workers(thread_count(config))
         named = energy is None or isinstance(energy, str)
-        self._window = None if part is None else part.open_window
-        whole = None if self._window is None else self._window.geometry
-        grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named, whole)
+        self.window = None if part is None else part.window
+        beyond = None if part is None else part.open_window
+        grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named, beyond)
         self._levels = len(grids)
         self._inputs = LevelInputs(self.prepared.images, distance, grids)
         self.level_warnings = thin_start_warnings(starts, self.geometry, self.has_ids)
@@ -127,7 +129,7 @@ class Run:
         self.objects = tuple(one for one in self._all if one.id != NO_OBJECT)
         self.level_summaries: list[LevelSummary] = []
         self.level = self._levels - 1
-        self._ensemble = Ensemble(self._all, self.workers, self.geometry.steps, self.has_ids)
+        self._ensemble = Ensemble(self._all, self.workers, self.geometry.steps, self.has_ids, beyond)
         self._stop_requested, self._steps_made = False, 0
         self._begin_first_level()
         self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
@@ -226,6 +228,11 @@ class Run:
         -------
         tuple of Step
             In the order in which they were made; empty when the run has ended.
+
+        Raises
+        ------
+        LeavesWindow
+            When a surface comes near an open face of the window.
         """
         self.apply_edits()
         left = self._max_steps - self._steps_made
@@ -235,20 +242,7 @@ class Run:
             steps = self._ensemble.step(left, not self._stop_requested)
         if steps:
             self._steps_made += 1
-            self._check_window()
         return steps
-
-    def _check_window(self) -> None:
-        """Refuse to go on where a surface, or what its energy sees, comes near an open face of the window.
-
-        Raises
-        ------
-        LeavesWindow
-        """
-        if self._window is not None:
-            for one in self._all:
-                if one.surface.size:
-                    self._window.check(*one.seen(), self.grid.factors)
 
     def current(self) -> tuple[Step, ...]:
         """The present state of each object: its last record once it has ended, else a record without motion."""
@@ -259,14 +253,6 @@ class Run:
             step = Step(now.history[-1], now.surface, now.state.fields) if ended else now.current()
             steps.append(step._replace(object_id=one.id))
         return tuple(steps)
-
-    def seconds_by_kernel(self) -> dict[str, float]:
-        """Seconds in each kernel so far, over all objects and threads."""
-        total = dict(self.workers.seconds)
-        for one in self._all if self.has_ids else ():
-            for name, seconds in one.workers.seconds.items():
-                total[name] = total.get(name, 0.0) + seconds
-        return total
 
     # -- levels --------------------------------------------------------------------------------------------
 
@@ -288,21 +274,15 @@ class Run:
             if (failed := one.failed_on_level()) is not None:
                 name = f"object {one.id}: " if self.has_ids else ""
                 self._warn(f"{name}{failed.message}", "went on from the start")
-        self.level_summaries.append(self._summary())
+        self.level_summaries.append(self._ensemble.summary(self.grid))
         self.level -= 1
         self._inputs.release_coarser(self.level)
         for one in self._all:
             one.next_level()
 
-    def _summary(self) -> LevelSummary:
-        stops = [one.evolution.stop for one in self._all]
-        ended = [stop for stop in stops if stop is not None]
-        reason = overall_stop(ended).reason if len(ended) == len(stops) else None
-        return LevelSummary(self.grid, max(one.steps_on_level() for one in self._all), reason)
-
     def summaries(self) -> list[LevelSummary]:
         """The levels so far, coarsest first."""
-        return [*self.level_summaries, self._summary()]
+        return [*self.level_summaries, self._ensemble.summary(self.grid)]
 
     def _warn(self, what: str, then: str) -> None:
         size = " x ".join(str(n) for n in reversed(self.grid.shape))

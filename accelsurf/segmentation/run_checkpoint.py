@@ -22,6 +22,7 @@ from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import EnergyRates
 from accelsurf.grid.pyramid import Level
+from accelsurf.grid.window import Window
 from accelsurf.io.files import write_bytes
 from accelsurf.kernels.host import compiler_version, processor_name
 from accelsurf.levelset import Snapshot, SurfaceState
@@ -86,11 +87,14 @@ class CheckpointHeader(NamedTuple):
         `run_digest`.
     settings : dict
         Those that the run began with, with the seed that was drawn.
+    window : tuple of int or None
+        First voxel and shape of the part of a large image that the run was made on; None for the whole.
     """
 
     versions: dict[str, str]
     run: str
     settings: dict[str, Any]
+    window: tuple[int, ...] | None = None
 
 
 #: The types in a checkpoint, by the names under which they are written.
@@ -110,6 +114,7 @@ class Source(Protocol):
     config: RunConfig
     prepared: PreprocessedInput
     given_digest: str
+    window: Window | None
 
     @property
     def energy_name(self) -> str:
@@ -130,7 +135,8 @@ def versions() -> dict[str, str]:
 
 def header_of(run: Source) -> CheckpointHeader:
     """The header of a run's checkpoints, the same at every step."""
-    return CheckpointHeader(versions(), run_digest(run), run.config.model_dump(mode="json"))
+    window = None if run.window is None else (*run.window.corner, *run.window.shape)
+    return CheckpointHeader(versions(), run_digest(run), run.config.model_dump(mode="json"), window)
 
 
 def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: CheckpointHeader) -> None:
@@ -186,6 +192,9 @@ def _check_header(header: CheckpointHeader) -> None:
         raise ValueError("it does not say of which run it is")
     if not isinstance(header.settings, dict):
         raise ValueError("it has no settings")
+    window = header.window
+    if window is not None and not (len(window) == 6 and all(isinstance(n, int) and n >= 0 for n in window)):
+        raise ValueError("its window is none")
 
 
 def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:

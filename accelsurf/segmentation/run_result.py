@@ -45,7 +45,7 @@ def result_of(run: Run) -> Result:
         volume=run.volume,
         start=run.prepared.start,
         resolved_settings=resolved_settings_of(run, len(summaries)),
-        kernels=run.seconds_by_kernel(),
+        kernels=seconds_by_kernel(run),
         edits_done=run.edits_done,
         given=run.given,
         clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
@@ -57,6 +57,15 @@ def result_of(run: Run) -> Result:
         ]
         + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
     )
+
+
+def seconds_by_kernel(run: Run) -> dict[str, float]:
+    """Seconds in each kernel so far, over all objects and threads."""
+    total = dict(run.workers.seconds)
+    for one in run.objects if run.has_ids else ():
+        for name, seconds in one.workers.seconds.items():
+            total[name] = total.get(name, 0.0) + seconds
+    return total
 
 
 def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:

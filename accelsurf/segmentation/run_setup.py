@@ -18,6 +18,7 @@ from accelsurf.flows import StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.grid.window import Window
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io.memory import available_cores
 from accelsurf.segmentation.energy_assembly import make_energy
@@ -44,7 +45,7 @@ def choose_levels(
     geometry: Geometry,
     psi: NDArray[np.float32] | None,
     has_name: bool,
-    whole: Geometry | None = None,
+    window: Window | None = None,
 ) -> list[pyramid.Level]:
     """The levels of a configuration, finest first; record 0015 defines ``auto``.
 
@@ -57,18 +58,19 @@ def choose_levels(
         Of the start; None for several objects, for which ``auto`` is the image's own grid.
     has_name : bool
         Whether the energy is one with a name.
-    whole : Geometry, optional
-        The grid that ``geometry`` is a window on: there are as many levels as it has.
+    window : Window, optional
+        What ``geometry`` is of a larger grid: there are as many levels as that has.
 
     Raises
     ------
     UsageError
         When the grid does not have so many.
     """
-    shape, spacing, wanted = (whole or geometry).shape, geometry.spacing, config.levels
+    spacing, wanted = geometry.spacing, config.levels
+    shape = geometry.shape if window is None else window.geometry.shape
 
     def in_window(grids: list[pyramid.Level]) -> list[pyramid.Level]:
-        return grids if whole is None else pyramid.levels(geometry.shape, spacing, len(grids), min_voxels=1)
+        return grids if window is None else pyramid.levels(geometry.shape, spacing, len(grids), min_voxels=1)
 
     if wanted == "auto":
         terms = energy_expression.parse(config.energy)

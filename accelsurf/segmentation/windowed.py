@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import GeometryError, InputError, UsageError
@@ -18,6 +19,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, LeavesWindow, Window, aligned, enlarged
 from accelsurf.io.lazy_volume import LazyVolume
+from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.first_window import first_box
 from accelsurf.segmentation.memory_need import bytes_text, run_bytes, values_within
 from accelsurf.segmentation.preprocessing import in_mm, uses_model
@@ -25,7 +27,7 @@ from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.region_of_interest import cropped, region_of_run
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_setup import needs_seed, seeded
+from accelsurf.segmentation.run_setup import seeded
 from accelsurf.segmentation.to_end import finished
 from accelsurf.segmentation.whole_image import WholeImage
 from accelsurf.segmentation.window_input import WindowInput, has_region
@@ -90,6 +92,7 @@ def segment_in_windows(
     on_step: OnObjectStep | None = None,
     on_warning: Callable[[str], None] | None = None,
     on_window: Callable[[Window], None] | None = None,
+    checkpoint_to: str | Path | None = None,
 ) -> Result:
     """Segment one object in an image that is read in parts.
 
@@ -102,6 +105,8 @@ def segment_in_windows(
         As of `accelsurf.segment`; steps of a window that is left are told too.
     on_window : callable, optional
         Called with each window before its run begins.
+    checkpoint_to : str or Path, optional
+        As of `accelsurf.segment`.
 
     Returns
     -------
@@ -115,19 +120,23 @@ def segment_in_windows(
     InputError
         As of `accelsurf.segment`, and when the window that the object needs is larger than memory.
     """
-    config = seeded(config) if needs_seed(config) else config
+    checkpoints = None if checkpoint_to is None else CheckpointFile(Path(checkpoint_to))
+    config = seeded(config if checkpoints is None else checkpoints.begun(config))
     check_settings(config)
     image.check()
     blocks = blocks_of(config, image.geometry)
-    window = Window(image.geometry, _first(config, image.geometry, blocks))
+    box = None if checkpoints is None else checkpoints.window()
+    window = Window(image.geometry, box or _first(config, image.geometry, blocks))
     whole = () if has_region(config) else image.whole(config)
     while True:
         refuse_too_large(window, image, config)
         if on_window is not None:
             on_window(window)
         try:
-            return _in(window, whole, image, config, on_step, on_warning)
+            return _in(window, whole, image, config, on_step, on_warning, checkpoints)
         except LeavesWindow as face:
+            if checkpoints is not None:
+                checkpoints.clear()
             window = larger(window, face, blocks, image, config)
 
 
@@ -144,10 +153,11 @@ def _in(
     config: RunConfig,
     on_step: OnObjectStep | None,
     on_warning: Callable[[str], None] | None,
+    checkpoints: CheckpointFile | None,
 ) -> Result:
     """The result of a run in a window."""
     run = run_in(window, whole, image, config)
-    result = finished(run, on_step, on_warning)
+    result = finished(run, on_step, on_warning, checkpoints)
     return replace(result, window=window, state=None, warnings=[*result.warnings, *_notes(whole)])
 
 
@@ -221,7 +231,7 @@ def larger(window: Window, face: LeavesWindow, blocks: Sequence[int], image: Lar
         box = enlarged(window, face, blocks, factor)
         if math.prod(s.stop - s.start for s in box) <= most:
             break
-        if all(factor * (s.stop - s.start) <= 4 * GUARD for s in window.box):
+        if all(factor * (s.stop - s.start) <= GUARD for s in window.box):
             break
         factor *= 0.7
     return Window(window.geometry, box)
@@ -236,11 +246,15 @@ def check_settings(config: RunConfig) -> None:
         Naming the setting.
     """
     hint = "give --roi around the object, or let the image be read into memory (more --max-memory)"
-    for name in ("edit", "refine", "checkpoint"):
+    for name in ("edit", "refine"):
         if getattr(config, name):
             raise UsageError(f"{name}: it was given, and the image is read in parts", hint)
     if has_region(config):
         return
+    if config.noise > 0:
+        raise UsageError(f"noise: {config.noise:g} was given, which is laid over the whole image", hint)
+    if config.flow == "flowable-mass":
+        raise UsageError("flow: flowable-mass compares masses on a lattice over the whole image", hint)
     for term in energy_expression.parse(config.energy):
         if TERMS[term.name].needs_whole:
             raise UsageError(f"energy: {term.name} looks at the whole image, which is read in parts", hint)

@@ -126,6 +126,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.itk_volumes:write_nrrd",
         f"{_FORMATS}.itk_volumes:read_channels",
         f"{_FORMATS}.nrrd_metaimage:is_anatomical",
+        open=f"{_FORMATS}.itk_volumes:open_lazily",
     ),
     *(
         ImageFormat(
@@ -136,6 +137,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
             f"{_FORMATS}.itk_volumes:read",
             f"{_FORMATS}.itk_volumes:write_metaimage",
             f"{_FORMATS}.itk_volumes:read_channels",
+            open=f"{_FORMATS}.itk_volumes:open_lazily",
         )
         for name, help in (
             ("mha", "MetaImage in one file; written compressed"),

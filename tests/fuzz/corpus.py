@@ -23,6 +23,7 @@ from tests.fuzz import mutators
 DATA_FILE = "voxels.raw"
 SHAPE = (4, 5, 6)
 VALUES = np.arange(120, dtype=np.int16).reshape(SHAPE)
+ZARR_VOLUME = Volume(VALUES, Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25)))
 
 
 class Input(NamedTuple):
@@ -65,7 +66,7 @@ def _images(folder: Path):
     turned *= np.sign(np.linalg.det(turned))
     grids = [Geometry(SHAPE, (1.0, 1.0, 1.0)), Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25), turned)]
     for suffix in files.image_suffixes():
-        if suffix == ".tiff":
+        if suffix in (".tiff", ".ome.zarr", ".zarr"):
             continue
         for grid in grids:
             for dtype in ("uint8", "int16", "float32") if suffix not in (".png",) else ("uint8", "uint16"):
@@ -92,6 +93,7 @@ def _images(folder: Path):
     yield Input("image", ".mha", "mixed", meta.format("False", "LOCAL").encode() + text)
     yield Input("image", ".mhd", "text", meta.format("True", DATA_FILE).encode())
     yield from _tiffs()
+    yield from _zarrs(folder)
     import nibabel
 
     four = nibabel.Nifti1Image(np.stack([VALUES.T, VALUES.T], axis=-1), np.eye(4))
@@ -137,6 +139,14 @@ def _tiffs():
         stream = io.BytesIO()
         Image.fromarray(VALUES[0].astype(np.uint8)).save(stream, "TIFF", compression=compression)
         yield Input("image", ".tif", "binary", stream.getvalue())
+
+
+def _zarrs(folder: Path):
+    """The files of an OME-Zarr, each by its path: `tests.fuzz.verdict` puts it into the store it is from."""
+    path = folder / "a.ome.zarr"
+    files.write(ZARR_VOLUME, path)
+    for name, mode in (("zarr.json", "text"), ("0/zarr.json", "text"), ("0/c/0/0/0", "binary")):
+        yield Input("zarr", f"@{name.replace('/', '-')}", mode, (path / name).read_bytes())
 
 
 def _png_with_checksums(content: bytes) -> bytes:

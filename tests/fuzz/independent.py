@@ -123,8 +123,9 @@ def _meta(content: bytes, data: bytes):
     for line in head.decode("latin-1").split("\n"):
         key, sign, value = line.partition("=")
         fields.setdefault(key.strip(), value.strip())
+    whole = content
     if not body:
-        body = data
+        whole = body = data
     size = [int(n) for n in fields["DimSize"].split()]
     kind = _META[fields["ElementType"]]
     msb = fields.get("BinaryDataByteOrderMSB", fields.get("ElementByteOrderMSB", "False"))
@@ -134,7 +135,8 @@ def _meta(content: bytes, data: bytes):
         return np.array([float(v) for v in body.split()[: math.prod(size)]]).reshape(size[::-1]), spacing
     if fields.get("CompressedData", "False")[:1] in "Tt1":
         body = zlib.decompressobj(47).decompress(body)
-    return _voxels(body[max(int(fields.get("HeaderSize", 0)), 0) :], order + kind, size), spacing
+    skip = int(fields.get("HeaderSize", 0))
+    return _voxels(whole[skip:] if skip > 0 else body, order + kind, size), spacing
 
 
 def _png(content: bytes, data: bytes):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import time
 import warnings
 from pathlib import Path
@@ -20,7 +21,7 @@ from accelsurf.report import result_sets
 from accelsurf.settings import edits, energy_expression
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import independent
-from tests.fuzz.corpus import DATA_FILE, VALUES, Input
+from tests.fuzz.corpus import DATA_FILE, VALUES, ZARR_VOLUME, Input
 
 #: Memory that readers may plan with, bytes.
 MEMORY = 256 << 20
@@ -95,6 +96,7 @@ def _image(one: Input, path: Path) -> str:
     geometry = volume.geometry
     if volume.array.shape != geometry.shape or not all(0 < h < np.inf for h in geometry.spacing):
         raise Wrong(f"shape {volume.array.shape}, grid {geometry}")
+    _check_boxes(path, volume)
     if seen is None:
         return "unverified"
     values, spacing = seen
@@ -105,6 +107,36 @@ def _image(one: Input, path: Path) -> str:
     if spacing is not None and not np.allclose(geometry.spacing[::-1], spacing, rtol=2e-3, atol=0):
         raise Wrong(f"spacing {geometry.spacing[::-1]}, the file says {spacing}")
     return "verified"
+
+
+def _check_boxes(path: Path, volume: Volume) -> None:
+    """Compare an image with itself when it is read box by box, where its format can be."""
+    try:
+        lazy = io.open_volume(path)
+    except AccelsurfError as error:
+        if "is packed or" in error.message or "are packed" in error.message or "colour" in error.message:
+            return
+        raise Wrong(f"read as a whole, but box by box: {error.message[:200]}") from error
+    found = lazy.read(tuple(slice(0, n) for n in lazy.shape))
+    if lazy.geometry.difference(volume.geometry) or found.dtype != volume.array.dtype:
+        raise Wrong(f"read as {volume.array.dtype} on {volume.geometry}, box by box {lazy}")
+    if not np.array_equal(found, volume.array, equal_nan=found.dtype.kind == "f"):
+        raise Wrong("other values are read box by box")
+
+
+def _zarr(one: Input, path: Path) -> str:
+    """One file of a store is the input, the others are good."""
+    store = path.parent / "a.ome.zarr"
+    if store.exists():
+        shutil.rmtree(store)
+    io.write(ZARR_VOLUME, store)
+    name = one.suffix.removeprefix("@").replace("-", "/")
+    (store / name).write_bytes(one.content)
+    volume = io.read(store, memory_bytes=MEMORY)
+    _check_boxes(store, volume)
+    if name.endswith("0/0/0") and not np.array_equal(volume.array, ZARR_VOLUME.array):
+        raise Wrong("a damaged chunk was read")
+    return ""
 
 
 def _same(expected: np.ndarray, found: np.ndarray) -> bool:
@@ -220,7 +252,7 @@ def _sleep(one: Input, path: Path) -> None:
 
 
 _JUDGES = {
-    **{"crash": _crash, "sleep": _sleep},
+    **{"crash": _crash, "sleep": _sleep, "zarr": _zarr},
     **{"image": _image, "channels": _channels, "mesh": _mesh, "energy": _energy, "start": _start, "edit": _edit},
     **{"toml": _toml, "argv": _argv, "table": _table, "run": _run, "checkpoint": _checkpoint, "report": _report},
 }

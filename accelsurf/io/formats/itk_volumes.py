@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.formats.nrrd_metaimage import METAIMAGE_ITK_NAME, NRRD_ITK_NAME, NRRD_KEY, put_nrrd_space
 from accelsurf.io.formats.raw_header import RawHeader
+from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
+from accelsurf.io.lazy_volume import LazyVolume, Opening
 from accelsurf.io.memory import check_memory
 
 #: More volumes along the fourth axis than this are a time series, not channels.
@@ -41,10 +44,45 @@ def read(path: Path, header: RawHeader, available: int) -> Volume:
     """
     reader = itk.open_reader(path, header.itk_name)
     itk.check_kind(reader)
-    check_memory(reader.GetSize(), itk.voxel_bytes(reader), available)
+    check_memory(reader.GetSize(), itk.voxel_type(reader).itemsize, available)
     header.check_complete()
     image = itk.execute(reader)
     return Volume(sitk.GetArrayFromImage(image), itk.geometry_of(image), header.metadata, path)
+
+
+def open_lazily(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
+    """Open a volume whose voxels are stored as they are, to be read box by box.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : RawHeader
+        What its header claims.
+    opening : Opening
+        Has no more to say here.
+
+    Raises
+    ------
+    InputError
+        When the voxels are packed or are text, or as `read`.
+    """
+    reader = itk.open_reader(path, header.itk_name)
+    itk.check_kind(reader)
+    if header.position is None or not header.order:
+        raise InputError(
+            "the voxels are packed, are text, or begin after lines to skip: a box of them cannot be read by itself",
+            "convert the image to OME-Zarr, or save it uncompressed",
+        )
+    geometry, stored = itk.geometry_of(reader), itk.voxel_type(reader).newbyteorder(header.order)
+    needed = math.prod(geometry.shape) * stored.itemsize
+    if needed != header.claimed_bytes:
+        raise InputError(
+            f"the header announces {header.claimed_bytes} bytes of voxels, its grid has {needed}", "save it again"
+        )
+    position = header.position if header.position >= 0 else max(header.data.stat().st_size - needed, 0)
+    voxels = RawVoxels(RawLayout(header.data, position, stored, geometry.shape))
+    return LazyVolume(voxels, geometry, dict(header.metadata), path)
 
 
 def read_channels(path: Path, header: RawHeader, available: int) -> list[Volume]:

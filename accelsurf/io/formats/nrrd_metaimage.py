@@ -15,7 +15,7 @@ from typing import BinaryIO
 import numpy as np
 
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.io.formats.raw_header import Encoding, RawHeader
+from accelsurf.io.formats.raw_header import ByteOrder, Encoding, RawHeader
 from accelsurf.settings import budgets
 
 NRRD_KEY = "nrrd_space"
@@ -106,8 +106,26 @@ def parse_nrrd(path: Path) -> RawHeader:
     if len(sizes) == 3 and "space directions" in fields:
         keys = ("space", "space dimension", "space directions", "space origin")
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
-    numbers = math.prod(sizes)
-    return RawHeader(data, offset, coding, NRRD_ITK_NAME, numbers * item, metadata=metadata, numbers=numbers)
+    numbers, position, order = math.prod(sizes), _nrrd_position(fields, coding, offset), _nrrd_order(fields, item)
+    return RawHeader(data, offset, coding, NRRD_ITK_NAME, numbers * item, None, metadata, numbers, position, order)
+
+
+def _nrrd_position(fields: dict[str, str], coding: Encoding, offset: int) -> int | None:
+    """Where raw voxels begin; None where lines are to be skipped."""
+    try:
+        (lines,) = _whole(fields.get("line skip") or fields.get("lineskip") or "0")
+        (skip,) = _whole(fields.get("byte skip") or fields.get("byteskip") or "0")
+    except ValueError:
+        return None
+    if coding != "raw" or lines:
+        return None
+    return offset + skip if skip >= 0 else -1
+
+
+def _nrrd_order(fields: dict[str, str], item: int) -> ByteOrder:
+    """Byte order; of single bytes any."""
+    said = fields.get("endian", "little" if item == 1 else "").lower()
+    return "<" if said == "little" else ">" if said == "big" else ""
 
 
 def _check_fields(lines: list[str]) -> None:
@@ -174,9 +192,7 @@ def parse_metaimage(path: Path) -> RawHeader:
         ) from None
     _check_meta_axes(fields, len(sizes))
     _check_units([fields["DistanceUnits"]] if "DistanceUnits" in fields else [])
-    data = path
-    if name.upper() != "LOCAL":
-        data, offset = _detached(path, name), 0
+    data, offset = (path, offset) if name.upper() == "LOCAL" else (_detached(path, name), 0)
     encoding: Encoding = "raw" if _is_true(fields, "BinaryData", "True") else "text"
     if _is_true(fields, "CompressedData"):
         encoding = "deflate"
@@ -186,9 +202,18 @@ def parse_metaimage(path: Path) -> RawHeader:
                 "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
                 hint="save the image again, e.g. uncompressed",
             )
+    if 0 < skip < offset:
+        raise InputError(f"the MetaImage header of {offset} bytes gives a HeaderSize of {skip}", "correct or remove it")
     # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
-    offset += max(skip, 0)
-    return RawHeader(data, offset, encoding, METAIMAGE_ITK_NAME, numbers * item, stored, numbers=numbers)
+    offset = max(skip, offset)  # a positive one counts from the start of the file
+    position = None if encoding != "raw" else -1 if skip < 0 else offset
+    count, order = numbers * item, _meta_order(fields)
+    return RawHeader(data, offset, encoding, METAIMAGE_ITK_NAME, count, stored, {}, numbers, position, order)
+
+
+def _meta_order(fields: dict[str, str]) -> ByteOrder:
+    key = "BinaryDataByteOrderMSB" if "BinaryDataByteOrderMSB" in fields else "ElementByteOrderMSB"
+    return ">" if _is_true(fields, key) else "<"
 
 
 def _check_meta_axes(fields: dict[str, str], dimension: int) -> None:

@@ -147,7 +147,7 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
         common = scales.get("coordinateTransformations")
         levels = tuple(_level(dataset, common, len(axes)) for dataset in scales["datasets"])
         direction, metadata = _own(attributes.get(OWN_KEY, {}))
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         message = f"the OME-Zarr metadata are damaged ({type(error).__name__}: {error})"
         raise InputError(message, _DAMAGED_HINT) from None
     space = [axis for axis in axes if axis.kind == "space"]

@@ -14,6 +14,7 @@ from accelsurf.io.formats.deflate import TRUNCATED_HINT, inflate
 from accelsurf.settings import budgets
 
 Encoding = Literal["raw", "deflate", "text", "other"]
+ByteOrder = Literal["<", ">", ""]
 _CHUNK = 1 << 20
 
 
@@ -39,6 +40,11 @@ class RawHeader:
         Header fields to give back on writing.
     numbers : int or None
         Numbers expected, all channels together, where all of ``claimed_bytes`` are voxels.
+    position : int or None
+        Byte of the data file at which raw voxels begin, -1 for its last bytes; None where that is not known, or they
+        are not raw.
+    order : str
+        Byte order of the voxels: "<", ">", or empty where the header does not say.
     """
 
     data: Path
@@ -49,6 +55,8 @@ class RawHeader:
     stored_bytes: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)
     numbers: int | None = None
+    position: int | None = None
+    order: ByteOrder = ""
 
     @property
     def values(self) -> int:

@@ -42,17 +42,26 @@ class RawLayout:
         Of a voxel in the file, with its byte order.
     shape : tuple of int
         (nz, ny, nx); x runs fastest.
+    planes : ndarray (nz,) of int64, optional
+        Bytes before each plane, where they do not follow one another; the offset then counts for nothing.
     """
 
     path: Path
     offset: int
     stored: np.dtype[Any]
     shape: tuple[int, int, int]
+    planes: NDArray[np.int64] | None = None
 
     @property
     def end(self) -> int:
         """Bytes from the start of the file to the end of the voxels."""
-        return self.offset + math.prod(self.shape) * self.stored.itemsize
+        return max(map(self.plane, range(self.shape[0]))) + math.prod(self.shape[1:]) * self.stored.itemsize
+
+    def plane(self, z: int) -> int:
+        """Bytes before a plane."""
+        if self.planes is not None:
+            return int(self.planes[z])
+        return self.offset + z * math.prod(self.shape[1:]) * self.stored.itemsize
 
 
 class RawVoxels:
@@ -115,11 +124,11 @@ class RawVoxels:
 
     def _read_plane(self, file: BinaryIO, z: int, box: Box, plane: NDArray[Any]) -> int:
         """Read the rows of a box in one plane; the bytes that were read."""
-        _, ny, nx = self.layout.shape
+        nx = self.layout.shape[2]
         item = self.layout.stored.itemsize
         rows, columns = plane.shape
         gap = (nx - columns) * item
-        at = self.layout.offset + ((z * ny + box[1].start) * nx + box[2].start) * item
+        at = self.layout.plane(z) + (box[1].start * nx + box[2].start) * item
         if gap == 0:
             return _fill(file, at, plane)
         if gap > _MAX_GAP_BYTES:
@@ -146,12 +155,12 @@ def write_box(layout: RawLayout, box: Box, array: NDArray[Any]) -> None:
     array : ndarray, shape of the box
         Of the type of the layout.
     """
-    _, ny, nx = layout.shape
+    nx = layout.shape[2]
     stored = np.ascontiguousarray(array, layout.stored)
     item = layout.stored.itemsize
     with layout.path.open("r+b", buffering=0) as file:
         for plane, z in zip(stored, _range(box[0]), strict=True):
-            at = layout.offset + ((z * ny + box[1].start) * nx + box[2].start) * item
+            at = layout.plane(z) + (box[1].start * nx + box[2].start) * item
             if plane.shape[1] == nx:
                 _put(file, at, plane)
             else:

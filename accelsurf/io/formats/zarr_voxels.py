@@ -22,6 +22,8 @@ from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.files import file_version
 from accelsurf.settings import budgets
 
+#: Voxels along an axis: beyond that the numbers of the header are damaged.
+_MAX_AXIS = 1 << 48
 #: What a group or an array of a Zarr has, one of them.
 MARKS = ("zarr.json", ".zattrs", ".zgroup", ".zarray")
 
@@ -60,6 +62,8 @@ def open_array(folder: Path, path: str) -> Any:
     try:
         array = zarr.open_array(folder / path, mode="r")
         dtype, chunks = np.dtype(array.dtype), tuple(array.chunks)
+        if not all(0 < n <= _MAX_AXIS for n in array.shape):
+            raise ValueError(f"its shape is {array.shape}")
     except (PermissionError, MemoryError):
         raise
     except Exception as error:  # its metadata may be anything, and each part of zarr raises errors of its own
