@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from accelsurf.initialization.object_clicks import has_sides
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io import LazyVolume
 
+Some = TypeVar("Some", bound="ManyStarts")
 _HINT = "give a table of balls (id,x,y,z,r), or a label map of first voxels"
 
 
@@ -49,6 +51,10 @@ class ManyStarts(Protocol):
         """
         ...
 
+    def only(self, places: Sequence[int]) -> ManyStarts:
+        """The starts at some positions alone, for another process: what is in a file is read there."""
+        ...
+
 
 class BallTable:
     """Balls of a table; all balls of an id are one object.
@@ -77,6 +83,12 @@ class BallTable:
         boxes = [object_starts.ball_box(file, own, rows, geometry, margin) for own, rows in self._balls.items()]
         self.ids = np.array(list(self._balls), np.int64)
         self.low, self.high = _ends(boxes)
+
+    def only(self, places: Sequence[int]) -> BallTable:
+        """See `ManyStarts`."""
+        part = _at(self, places)
+        part._balls = {own: self._balls[own] for own in part.ids.tolist()}
+        return part
 
     def made(self, places: Sequence[int]) -> list[ObjectStart]:
         """See `ManyStarts`."""
@@ -118,6 +130,10 @@ class LabelMap:
             )
         self._name, self._labels, self._geometry, self._wanted = name, labels, geometry, tuple(ids)
         self.ids, self.low, self.high = self._scanned(margin)
+
+    def only(self, places: Sequence[int]) -> LabelMap:
+        """See `ManyStarts`."""
+        return _at(self, places)
 
     def _scanned(self, margin: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """The ids and their boxes, by one pass over the map."""
@@ -172,6 +188,12 @@ def opened(objects: str, geometry: Geometry, margin: int) -> ManyStarts:
         return BallTable(objects, geometry, margin)
     start = starts.parse(f"label:{objects}")
     return LabelMap(objects, io.open_volume(start.file), geometry, margin, start.ids)
+
+
+def _at(starts: Some, places: Sequence[int]) -> Some:
+    part, here = copy.copy(starts), list(places)
+    part.ids, part.low, part.high = starts.ids[here], starts.low[here], starts.high[here]
+    return part
 
 
 def _ends(boxes: Sequence[Box]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

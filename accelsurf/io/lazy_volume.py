@@ -80,6 +80,13 @@ class LazyVolume:
     ) -> None:
         self.voxels, self.geometry, self.source = voxels, geometry, source
         self.metadata: dict[str, str] = metadata or {}
+        self._opened: tuple[Path, Opening, bool] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """One that was opened is opened again by whoever unpickles it: another process, on the same files."""
+        if self._opened is None:
+            return LazyVolume, (self.voxels, self.geometry, self.metadata, self.source)
+        return _reopened, self._opened
 
     @classmethod
     def of_array(cls, volume: Volume) -> LazyVolume:
@@ -218,4 +225,13 @@ def open_volume(
                 "leave them out",
             )
         volume: LazyVolume = load(form.open)(path, header, opening)
+    volume._opened = path.absolute(), opening, headers.is_outside_data_allowed() or outside_data
     return volume
+
+
+def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
+    """A volume that was opened, once more."""
+    return open_volume(
+        path, level=opening.level, channel_index=opening.channel_index, time_index=opening.time_index,
+        cache_bytes=opening.cache_bytes, outside_data=outside_data,
+    )

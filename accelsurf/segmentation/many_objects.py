@@ -8,20 +8,25 @@ of all objects on the whole image: see record 0069.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.initialization import large_object_starts
 from accelsurf.initialization.large_object_starts import LabelMap, ManyStarts
 from accelsurf.io.lazy_volume import LazyVolume
+from accelsurf.segmentation.energy_assembly import make_term
 from accelsurf.segmentation.group_run import Boxes, GroupResult, MeetsOthers, check_settings, run_group
+from accelsurf.segmentation.image_context import ImageContext, TermInputs
 from accelsurf.segmentation.object_groups import Group, united
 from accelsurf.segmentation.result import SegmentedObject
 from accelsurf.segmentation.run_start import AROUND
+from accelsurf.segmentation.whole_image import Numbers, WholeImage
 from accelsurf.segmentation.windowed import LargeImage
+from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 #: Objects whose starts are nearer to each other than twice so many voxels are run at once from the beginning.
@@ -74,7 +79,7 @@ class Groups:
         self._low, self._high = np.zeros((2, len(starts.ids), 3), np.int64)
 
     def others(self, group: Group) -> list[int]:
-        """Positions of objects that begin near a group and are not in it: none that has failed, at most `MAX_OTHERS`."""
+        """Positions of at most `MAX_OTHERS` objects that begin near a group and are not in it, none that has failed."""
         there = ~self._failed
         there[list(group)] = False
         places = np.flatnonzero(there)
@@ -191,6 +196,32 @@ def segment_many_objects(
         for group in groups.unite():
             found.pop(group, None)
     yield from sorted(_outcomes(found.items(), starts))
+
+
+def numbers_needed(whole: Sequence[WholeImage], config: RunConfig) -> tuple[Numbers, ...]:
+    """Return what the energy of any object asks of the whole image, read through once: the same for all objects.
+
+    Parameters
+    ----------
+    whole : sequence of WholeImage
+        Of each channel.
+    config : RunConfig
+    """
+    shape = tuple(min(n, 8) for n in whole[0].geometry.shape)
+    # The energy of a pattern asks for the same numbers, wherever it is; it has edges for terms that need some.
+    pattern = (np.indices(shape).sum(axis=0) % 2).astype(np.float32)
+    inside = np.zeros(shape, np.bool_)
+    inside[tuple(slice(0, max(n // 2, 1)) for n in shape)] = True
+    images = [pattern] * len(whole)
+    context = ImageContext(
+        images, [one.scale for one in whole], whole[0].geometry.spacing, inside, is_start=True, whole=whole
+    )
+    context = context.of_object((0, 0, 0), inside)
+    for term in energy_expression.parse(config.energy):
+        inputs = TermInputs(term.settings, config, pattern, whole[0].geometry.spacing, context)
+        with suppress(UsageError):  # bounds that fit the objects need not fit the pattern
+            make_term(term, inputs, images)
+    return tuple(one.numbers for one in whole)
 
 
 def many_starts(objects: str | LazyVolume | ManyStarts, image: LargeImage) -> ManyStarts:

@@ -29,7 +29,7 @@ from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_setup import seeded
 from accelsurf.segmentation.to_end import finished
-from accelsurf.segmentation.whole_image import WholeImage
+from accelsurf.segmentation.whole_image import Numbers, WholeImage
 from accelsurf.segmentation.window_input import WindowInput, has_region
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
@@ -79,11 +79,17 @@ class LargeImage:
                     "resample it to the image's grid first",
                 )
 
-    def whole(self, config: RunConfig) -> tuple[WholeImage, ...]:
-        """What a run needs of each whole channel, which is read through when it is first asked for."""
+    def whole(self, config: RunConfig, numbers: Sequence[Numbers] = ()) -> tuple[WholeImage, ...]:
+        """What a run needs of each whole channel, which is read through when it is first asked for.
+
+        ``numbers`` are those of each channel that are known already.
+        """
         sigma = in_mm(config.presmooth, self.geometry)
-        levels = self.statistics or (None,) * len(self.channels)
-        return tuple(WholeImage(one, sigma, coarse) for one, coarse in zip(self.channels, levels, strict=True))
+        levels, known = self.statistics or (None,) * len(self.channels), numbers or [{}] * len(self.channels)
+        return tuple(
+            WholeImage(one, sigma, coarse, numbers=own)
+            for one, coarse, own in zip(self.channels, levels, known, strict=True)
+        )
 
 
 def segment_in_windows(
