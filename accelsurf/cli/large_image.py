@@ -75,27 +75,34 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
     InputError
         When the header cannot be read; UsageError when a setting needs the whole image in memory.
     """
+    image = large_image(place.source, config, parts)
+    if image is None:
+        return config, None
+    if fits(image, config):
+        return config, _in_memory(image)
+    return for_windows(place, config), _in_windows(image)
+
+
+def fits(image: LargeImage, config: RunConfig) -> bool:
+    """Whether a run on the whole image is within the memory that it may take."""
     from accelsurf.segmentation.memory_need import run_bytes
     from accelsurf.segmentation.preprocessing import uses_model
 
-    image = _image(place.source, config, parts)
-    if image is None:
-        return config, None
-    voxels = 1
-    for n in image.geometry.shape:
-        voxels *= n
-    if run_bytes(voxels * len(image.channels), uses_model(config)) <= image.max_bytes:
-        return config, _in_memory(image)
-    return _for_windows(place, config), _in_windows(image)
+    return run_bytes(_voxels(image.channels[0]) * len(image.channels), uses_model(config)) <= image.max_bytes
 
 
-def _image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
-    """The image, opened, where it may be read in parts; None where it is an ordinary one that fits."""
+def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
+    """Return the image, opened, where it may be read in parts; None where it is an ordinary one that fits.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read in parts.
+    """
     from accelsurf.errors import InputError
     from accelsurf.io.headers import count_values
     from accelsurf.segmentation.memory_need import run_bytes
     from accelsurf.segmentation.preprocessing import uses_model
-    from accelsurf.segmentation.windowed import LargeImage
 
     if not parts.names_part and not source.is_dir():
         try:
@@ -104,6 +111,19 @@ def _image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | N
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:
             return None
+    return opened(source, config, parts)
+
+
+def opened(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage:
+    """Return the image, opened to be read in parts.
+
+    Raises
+    ------
+    InputError
+        When it cannot be.
+    """
+    from accelsurf.segmentation.windowed import LargeImage
+
     channels = [parts.open(source), *(parts.open(Path(file)) for file in config.channel)]
     return LargeImage(tuple(channels), parts.allowed_bytes, _coarser(source, parts, channels))
 
@@ -125,7 +145,7 @@ def _voxels(image: LazyVolume) -> int:
     return nz * ny * nx
 
 
-def _for_windows(place: Place, config: RunConfig) -> RunConfig:
+def for_windows(place: Place, config: RunConfig) -> RunConfig:
     """The settings of a run in windows: its label map is written box by box."""
     if config.format is not None and config.format not in STORES:
         raise UsageError(

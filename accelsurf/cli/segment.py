@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from accelsurf.cli.large_image import ImageParts
+from accelsurf.cli.object_options import ObjectOptions
 from accelsurf.cli.options import FILES, SHOW, Display, InputFile, Output, Overwrite, Settings, required, run_config
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished
@@ -26,6 +27,7 @@ def segment(
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     profile: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     parts: ImageParts | None = None,
+    work: ObjectOptions | None = None,
     settings: Settings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
@@ -65,8 +67,13 @@ def segment(
     display = display or Display()
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
-        run = run_config(settings, config)
-        run, compute = computed(place, run, parts or ImageParts())
+        run, parts = run_config(settings, config), parts or ImageParts()
+        image = (work or ObjectOptions()).image(place, run, parts)
+        if image is not None:
+            from accelsurf.cli.object_work import run_objects
+            _refuse_switches(strict, profile)
+            return run_objects(place, run, image, work or ObjectOptions(), resume, display)
+        run, compute = computed(place, run, parts)
     except AccelsurfError as error:
         report_failure(place, error)
         raise
@@ -78,6 +85,19 @@ def segment(
     done = run_case(place, run, Watcher(display), strict, compute)
     _print_summary(place.name, done, display.quiet, profile)
     return done.code
+
+
+def _refuse_switches(strict: bool, profile: bool) -> None:
+    """Refuse what is not known of many objects that are run in groups.
+
+    Raises
+    ------
+    UsageError
+    """
+    for name in (name for name, given in (("--strict", strict), ("--profile", profile)) if given):
+        raise UsageError(
+            f"{name}: was given with objects of an image that is read in parts", "leave it out; the table has all ends"
+        )
 
 
 def _print_summary(name: str, done: Finished, quiet: bool, profile: bool) -> None:
