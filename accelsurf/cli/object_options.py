@@ -29,8 +29,8 @@ class ObjectOptions:
     its own. They share --max-memory. The result is the same."""
 
     scheduler: Annotated[str | None, Parameter(group=OBJECTS, metavar="ADDRESS")] = None
-    """With --objects: the same on a Dask cluster: the address of its scheduler, or its scheduler file. Then --max-memory
-    is that of each worker. Image and outputs must have the same paths there."""
+    """With --objects: the same on a Dask cluster: the address of its scheduler, or its scheduler file. --max-memory is
+    that of each worker then. Image and outputs must have the same paths there."""
 
     @property
     def given(self) -> bool:

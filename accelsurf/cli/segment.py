@@ -13,7 +13,9 @@ from accelsurf.cli.options import FILES, SHOW, Display, InputFile, Output, Overw
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Finished
+    from accelsurf.cli.case import Compute, Finished
+    from accelsurf.cli.place import Place
+    from accelsurf.settings.run_config import RunConfig
 
 
 def segment(
@@ -59,24 +61,33 @@ def segment(
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
         return 0
-    from accelsurf.cli.case import report_failure, run_case
+    from accelsurf.cli.case import report_failure
     from accelsurf.cli.large_image import computed
     from accelsurf.cli.place import Place
-    from accelsurf.cli.progress import Watcher
 
-    display = display or Display()
+    display, work = display or Display(), work or ObjectOptions()
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
-        image = (work or ObjectOptions()).image(place, run, parts)
-        if image is not None:
-            from accelsurf.cli.object_work import run_objects
+        if (image := work.image(place, run, parts)) is not None:
             _refuse_switches(strict, profile)
-            return run_objects(place, run, image, work or ObjectOptions(), resume, display)
+            from accelsurf.cli.object_work import run_objects
+            return run_objects(place, run, image, work, resume, display)
         run, compute = computed(place, run, parts)
     except AccelsurfError as error:
         report_failure(place, error)
         raise
+    return _run(place, run, compute, resume, display, (strict, profile))
+
+
+def _run(
+    place: Place, run: RunConfig, compute: Compute | None, resume: bool, display: Display, switches: tuple[bool, bool]
+) -> int:
+    """Run a case, or go on with it; ``switches``: strict, profile."""
+    from accelsurf.cli.case import run_case
+    from accelsurf.cli.progress import Watcher
+
+    strict, profile = switches
     if resume:
         from accelsurf.cli.resume import code_of_ended, taken_up
         if (code := code_of_ended(place, run, display.quiet)) is not None:

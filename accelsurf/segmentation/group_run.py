@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, enclosing, widened
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, enclosing, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.initialization.object_starts import ObjectStart
@@ -171,8 +171,7 @@ def _in(
     """The run in a window, as far as it goes."""
     starts, others = objects
     own = tuple(
-        one._replace(corner=tuple(c - first for c, first in zip(one.corner, window.corner, strict=True)))
-        for one in starts
+        one._replace(corner=corner_of(window.local(box_at(one.corner, one.psi.shape)))) for one in starts
     )
     with run_in(window, whole, image, config, own) as run:
         visited = VisitedBoxes(run, window.corner)
@@ -220,7 +219,7 @@ class VisitedBoxes:
         for place, one in enumerate(self._run.objects):
             box = bounding_box(one.surface.psi < one.surface.gamma)
             if box is not None:
-                low = np.array([side.start for side in box]) + one.corner
+                low = np.array([side.start for side in box], np.int64) + np.array(one.corner, np.int64)
                 self._add(place, low, low + [side.stop - side.start for side in box])
 
     def _add(self, place: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
@@ -247,7 +246,7 @@ class VisitedBoxes:
     @property
     def boxes(self) -> Boxes:
         """The box of each object on the whole grid; empty where it had no surface at all."""
-        there = (self._low < self._high).all(axis=1)[:, None]
+        there = np.all(self._low < self._high, axis=1, keepdims=True)
         return Boxes(np.where(there, self._low, 0), np.where(there, self._high, 0))
 
 

@@ -149,11 +149,10 @@ def segment_many_objects(
     ----------
     image : LargeImage
     objects : str, LazyVolume or ManyStarts
-        A table of balls or a label map that can be read in parts, as for ``--objects``; or a label map.
+        As for ``--objects``: a table of balls, or a label map that can be read in parts; or the map itself.
     config : RunConfig, optional
     margin : int, optional
-        Voxels around each start; objects with starts that overlap then are run at once from the beginning. Results do
-        not depend on it.
+        As of `first_groups`.
     on_group : callable, optional
         Called with the ids of each group that has ended, and what it left or why it failed.
     **options
@@ -184,14 +183,13 @@ def segment_many_objects(
                 result = run_group(image, whole, config, starts.made(group), groups.starts_of(others))
             except MeetsOthers as near:
                 groups.put_near(group, [others[place] for place in near.places])
-                continue
             except (AccelsurfError, MemoryError) as error:
                 found[group] = failure_text(error)
                 groups.put_failed(group)
             else:
                 found[group] = result
                 groups.put(group, result.low, result.high)
-            if on_group is not None:
+            if on_group is not None and group in found:
                 on_group(starts.ids[list(group)].tolist(), found[group])
         for group in groups.unite():
             found.pop(group, None)
