@@ -23,6 +23,7 @@ from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import SegmentedObject
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
+from accelsurf.segmentation.run_setup import window_reach
 from accelsurf.segmentation.whole_image import WholeImage
 from accelsurf.segmentation.windowed import LargeImage, larger, run_in
 from accelsurf.settings import energy_expression
@@ -125,7 +126,7 @@ def run_group(
     InputError
         When the window that they need is larger than memory, and as of `accelsurf.segment_objects`.
     """
-    window = Window(image.geometry, _first_box(starts, image.geometry))
+    window = Window(image.geometry, _first_box(starts, image.geometry, window_reach(config, image.geometry)))
     while True:
         refuse_too_large(window, starts, image)
         try:
@@ -134,11 +135,12 @@ def run_group(
             window = larger(window, face, (1, 1, 1), image, config)
 
 
-def _first_box(starts: list[ObjectStart], geometry: Geometry) -> Box:
-    """The starts, and as much around them as the largest is wide."""
+def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> Box:
+    """The starts, and around them as much as the largest is wide, and as their energies see (``reach``, mm)."""
     boxes = [box_at(one.corner, one.psi.shape) for one in starts]
     widest = max(n for one in starts for n in one.psi.shape)
-    return widened(functools.reduce(enclosing, boxes), geometry.shape, [max(MIN_MARGIN, widest)] * 3)
+    margin = [max(MIN_MARGIN, widest, math.ceil(reach / h) + MIN_MARGIN // 2) for h in geometry.spacing]
+    return widened(functools.reduce(enclosing, boxes), geometry.shape, margin)
 
 
 def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImage) -> None:
