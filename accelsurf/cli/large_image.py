@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES
 from accelsurf.errors import UsageError
+from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -86,9 +87,8 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
 def fits(image: LargeImage, config: RunConfig) -> bool:
     """Whether a run on the whole image is within the memory that it may take."""
     from accelsurf.segmentation.memory_need import run_bytes
-    from accelsurf.segmentation.preprocessing import uses_model
 
-    return run_bytes(_voxels(image.channels[0]) * len(image.channels), uses_model(config)) <= image.max_bytes
+    return run_bytes(_voxels(image.channels[0]) * len(image.channels), energy_expression.uses_model(config.energy)) <= image.max_bytes
 
 
 def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
@@ -102,11 +102,10 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
     from accelsurf.errors import InputError
     from accelsurf.io.headers import count_values
     from accelsurf.segmentation.memory_need import run_bytes
-    from accelsurf.segmentation.preprocessing import uses_model
 
     if not parts.names_part and not source.is_dir():
         try:
-            needed = run_bytes(count_values(source), uses_model(config))
+            needed = run_bytes(count_values(source), energy_expression.uses_model(config.energy))
         except InputError:
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:

@@ -51,8 +51,7 @@ def segment(
     overwrite
         Replace outputs that exist.
     resume
-        Go on from the state that a killed or interrupted run has left (--checkpoint); the result has the bytes of a run
-        that was never stopped. Without such a state the run begins, and one that has ended stays as it is.
+        Go on from what a killed run has left (--checkpoint), to the same bytes; begin where it has left nothing.
     strict
         Exit with 4 when the run ends before it has converged, with 5 when its result is doubtful.
     profile
@@ -94,8 +93,7 @@ def _run(
             return code
         place = taken_up(place, run)
     done = run_case(place, run, Watcher(display), strict, compute)
-    _print_summary(place.name, done, display.quiet, profile)
-    return done.code
+    return _summed_up(place.name, done, display.quiet, profile)
 
 
 def _refuse_switches(strict: bool, profile: bool) -> None:
@@ -111,8 +109,8 @@ def _refuse_switches(strict: bool, profile: bool) -> None:
         )
 
 
-def _print_summary(name: str, done: Finished, quiet: bool, profile: bool) -> None:
-    """Print how the run ended, and where its seconds went."""
+def _summed_up(name: str, done: Finished, quiet: bool, profile: bool) -> int:
+    """Print how the run ended, and where its seconds went; return the exit code."""
     from accelsurf.cli import profile as stages
     from accelsurf.cli.outcome import summary_lines
 
@@ -121,3 +119,4 @@ def _print_summary(name: str, done: Finished, quiet: bool, profile: bool) -> Non
         lines += stages.lines({**done.result.seconds, **done.log.seconds}, done.result.kernels)
     if lines:
         print("\n".join(lines))
+    return done.code

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid.boxes import Corner
 
 MAX_VALUE, MIN_RANGE = 1e30, 1e-30
 """Values beyond the first mean "no value" in many files, and their squares are beyond 32-bit floats; so is the inverse
@@ -40,10 +41,10 @@ class ImageCheck:
         """Look at the next planes (n, ny, nx)."""
         if planes.dtype.kind == "f" and not np.isfinite(planes).all():
             self._nans += int(np.isnan(planes).sum())
-            self._nonfinite.add(~np.isfinite(planes), self._planes)
+            self._nonfinite.add(~np.isfinite(planes), (self._planes, 0, 0))
         low, high = planes.min(), planes.max()
         if max(float(high), -float(low)) > MAX_VALUE:
-            self._beyond.add(np.abs(planes) > MAX_VALUE, self._planes)
+            self._beyond.add(np.abs(planes) > MAX_VALUE, (self._planes, 0, 0))
         self.low = low if self.low is None else min(self.low, low)
         self.high = high if self.high is None else max(self.high, high)
         self._planes += len(planes)
@@ -96,14 +97,14 @@ class Places:
     def of(cls, bad: NDArray[np.bool_]) -> Places:
         """Those of a whole image."""
         places = cls()
-        places.add(bad, 0)
+        places.add(bad)
         return places
 
-    def add(self, bad: NDArray[np.bool_], plane: int) -> None:
-        """Count voxels of planes from number ``plane`` on."""
+    def add(self, bad: NDArray[np.bool_], corner: Corner = (0, 0, 0)) -> None:
+        """Count voxels of a box from voxel ``corner`` on."""
         if not self.count and bad.any():
-            z, y, x = (int(i) for i in np.unravel_index(int(bad.argmax()), bad.shape))
-            self._first = z + plane, y, x
+            z, y, x = (int(i) + c for i, c in zip(np.unravel_index(int(bad.argmax()), bad.shape), corner, strict=True))
+            self._first = z, y, x
         self.count += int(bad.sum())
 
     def __str__(self) -> str:

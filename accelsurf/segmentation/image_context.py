@@ -135,7 +135,7 @@ class ImageContext:
     ) -> None:
         self.images, self.scales, self.spacing = list(images), list(scales), spacing
         self.foreground, self.background = foreground, background
-        self._is_start, self._whole, self._among_others = is_start, tuple(whole), False
+        self._is_start, self._whole = is_start, tuple(whole)
         self._training = (
             None if foreground is None else TrainingVoxels(_EVERYWHERE, foreground, foreground, background)
         )
@@ -143,7 +143,7 @@ class ImageContext:
         self._background: dict[tuple[int, str], NDArray[np.float64]] = {}
         self._found: dict[tuple[Any, ...], Any] = {}
         self._totals: RegionTotals | None = None
-        self._box = _EVERYWHERE
+        self._box, self._has_box = _EVERYWHERE, False
         self.clicks: Clicks | None = None
         self._model_inputs = ModelInputs()
         self._model: list[SeededModel] = []
@@ -153,11 +153,11 @@ class ImageContext:
     def of_object(self, corner: tuple[int, int, int], start: Mask) -> ImageContext:
         """The context of one of several objects; ``start`` is its mask, from voxel ``corner`` on.
 
-        Where models learn from the start, each object learns from its own. Quantities of whole images are shared;
-        sums are those of the object's box.
+        Where models learn from the start, each object learns from its own. Quantities of whole images are shared; sums
+        over regions are of the object's box.
         """
         part = copy.copy(self)
-        part._among_others = True
+        part._has_box = True
         if self._is_start and self._training is not None:
             part._training = self._training._replace(box=box_at(corner, start.shape), inside=start)
         return part
@@ -259,11 +259,8 @@ class ImageContext:
     def whole_sums(
         self, channel: int, spacing: Spacing, kind: str, summing: Summing
     ) -> NDArray[np.float64] | None:
-        """Sums over a whole channel on the level with a ``spacing``, mm; None where those of the image at hand count.
-
-        That is the whole, or the box of one of several objects.
-        """
-        if not self._whole or self._among_others:
+        """Sums over a whole channel on the level with a ``spacing``, mm; None where the image at hand counts."""
+        if not self._whole or self._has_box:
             return None
         whole = self._whole[channel]
         grids = levels(whole.geometry.shape, whole.geometry.spacing)

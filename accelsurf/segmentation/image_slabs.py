@@ -38,7 +38,8 @@ class ImageSlabs:
     presmooth_mm : float
         Standard deviation of the Gaussian, mm; 0 for none.
     slab_bytes : int
-        Bytes of a slab as float32; at least a plane is read.
+        Bytes of a slab as float32; at least a plane is read. About two and a half times as many are held at once,
+        also of the halo, which is four standard deviations on either side.
 
     Raises
     ------

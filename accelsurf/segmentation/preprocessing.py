@@ -26,7 +26,6 @@ from accelsurf.segmentation.run_clicks import placed
 from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.window_input import WindowInput, region_in, whole_of, window_of
 from accelsurf.settings import budgets, energy_expression
-from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.volumes import volume_mm3
 from accelsurf.settings.wording import shown
@@ -149,22 +148,18 @@ def preprocess(
     UsageError, InputError
         As of `accelsurf.segment`.
     """
-    if part is None:
-        check_channels(volumes)
     first, whole, given = volumes[0], volumes[0].geometry, given or {}
     window, box = window_of(whole, part), region_in(config, whole, part)
-    geometry = cropped(whole, box)
-    presmooth = in_mm(config.presmooth, window.geometry)
-    smoothed = presmoothed(first, presmooth) if part is None else part.smoothed[0]
+    geometry, presmooth = cropped(whole, box), in_mm(config.presmooth, window.geometry)
+    smoothed = _first_channel(volumes, presmooth, part)
     distance = distance_of_mask(config, given, window, box)
     seen = first, smoothed, window
     said = placed([*_clicks_of(config, seen, has_ids), *clicks], first, box, distance, None)
     start = given["start"] if "start" in given else _first_surface(config, seen, said, box)
     training = _training_voxels(config, given, seen)
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
-    is_part = geometry.shape != whole.shape
-    around = smoothed if is_part else None  # the result shows it
-    values = smoothed[box].copy() if is_part else _crop(smoothed, box)
+    around = None if geometry.shape == whole.shape else smoothed  # the result shows it
+    values = _crop(smoothed, box) if around is None else smoothed[box].copy()
     del smoothed, start
     images, scales = _scaled_channels(values, volumes, presmooth, box, part)
     del values
@@ -180,9 +175,17 @@ def preprocess(
     return prepared, psi
 
 
+def _first_channel(volumes: Sequence[Volume], presmooth: float, part: WindowInput | None) -> NDArray[np.float32]:
+    """The first channel, smoothed; of whole images after all channels were checked."""
+    if part is not None:
+        return part.smoothed[0]
+    check_channels(volumes)
+    return presmoothed(volumes[0], presmooth)
+
+
 def uses_model(config: RunConfig) -> bool:
     """Whether a term of the energy is of the clicks' model."""
-    return any(TERMS[term.name].uses_model for term in energy_expression.parse(config.energy))
+    return energy_expression.uses_model(config.energy)
 
 
 def _context(

@@ -6,6 +6,7 @@ thousand voxels compile what large ones need.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -13,9 +14,11 @@ import numpy as np
 
 from accelsurf.energies.seeded.contest import block_means
 from accelsurf.grid.volume import Volume
+from accelsurf.io import LazyVolume
 from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.windowed import LargeImage, segment_in_windows
 from accelsurf.settings.energy_terms import image_terms
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
@@ -42,6 +45,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "clicks": _corrected,
         "partition": _run(energy="partition", start="clicks", inside=f"ball:{_MIDDLE},3vox", outside="ball:2,2,2,2vox"),
         "objects": _several,
+        "windows": _in_windows,
         # Of boxes with many voxels, which no small run has.
         "coarse boxes": lambda: block_means(np.zeros((4, 4, 4), np.float32), (2, 2, 2)),
     }
@@ -85,6 +89,15 @@ def _corrected() -> Any:
     found = _measured(segment(image, inside=f"point:{_MIDDLE}vox", max_steps=STEPS))
     found = _measured(refine(found, outside=f"point:{SIDE / 2},{SIDE / 2},{SIDE / 2 + RADIUS - 1}vox"))
     return refine(found, inside=f"point:{SIDE / 2},{SIDE / 2 + RADIUS},{SIDE / 2}vox")
+
+
+def _in_windows() -> Any:
+    """Runs on images that are read in parts, of floats and of integers."""
+    image = _ball()
+    config = RunConfig(start=f"ball:{_MIDDLE},{START}vox", max_steps=2, levels=1)
+    for values in (image.array, np.clip(100 * image.array, 0, 255).astype(np.uint8)):
+        large = LargeImage((LazyVolume.of_array(image.with_array(values)),), sys.maxsize)
+        segment_in_windows(large, config)
 
 
 def _several() -> Any:

@@ -14,8 +14,9 @@ from accelsurf.energies import Parzen
 from accelsurf.energies.image_noise import noise_of, noise_of_samples, sample_places
 from accelsurf.energies.likelihood import END_PERCENTILES, least_variance
 from accelsurf.energies.region_sums import RegionMoments, Summing, moments_of
-from accelsurf.grid.boxes import Box
-from accelsurf.grid.image_check import ImageCheck
+from accelsurf.errors import InputError
+from accelsurf.grid.boxes import Box, corner_of
+from accelsurf.grid.image_check import ImageCheck, Places
 from accelsurf.grid.order_statistics import FloatCounts, IntegerCounts, OrderStatistics
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.slabs import sum_in_order
@@ -81,8 +82,19 @@ class WholeImage:
         return f"a coarser level of {nx} x {ny} x {nz} voxels"
 
     def window(self, box: Box) -> Planes:
-        """The smoothed image on a box, in its own unit: the bytes of that box of the whole, smoothed; a new array."""
-        return self._whole.window(box)
+        """The smoothed image on a box, in its own unit: the bytes of that box of the whole, smoothed; a new array.
+
+        Raises
+        ------
+        InputError
+            With numbers from a coarser level, when a voxel is not finite; otherwise `scale` looks at all voxels.
+        """
+        values = self._whole.window(box)
+        if self._coarse is not None and not np.isfinite(values).all():
+            bad = Places()
+            bad.add(~np.isfinite(values), corner_of(box))
+            raise InputError(f"{bad} not finite", "replace them first, e.g. by the value of the background")
+        return values
 
     @property
     def numbers(self) -> Numbers:

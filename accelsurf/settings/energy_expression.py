@@ -80,6 +80,11 @@ def learns(term: Term) -> bool:
     return TERMS[term.name].learns(term.settings)
 
 
+def uses_model(text: str) -> bool:
+    """Whether a term of an energy is of the model of what a person has clicked."""
+    return any(TERMS[term.name].uses_model for term in parse(text))
+
+
 def from_tables(tables: Sequence[Any]) -> str:
     """Write a list of tables, as TOML has it, as an expression.
 

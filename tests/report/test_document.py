@@ -40,6 +40,7 @@ def finished(**changes):
         terms=[{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
         resolved_settings={"presmooth_mm": 0.5},
         has_ids=False,
+        window=None,
         given=(),
         quality=Quality(
             probability=0.75, next_click=(1.0, 2.0, 3.0), next_doubt=0.5, border_fraction=0.25, contrast=0.5,

@@ -173,6 +173,15 @@ def test_numbers_of_a_coarser_level_are_those_of_it():
     same(whole.window(whole_box(image.geometry.shape)), image.as_float32())
 
 
+def test_a_window_is_looked_at_where_the_numbers_are_of_a_coarser_level():
+    image, coarse = volume((16, 40, 34), np.float32), volume((8, 20, 17), np.float32)
+    image.array[9, 20, 15] = np.nan
+    whole = in_parts(image, 0.0, 3, statistics_from=LazyVolume.of_array(coarse))
+    assert np.isfinite(whole.window(box_at((0, 0, 0), (9, 40, 34)))).all() and whole.scale
+    with pytest.raises(InputError, match=r"1 voxel is \(first at index x=15, y=20, z=9\) not finite"):
+        whole.window(box_at((4, 10, 10), (8, 20, 20)))
+
+
 def test_what_needs_the_image_itself_is_named():
     with pytest.raises(ValueError, match="median"):
         in_parts(volume((16, 40, 34), np.int16), 0.0, 3).found(np.median)

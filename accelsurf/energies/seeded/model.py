@@ -119,38 +119,38 @@ def seeded_model(
 
     Raises
     ------
-    LeavesWindow
-        When the model looks at what is near an open face of the window.
     InputError
-        When there is no inside click, or the first one lies outside the box or the mask.
+        When no click is inside, or the first lies outside box or mask; LeavesWindow when it looks beyond the window.
     """
-    inside = [click for click in clicks.clicks if click.side == "inside"]
-    if not inside:
-        raise InputError("seeded: no inside click was given", "give one with --inside")
-    allowed = _allowed(images[0].shape, box, mask)
+    first, sized = _first_inside(clicks), size_mm3 is not None
+    where = _allowed(images[0].shape, box, mask), window
     if previous is not None and previous.answer is not None and _goes_on(clicks, previous.clicks, previous.answer):
         smooth, answer, proposal = previous.images, previous.answer, previous.proposal
-        field, shown = field_of(smooth, spacing, allowed, window), previous.shown
-        corrections = previous.corrections
+        field, shown, corrections = field_of(smooth, spacing, *where), previous.shown, previous.corrections
         known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
     else:
         smooth = _smoothed(images, spacing)
-        field = field_of(smooth, spacing, allowed, window)
+        field = field_of(smooth, spacing, *where)
         answer, proposal = _first(smooth, spacing, field, clicks, size_mm3, box is not None)
-        known, left = Clicks((inside[0],), clicks.shape), [one for one in clicks.clicks if one is not inside[0]]
-        shown = _shown(images, spacing, (allowed, window), answer, known, (size_mm3 is not None, None))
-        corrections = ()
+        known, left = Clicks((first,), clicks.shape), [one for one in clicks.clicks if one is not first]
+        shown, corrections = _shown(images, spacing, where, answer, known, (sized, None)), ()
     assert shown is not None  # an answer was shown
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         marched = pool.map(partial(later_times, smooth, spacing, field, answer=answer), left)
         for click, times in zip(left, marched, strict=True):
             answer, known = with_click(answer, field, click, times), known.with_more([click])
-            stated = size_mm3 is not None, shown
-            before, shown = shown, _shown(images, spacing, (allowed, window), answer, known, stated, pool)
+            before, shown = shown, _shown(images, spacing, where, answer, known, (sized, shown), pool)
             corrections = corrections_with(corrections, click, (before, shown), spacing, clicks.shape)
-    arrays = on_whole_grid(answer, at_edges(shown, images, smooth, spacing, clicks, allowed), clicks.shape)
-    area = area_weight(images, spacing, arrays[1], allowed)
-    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, size_mm3 is not None, shown, corrections)
+    arrays = on_whole_grid(answer, at_edges(shown, images, smooth, spacing, clicks, where[0]), clicks.shape)
+    area = area_weight(images, spacing, arrays[1], where[0])
+    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, sized, shown, corrections)
+
+
+def _first_inside(clicks: Clicks) -> Click:
+    for click in clicks.clicks:
+        if click.side == "inside":
+            return click
+    raise InputError("seeded: no inside click was given", "give one with --inside")
 
 
 def _shown(

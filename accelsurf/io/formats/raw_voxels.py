@@ -26,6 +26,8 @@ from accelsurf.io.formats.deflate import TRUNCATED_HINT
 _MAX_GAP_BYTES = 4096
 #: Bytes that are read at once with gaps between rows.
 _BLOCK_BYTES = 1 << 22
+#: Message and hint where a file is not the one that was opened.
+CHANGED = ("the file has changed since it was opened", "let no other program write it; then start again")
 
 
 @dataclass(frozen=True)
@@ -114,9 +116,7 @@ class RawVoxels:
         # Opened anew each time: a file that is gone or replaced is noticed, and nothing is left open.
         with self.layout.path.open("rb", buffering=0) as file:
             if file_version(os.fstat(file.fileno())) != self._version:
-                raise InputError(
-                    "the file has changed while it was read", "let no other program write it; then start again"
-                )
+                raise InputError(*CHANGED)
             count = sum(self._read_plane(file, z, box, stored[z - box[0].start]) for z in _range(box[0]))
         with self._lock:
             self.bytes_read += count

@@ -7,14 +7,14 @@ opacity in turns. So the directories are read here first, and what ITK would not
 from __future__ import annotations
 
 import math
-import os
 import re
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,32 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes
 from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, RasterHeader
+from accelsurf.io.formats.tiff_directories import (
+    BITS,
+    COMPRESSION,
+    DESCRIPTION,
+    FILL_ORDER,
+    FORMAT,
+    HEIGHT,
+    ORIENTATION,
+    PHOTOMETRIC,
+    PLANAR,
+    RES_UNIT,
+    ROWS,
+    SAMPLES,
+    STRIP_BYTES,
+    STRIPS,
+    SUBFILE,
+    TILE_BYTES,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    TILES,
+    WIDTH,
+    X_RES,
+    Y_RES,
+    Page,
+    read_pages,
+)
 from accelsurf.settings import budgets
 
 _PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
@@ -30,15 +56,6 @@ MAX_FILE_BYTES = 0xFFFFFFFF
 _MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
 _DIRECTORY_BYTES = 2 + 15 * 12 + 4  # of a page written here: 15 entries
 
-# Tags of a TIFF directory.
-_SUBFILE, _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
-_STRIPS, _ORIENTATION, _SAMPLES, _ROWS, _STRIP_BYTES, _X_RES, _Y_RES, _PLANAR = 273, 274, 277, 278, 279, 282, 283, 284
-_RES_UNIT, _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES, _FORMAT = 296, 322, 323, 324, 325, 339
-_USED = frozenset((
-    *(_SUBFILE, _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _DESCRIPTION, _STRIPS, _ORIENTATION, _SAMPLES),
-    *(_ROWS, _STRIP_BYTES, _X_RES, _Y_RES, _PLANAR, _RES_UNIT, _TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_BYTES, _FORMAT),
-))
-_TIFF_TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 13: "I", 16: "Q"}
 _DEFLATE = (8, 32946)
 _LZW, _PACKBITS = 5, 32773
 _COMPRESSIONS = (1, _LZW, *_DEFLATE, _PACKBITS)  # the first: none
@@ -47,9 +64,6 @@ _MM = {
     **dict.fromkeys(("micron", "microns", "um", "\u00b5m", "\u03bcm", "\\u00b5m"), 1e-3),
     **{"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1000.0},
 }
-
-Page = dict[int, tuple[Any, ...]]
-
 
 @dataclass(frozen=True)
 class TiffHeader(RasterHeader):
@@ -65,6 +79,14 @@ class TiffHeader(RasterHeader):
         Compression, by its number.
     tiled : bool
         Whether the voxels are in tiles, which may go beyond the image.
+    directories : ndarray (n,) of int64
+        Where the directories of the pages begin.
+    stored : numpy.dtype or None
+        Of the values of a grey image, with the byte order of the file; None for a colour.
+    thumbnails : bool
+        Whether there are pages that are none of the stack.
+    planes : ndarray (n,) of int64 or None
+        Where the rows of each page begin, if they lie one after the other as they are.
     """
 
     itk_name: ClassVar[str] = "TIFFImageIO"
@@ -73,6 +95,10 @@ class TiffHeader(RasterHeader):
     strips: NDArray[np.int64]
     compression: int
     tiled: bool
+    directories: NDArray[np.int64]
+    stored: np.dtype[Any] | None
+    thumbnails: bool
+    planes: NDArray[np.int64] | None
 
     def check_complete(self) -> None:
         """Refuse a TIFF whose strips are not all there.
@@ -82,15 +108,8 @@ class TiffHeader(RasterHeader):
         InputError
             With what is missing.
         """
-        size = self.data.stat().st_size
-        for offset, length in self.strips.tolist():
-            if min(offset, length) < 0 or offset + length > size or length == 0:
-                raise InputError(
-                    f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
-                    hint=TRUNCATED_HINT,
-                )
+        self.check_places()
         present = stored = sum(self.strips[:, 1].tolist())
-        budgets.TIFF_STRIPS.check(stored, "the strips of the TIFF overlap", size + _DIRECTORY_BYTES)
         if ratio := {_LZW: budgets.LZW, _PACKBITS: budgets.PACKBITS}.get(self.compression):
             ratio.check(self.unpacked_bytes, "the header announces voxels", stored)
         if self.compression in _DEFLATE:
@@ -108,6 +127,26 @@ class TiffHeader(RasterHeader):
                 f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {present}",
                 hint=TRUNCATED_HINT,
             )
+
+    def check_places(self) -> None:
+        """Refuse a TIFF whose strips lie beyond its end, or upon one another.
+
+        Raises
+        ------
+        InputError
+            With what is missing.
+        """
+        size = self.data.stat().st_size
+        offsets, lengths = self.strips[:, 0], self.strips[:, 1]
+        # No sum of the two is taken that 64 bits do not hold.
+        if (wrong := (offsets < 0) | (lengths <= 0) | (offsets > size) | (lengths > size - offsets)).any():
+            offset, length = self.strips[int(wrong.argmax())].tolist()
+            raise InputError(
+                f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
+                hint=TRUNCATED_HINT,
+            )
+        stored = sum(lengths.tolist())
+        budgets.TIFF_STRIPS.check(stored, "the strips of the TIFF overlap", size + _DIRECTORY_BYTES)
 
     def _run_lengths(self) -> int:
         """Bytes that the runs of PackBits strips unpack to."""
@@ -142,8 +181,9 @@ def parse(path: Path) -> TiffHeader:
     """
     try:
         with path.open("rb") as file:
-            found = _pages(file)
-        pages = [page for page in found if not page.get(_SUBFILE, (0,))[0] & 1]  # thumbnails are marked by 1
+            form, all_pages = read_pages(file)
+        found = {at: page for at, page in all_pages.items() if not page.get(SUBFILE, (0,))[0] & 1}  # no thumbnails
+        pages = list(found.values())
         if not pages:
             raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
         first = _page_kind(pages[0])
@@ -154,103 +194,71 @@ def parse(path: Path) -> TiffHeader:
                     f"page {number} of the TIFF differs from the first in size or type, like slices expected",
                     hint="extract the page, or the pages of one size, first",
                 )
-        width, height, bits = int(pages[0][_WIDTH][0]), int(pages[0][_HEIGHT][0]), sum(_bits(pages[0]))
+        width, height, bits = int(pages[0][WIDTH][0]), int(pages[0][HEIGHT][0]), sum(_bits(pages[0]))
         spacing = _spacing(pages[0], len(pages))
-        compression = int(pages[0].get(_COMPRESSION, (1,))[0])
-        strips = np.concatenate([_strips(page) for page in pages])
+        compression = int(pages[0].get(COMPRESSION, (1,))[0])
+        strips = [strips_of(page) for page in pages]
     except (LookupError, TypeError, ValueError, OverflowError, struct.error):
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
-    unpacked = len(pages) * height * ((width * bits + 7) // 8)
-    pixel = 4 if _TILES in pages[0] or bits == 1 else bits // 8  # those ITK reads as colours with opacity
-    shape, tiled = (len(pages), height, width), _TILES in pages[0]
-    return TiffHeader(path, shape, spacing, pixel, unpacked, strips, compression, tiled)
+    page_bytes = height * ((width * bits + 7) // 8)
+    pixel = 4 if TILES in pages[0] or bits == 1 else bits // 8  # those ITK reads as colours with opacity
+    shape, tiled = (len(pages), height, width), TILES in pages[0]
+    places, stored = np.array(list(found), np.int64), _stored_type(pages[0], form.order)
+    is_plain = stored is not None and bits > 1 and compression == 1 and not tiled
+    planes = _planes(pages, strips, page_bytes) if is_plain else None
+    unpacked, together, more = len(pages) * page_bytes, np.concatenate(strips), len(found) < len(all_pages)
+    return TiffHeader(path, shape, spacing, pixel, unpacked, together, compression, tiled, places, stored, more, planes)
 
 
-def _pages(file: BinaryIO) -> list[Page]:
-    """The directories of a file, one after the other."""
-    size = file.seek(0, os.SEEK_END)
-    spent = 0
-    file.seek(0)
-    start = file.read(16)
-    order = {b"II": "<", b"MM": ">"}.get(start[:2], "")
-    version = struct.unpack(order + "H", start[2:4])[0] if order and len(start) >= 4 else 0
-    if version not in (42, 43):
-        raise InputError("this is not a TIFF image: it does not start as one", hint="is it the right file?")
-    big = version == 43
-    word, count_type, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
-    at = struct.unpack_from(order + word, start, 8 if big else 4)[0]
-    pages: list[Page] = []
-    seen: set[int] = set()
-    while at:
-        if at in seen:
-            raise InputError("the pages of the TIFF run in a circle", hint=TRUNCATED_HINT)
-        seen.add(at)
-        file.seek(at)
-        (count,) = struct.unpack(order + count_type, file.read(struct.calcsize(count_type)))
-        if count > 4096:
-            raise ValueError
-        raw = file.read(count * entry)
-        (at,) = struct.unpack(order + word, file.read(struct.calcsize(word)))
-        page = {}
-        for place in range(0, count * entry, entry):
-            tag, kind, n = struct.unpack_from(order + "HH" + word, raw, place)
-            if tag not in _USED:
-                continue
-            if tag in page:  # libraries do not agree which of the two counts
-                raise ValueError
-            # Pages may name the same bytes again and again.
-            spent += n * struct.calcsize("=" + _TIFF_TYPES.get(kind, "B"))
-            budgets.TIFF_TAGS.check(spent, "the entries of the TIFF", size + (1 << 16))
-            field = raw[place + 4 + struct.calcsize(word) : place + entry]
-            page[tag] = _values(file, order, kind, n, field)
-        pages.append(page)
-    return pages
+def _stored_type(page: Page, order: Literal["<", ">"]) -> np.dtype[Any] | None:
+    """Type of the values of a grey page; of black and white that which ITK gives. None for a colour."""
+    bits = _bits(page)
+    kinds = {kind: name for name, kind in STORED.items()} | {(1, 1): "uint8"}
+    return np.dtype(kinds[bits[0], page.get(FORMAT, (1,))[0]]).newbyteorder(order) if len(bits) == 1 else None
 
 
-def _values(file: BinaryIO, order: str, kind: int, count: int, field: bytes) -> tuple[Any, ...]:
-    """The values of an entry, in the entry itself or where it points."""
-    code = _TIFF_TYPES.get(kind)
-    if code is None:
-        return ()  # of a type that no tag used here has
-    size = struct.calcsize(order + code) * count
-    if size > len(field):
-        file.seek(struct.unpack(order + ("Q" if len(field) == 8 else "I"), field)[0])
-        field = file.read(size)
-    if code == "s":
-        return (field[:count].split(b"\0")[0].decode("utf-8", "replace"),)
-    return struct.unpack(order + code * count, field[:size])
+def _planes(
+    pages: Sequence[Page], strips: Sequence[NDArray[np.int64]], page_bytes: int
+) -> NDArray[np.int64] | None:
+    """Where the pages begin, if the strips of each follow one another; None if not."""
+    for page, some in zip(pages, strips, strict=True):
+        ends = some.sum(axis=1)
+        if page.get(FILL_ORDER, (1,))[0] != 1 or some[:, 1].sum() != page_bytes or (ends[:-1] != some[1:, 0]).any():
+            return None
+    return np.array([some[0, 0] for some in strips], np.int64)
 
 
 def _bits(page: Page) -> tuple[int, ...]:
-    samples = int(page.get(_SAMPLES, (1,))[0])
-    bits = page.get(_BITS, (1,))
+    samples = int(page.get(SAMPLES, (1,))[0])
+    bits = page.get(BITS, (1,))
     return tuple(bits) if len(bits) == samples else (int(bits[0]),) * samples
 
 
 def _page_kind(page: Page) -> tuple[Any, ...]:
     """What the pages of a stack have in common."""
-    keys = (_COMPRESSION, _PHOTOMETRIC, _ORIENTATION, _PLANAR)
+    keys = (COMPRESSION, PHOTOMETRIC, ORIENTATION, PLANAR)
     tags = tuple(page.get(key, (1,))[0] for key in keys)
-    return page[_WIDTH][0], page[_HEIGHT][0], _bits(page), page.get(_FORMAT, (1,))[0], *tags
+    return page[WIDTH][0], page[HEIGHT][0], _bits(page), page.get(FORMAT, (1,))[0], *tags
 
 
-def _strips(page: Page) -> NDArray[np.int64]:
-    offsets, lengths = (_TILES, _TILE_BYTES) if _TILES in page else (_STRIPS, _STRIP_BYTES)
+def strips_of(page: Page) -> NDArray[np.int64]:
+    """Offset and length of the strips or tiles of a page."""
+    offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
     return np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
 
 
 def _check_faithful(page: Page) -> None:
     """Refuse what ITK's reader changes on the way, or mixes up."""
-    bits, form, colour = _bits(page), page.get(_FORMAT, (1,))[0], page.get(_PHOTOMETRIC, (1,))[0]
-    tiled, compression = _TILES in page, page.get(_COMPRESSION, (1,))[0]
+    bits, form, colour = _bits(page), page.get(FORMAT, (1,))[0], page.get(PHOTOMETRIC, (1,))[0]
+    tiled, compression = TILES in page, page.get(COMPRESSION, (1,))[0]
     grey = len(bits) == 1 and colour in (0, 1)
     plain = (bits[0], form) in STORED.values() and len(set(bits)) == 1
     wrong = ""
-    if not (page[_WIDTH][0] and page[_HEIGHT][0]):
+    if not (page[WIDTH][0] and page[HEIGHT][0]):
         raise ValueError
     if compression not in _COMPRESSIONS:
         wrong = f"compression number {compression}"
-    elif _PHOTOMETRIC not in page:
+    elif PHOTOMETRIC not in page:
         wrong = "no word on whether 0 is black or white"
     elif colour == 3:
         wrong = "colours from a palette"
@@ -260,14 +268,14 @@ def _check_faithful(page: Page) -> None:
         wrong = f"{bits[0]}-bit {({1: 'unsigned', 2: 'signed', 3: 'floating-point'}).get(form, 'complex')} values"
     elif colour == 0 and bits != (1,):
         wrong = "values that grow towards black"
-    elif page.get(_ORIENTATION, (1,))[0] != 1:
+    elif page.get(ORIENTATION, (1,))[0] != 1:
         wrong = "rows and columns turned by its orientation tag"
-    elif page.get(_PLANAR, (1,))[0] != 1 and not grey:
+    elif page.get(PLANAR, (1,))[0] != 1 and not grey:
         wrong = "colour channels one after the other"
     elif tiled and (bits[0] != 8 or form != 1):
         wrong = "tiles"
-    elif tiled and max(page[_TILE_WIDTH][0], page[_TILE_HEIGHT][0]) > _MAX_TILE_EDGE:
-        wrong = f"tiles of {page[_TILE_WIDTH][0]} x {page[_TILE_HEIGHT][0]}"
+    elif tiled and max(page[TILE_WIDTH][0], page[TILE_HEIGHT][0]) > _MAX_TILE_EDGE:
+        wrong = f"tiles of {page[TILE_WIDTH][0]} x {page[TILE_HEIGHT][0]}"
     if wrong:
         raise InputError(f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_PLAIN_HINT)
 
@@ -277,7 +285,7 @@ def _spacing(page: Page, pages: int) -> tuple[float, float, float]:
 
     Inches are dots per inch, of a screen or a printer: they say nothing about the object.
     """
-    text = str(page.get(_DESCRIPTION, ("",))[0])
+    text = str(page.get(DESCRIPTION, ("",))[0])
     if "<OME" in text:
         return _ome_spacing(text)
     fields = dict(line.split("=", 1) for line in text.splitlines() if "=" in line) if text.startswith("ImageJ=") else {}
@@ -287,8 +295,8 @@ def _spacing(page: Page, pages: int) -> tuple[float, float, float]:
             f"the TIFF announces {fields['images']} images and has {pages} page{'s' if pages > 1 else ''}",
             hint="save the stack with a page for each slice",
         )
-    unit = _MM.get(fields.get("unit", "").lower(), 10.0 if page.get(_RES_UNIT, (2,))[0] == 3 else 0.0)
-    (xn, xd), (yn, yd) = page.get(_X_RES, (0, 0))[:2], page.get(_Y_RES, (0, 0))[:2]
+    unit = _MM.get(fields.get("unit", "").lower(), 10.0 if page.get(RES_UNIT, (2,))[0] == 3 else 0.0)
+    (xn, xd), (yn, yd) = page.get(X_RES, (0, 0))[:2], page.get(Y_RES, (0, 0))[:2]
     if not unit or not all((xn, xd, yn, yd)):
         return 1.0, 1.0, 1.0
     depth = float(fields.get("spacing", 1.0 / unit)) * unit
@@ -344,10 +352,10 @@ def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
     for z in range(depth):
         page = zlib.compress(np.ascontiguousarray(array[z], array.dtype.newbyteorder("<")).tobytes(), 6)
         entries = (
-            *((_WIDTH, 4, 1, width), (_HEIGHT, 4, 1, height), (_BITS, 3, 1, bits), (_COMPRESSION, 3, 1, 8)),
-            *((_PHOTOMETRIC, 3, 1, 1), (_DESCRIPTION, 2, len(text), 8), (_STRIPS, 4, 1, at + _DIRECTORY_BYTES)),
-            *((_ORIENTATION, 3, 1, 1), (_SAMPLES, 3, 1, 1), (_ROWS, 4, 1, height), (_STRIP_BYTES, 4, 1, len(page))),
-            *((_X_RES, 5, 1, shared), (_Y_RES, 5, 1, shared + 8), (_RES_UNIT, 3, 1, 3), (_FORMAT, 3, 1, form)),
+            *((WIDTH, 4, 1, width), (HEIGHT, 4, 1, height), (BITS, 3, 1, bits), (COMPRESSION, 3, 1, 8)),
+            *((PHOTOMETRIC, 3, 1, 1), (DESCRIPTION, 2, len(text), 8), (STRIPS, 4, 1, at + _DIRECTORY_BYTES)),
+            *((ORIENTATION, 3, 1, 1), (SAMPLES, 3, 1, 1), (ROWS, 4, 1, height), (STRIP_BYTES, 4, 1, len(page))),
+            *((X_RES, 5, 1, shared), (Y_RES, 5, 1, shared + 8), (RES_UNIT, 3, 1, 3), (FORMAT, 3, 1, form)),
         )
         page += b"\0" * (len(page) % 2)  # directories begin at even bytes
         end = at + _DIRECTORY_BYTES + len(page)
