@@ -88,7 +88,8 @@ def fits(image: LargeImage, config: RunConfig) -> bool:
     """Whether a run on the whole image is within the memory that it may take."""
     from accelsurf.segmentation.memory_need import run_bytes
 
-    return run_bytes(_voxels(image.channels[0]) * len(image.channels), energy_expression.uses_model(config.energy)) <= image.max_bytes
+    values = _voxels(image.channels[0]) * len(image.channels)
+    return run_bytes(values, energy_expression.uses_model(config.energy)) <= image.max_bytes
 
 
 def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
