@@ -1,14 +1,16 @@
 """Objects of a large image, run in groups, have the bytes of all at once in memory."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.segmentation import group_run, many_objects
 from accelsurf.segmentation.api import segment_objects
+from accelsurf.segmentation.group_run import Boxes, MeetsOthers, VisitedBoxes
 from accelsurf.segmentation.many_objects import Groups, segment_many_objects
 from accelsurf.segmentation.memory_need import run_bytes
 from accelsurf.segmentation.object_groups import united
@@ -208,18 +210,58 @@ def test_thousands_of_objects_are_light_and_look_at_the_nearest():
     assert places[near].max() <= 400 and near == sorted(near)
 
 
-def test_visited_boxes_hold_all_that_an_object_ever_was(image, in_memory):
-    """The band's box, made larger, at each step; a surface that has shrunk back counts with its largest extent."""
-    outcome = {}
-    list(segment_many_objects(
-        large(image), LazyVolume.of_array(label_map((9,))), on_group=lambda ids, result: outcome.update({9: result}),
-        **FAST,
-    ))
-    result = outcome[9]
-    box = bounding_box(result.objects[0].labels > 0)
-    corner = np.array([side.start for side in result.objects[0].box])
-    inside_low = corner + [side.start for side in box]
-    inside_high = corner + [side.stop for side in box]
-    assert (result.low[0] <= inside_low - group_run.REACH - 1).all()
-    assert (result.high[0] >= inside_high + group_run.REACH + 1).all()
-    assert (result.low[0] >= inside_low - 14).all() and (result.high[0] <= inside_high + 14).all()
+def test_what_has_failed_meets_nobody_any_more():
+    """The three are united by where the first came; when they fail, the place where it was is nobody's."""
+    starts = Starts(np.array([[0, 0, 0], [30, 0, 0], [60, 0, 0]]), np.array([[5, 5, 5], [35, 5, 5], [65, 5, 5]]))
+    groups = Groups(starts)
+    groups.put((0,), np.array([[0, 0, 0]]), np.array([[33, 5, 5]]))
+    groups.put((1,), np.array([[25, 0, 0]]), np.array([[40, 5, 5]]))
+    groups.put((2,), np.array([[45, 0, 0]]), np.array([[70, 5, 5]]))
+    assert groups.unite() == [(0,), (1,)] and groups.waiting == [(0, 1)]
+    assert groups.others((2,)) == [0, 1]
+    groups.put_failed((0, 1))
+    assert groups.unite() == [] and groups.waiting == [] and groups.others((2,)) == []
+    with pytest.raises(ValueError, match="not in list"):
+        groups.put_failed((0, 1))
+
+
+def test_one_that_comes_to_a_start_is_united_with_it_whatever_the_boxes_say():
+    groups = Groups(Starts(np.array([[0, 0, 0], [30, 0, 0]]), np.array([[5, 5, 5], [35, 5, 5]])))
+    groups.put_near((0,), [1])
+    with pytest.raises(ValueError, match="1 groups have not ended"):
+        groups.unite()
+    groups.put((1,), np.array([[31, 0, 0]]), np.array([[32, 1, 1]]))
+    assert groups.unite() == [(0,), (1,)] and groups.waiting == [(0, 1)]
+
+
+class Visitor:
+    """An object that is where it is said to be."""
+
+    def __init__(self):
+        self.corner = (10, 0, 5)
+        psi = np.full((20, 9, 9), 3.0)
+        psi[4:7, 4:6, :3] = -3.0
+        self.surface = SimpleNamespace(size=1, psi=psi, gamma=np.float32(3.0))
+        self.band = np.array([16, 4, 9]), np.array([17, 6, 11])
+
+    def extent(self):
+        return self.band
+
+
+def test_visited_boxes_are_of_all_steps_with_what_lies_deep_inside_at_the_end():
+    one = Visitor()
+    visited = VisitedBoxes(SimpleNamespace(objects=[one]), (100, 0, 1000))
+    assert group_run.REACH == 3
+    assert [side.tolist() for side in visited.boxes] == [[[113, 1, 1006]], [[120, 9, 1014]]]
+    one.band = np.array([15, 5, 9]), np.array([18, 6, 10])
+    visited.look()
+    one.band, one.surface.size = (np.zeros(3, np.int64), np.ones(3, np.int64)), 0
+    visited.look()
+    assert [side.tolist() for side in visited.boxes] == [[[112, 1, 1006]], [[121, 9, 1014]]]
+    visited.look_at_ends()
+    assert [side.tolist() for side in visited.boxes] == [[[112, 1, 1005]], [[121, 9, 1014]]]
+    near = np.array([[121, 0, 1000], [120, 8, 1013], [0, 0, 0]])
+    with pytest.raises(MeetsOthers) as met:
+        visited.refuse_near(Boxes(near, near + 1))
+    assert met.value.places == (1,)
+    visited.refuse_near(Boxes(near, near + 1))  # it has not become larger since

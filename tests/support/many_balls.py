@@ -1,12 +1,16 @@
 """An image of several balls with a start in each: some touch, two are a gap apart, one grows far, some are alone."""
 
+import math
+
 import numpy as np
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 
 SHAPE = (40, 64, 112)
-GEOMETRY = Geometry(SHAPE, (1.2, 1.0, 0.9), (3.3, -7.1, 12.7))
+#: Turned a little about z, so that places have digits to lose.
+TURN = ((math.cos(0.2), -math.sin(0.2), 0.0), (math.sin(0.2), math.cos(0.2), 0.0), (0.0, 0.0, 1.0))
+GEOMETRY = Geometry(SHAPE, (1.2, 1.0, 0.9), (3.3, -7.1, 12.7), np.array(TURN))
 #: id -> (z, y, x) voxel of the middle, radius in mm. 20 to 22 are a chain that touches, 31 and 32 a gap apart.
 BALLS = {
     20: ((16, 16, 15), 7.0),
