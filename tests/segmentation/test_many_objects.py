@@ -211,18 +211,16 @@ def test_thousands_of_objects_are_light_and_look_at_the_nearest():
 
 
 def test_what_has_failed_meets_nobody_any_more():
-    """The three are united by where the first came; when they fail, the place where it was is nobody's."""
-    starts = Starts(np.array([[0, 0, 0], [30, 0, 0], [60, 0, 0]]), np.array([[5, 5, 5], [35, 5, 5], [65, 5, 5]]))
-    groups = Groups(starts)
-    groups.put((0,), np.array([[0, 0, 0]]), np.array([[33, 5, 5]]))
-    groups.put((1,), np.array([[25, 0, 0]]), np.array([[40, 5, 5]]))
-    groups.put((2,), np.array([[45, 0, 0]]), np.array([[70, 5, 5]]))
-    assert groups.unite() == [(0,), (1,)] and groups.waiting == [(0, 1)]
-    assert groups.others((2,)) == [0, 1]
+    """Two are united by where they came; when they fail, the place where they were is nobody's."""
+    first = np.array([[0, 0, 0], [30, 0, 0], [60, 0, 0], [90, 0, 0]])
+    groups = Groups(Starts(first, first + 5))
+    for place, (low, high) in enumerate(((0, 33), (25, 40), (45, 77), (75, 99))):
+        groups.put((place,), np.array([[low, 0, 0]]), np.array([[high, 5, 5]]))
+    assert groups.unite() == [(0,), (1,), (2,), (3,)] and groups.waiting == [(0, 1), (2, 3)]
+    assert groups.others((2, 3)) == [0, 1]
     groups.put_failed((0, 1))
-    assert groups.unite() == [] and groups.waiting == [] and groups.others((2,)) == []
-    with pytest.raises(ValueError, match="not in list"):
-        groups.put_failed((0, 1))
+    groups.put((2, 3), np.array([[35, 0, 0], [75, 0, 0]]), np.array([[70, 5, 5], [99, 5, 5]]))
+    assert groups.unite() == [] and groups.waiting == [] and groups.others((2, 3)) == []
 
 
 def test_one_that_comes_to_a_start_is_united_with_it_whatever_the_boxes_say():
