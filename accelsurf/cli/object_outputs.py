@@ -116,7 +116,7 @@ def _report(
         argv=sys.argv,
         config=config,
         source=describe_input(place.source, geometry=image.geometry),
-        warnings=[line for record in done.records for line in record.facts["warnings"]],
+        warnings=[*done.notes, *(line for record in done.records for line in record.facts["warnings"])],
     )
     contents["objects"] = rows
     if done.records:

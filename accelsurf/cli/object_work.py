@@ -106,12 +106,15 @@ class ObjectsDone:
         Of all objects.
     folder : Path
         Where the records are.
+    notes : list of str
+        About all of them.
     """
 
     records: list[GroupRecord]
     failures: dict[int, str]
     ids: list[int]
     folder: Path
+    notes: list[str]
 
 
 class _Work:
@@ -121,13 +124,15 @@ class _Work:
         self, place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, folder: Path
     ) -> None:
         from accelsurf.segmentation.many_objects import Groups, many_starts, numbers_needed
+        from accelsurf.segmentation.windowed import notes_of
 
         jobs = options.jobs or 1
         self._options, self._image = options, replace(image, max_bytes=image.max_bytes // jobs)
         self._place, self._folder, self._config = place, folder, _with_threads(config, options)
         self._starts: ManyStarts = many_starts(str(config.objects), image)
         self._groups: Groups = Groups(self._starts)
-        self._numbers = numbers_needed(image.whole(config), config)
+        whole = image.whole(config)
+        self._numbers, self._notes = numbers_needed(whole, config), notes_of(whole)
         self._key = _key_of(config, image, self._numbers)
         self._records: dict[Places, GroupRecord] = {}
         self._failures: dict[Places, str] = {}
@@ -156,7 +161,7 @@ class _Work:
         ids = self._starts.ids
         failures = {int(ids[one]): why for group, why in self._failures.items() for one in group}
         records = [self._records[group] for group in sorted(self._records)]
-        return ObjectsDone(records, failures, ids.tolist(), self._folder)
+        return ObjectsDone(records, failures, ids.tolist(), self._folder, self._notes)
 
     def _round(self, pool: Pool, number: int, progress: BatchProgress) -> None:
         """Run what waits, and take note of what becomes of it."""

@@ -32,7 +32,7 @@ from accelsurf.settings.run_config import RunConfig
 #: Objects whose starts are nearer to each other than twice so many voxels are run at once from the beginning.
 MARGIN = 6
 #: A run that comes to where others begin ends at once, as it would not count; so many others are looked at.
-MAX_OTHERS = 1000
+MAX_OTHERS = 200
 
 
 class ObjectOutcome(NamedTuple):

@@ -164,11 +164,11 @@ def _in(
     """The result of a run in a window."""
     run = run_in(window, whole, image, config)
     result = finished(run, on_step, on_warning, checkpoints)
-    return replace(result, window=window, state=None, warnings=[*result.warnings, *_notes(whole)])
+    return replace(result, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
 
 
-def _notes(whole: Sequence[WholeImage]) -> list[str]:
-    """What numbers of the whole image are taken from, where not from all of it."""
+def notes_of(whole: Sequence[WholeImage]) -> list[str]:
+    """Return what numbers of the whole image are taken from, where not from all of it."""
     found = {one.statistics for one in whole} - {"exact"}
     return [f"values of the whole image are those of {where}" for where in sorted(found)]
 

@@ -207,7 +207,7 @@ def test_thousands_of_objects_are_light_and_look_at_the_nearest():
     assert groups.waiting == [(place,) for place in range(15**3)]
     near = groups.others((0,))
     assert len(near) == many_objects.MAX_OTHERS and 0 not in near and {1, 15, 225} < set(near)
-    assert places[near].max() <= 400 and near == sorted(near)
+    assert places[near].max() <= 240 and near == sorted(near)
 
 
 def test_what_has_failed_meets_nobody_any_more():
