@@ -24,6 +24,8 @@ _HOMES = {
     "UsageError": "accelsurf.errors",
     "Geometry": "accelsurf.grid.geometry",
     "Volume": "accelsurf.grid.volume",
+    "LazyVolume": "accelsurf.io",
+    "open_volume": "accelsurf.io",
     "read": "accelsurf.io",
     "read_labels": "accelsurf.io",
     "write": "accelsurf.io",
@@ -60,6 +62,8 @@ if TYPE_CHECKING:
     from accelsurf.errors import UsageError as UsageError
     from accelsurf.grid.geometry import Geometry as Geometry
     from accelsurf.grid.volume import Volume as Volume
+    from accelsurf.io import LazyVolume as LazyVolume
+    from accelsurf.io import open_volume as open_volume
     from accelsurf.io import read as read
     from accelsurf.io import read_labels as read_labels
     from accelsurf.io import write as write

@@ -8,6 +8,7 @@ change from run to run, so that old and new files differ, and so do their names.
 * disk: no file may grow beyond a random size, as on a full disk.
 * resumed: SIGKILL at random moments of a run that writes its state; repeated with ``--resume`` it must end with the
   files of one that was not killed (`benchmarks.resumed`).
+* batch: the same for batches of several workers: all processes, the parent, or one worker (`benchmarks.batch_kills`).
 
 After each the files must be those that one report names, by their checksums: all old or all new. Whatever is hidden
 must go with the next run. ``python -m benchmarks.kills --help`` lists the options; the table in
@@ -17,7 +18,6 @@ docs/how-to/files-of-a-run.md says what is promised.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import math
 import os
@@ -34,10 +34,10 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import io
-from accelsurf.errors import AccelsurfError
 from accelsurf.io.file_set import recover
 from accelsurf.phantoms import recipes
-from benchmarks import resumed
+from benchmarks import batch_kills, resumed
+from benchmarks.case_files import fault_of
 
 NAME = "ball"
 FORMATS = ("nii.gz", "nii", "nrrd", "mha", "mhd", "tif")
@@ -144,32 +144,6 @@ class Bench:
         """The report, or nothing."""
         path = self.results / f"{NAME}_report.json"
         return path.read_bytes() if path.exists() else b""
-
-
-def fault_of(folder: Path, name: str = NAME) -> str:
-    """What is wrong with the files of a case: empty when they are those of its report, all of them and readable."""
-    try:
-        report = json.loads((folder / f"{name}_report.json").read_bytes())
-    except FileNotFoundError:
-        return "there is no report"
-    except ValueError:
-        return "broken: the report is no JSON"
-    listed = {f"{name}_report.json"}
-    for entry in report["outputs"]:
-        path = folder / Path(entry["path"]).name
-        listed.add(path.name)
-        if not path.exists():
-            return f"mixed: {path.name} is missing"
-        if hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
-            return f"mixed: {path.name} is not the one of the report"
-        if entry["kind"] in ("labels", "sdf"):
-            try:
-                io.read(path)
-            except AccelsurfError as error:
-                return f"broken: {error}"
-    failed = folder / f"{name}_failed_report.json"
-    others = {path.name for path in folder.iterdir() if path.name.startswith(f"{name}_")} - listed - {failed.name}
-    return f"mixed: {', '.join(sorted(others))} beside the report" if others else ""
 
 
 @dataclass
@@ -287,6 +261,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--interrupts", type=int, default=40, help="runs with Ctrl-C, default 40")
     parser.add_argument("--disks", type=int, default=50, help="runs on a full disk, default 50")
     parser.add_argument("--resumed", type=int, default=50, help="runs that are killed and go on, default 50")
+    parser.add_argument("--batch", type=int, default=20, help="batches that are killed and go on, default 20")
     parser.add_argument("--seed", type=int, default=0, help="of the moments and sizes, default 0")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "kills.json")
     given = parser.parse_args(argv)
@@ -295,9 +270,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         bench = Bench.prepared(Path(folder), given.seed)
         found = {"seed": given.seed, "seconds_of_a_run": round(bench.seconds, 2), **run_trials(bench, counts)}
         found["resumed"] = resumed.trials(Path(folder) / "resumed", given.resumed, given.seed)
+        found["batch"] = batch_kills.trials(Path(folder) / "batch", given.batch, given.seed)
     given.output.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(found, indent=2))
-    return 1 if any(found[kind]["faults"] for kind in (*counts, "resumed")) else 0
+    return 1 if any(found[kind]["faults"] for kind in (*counts, "resumed", "batch")) else 0
 
 
 if __name__ == "__main__":

@@ -57,10 +57,10 @@ def started(words: list[str], out: Path) -> subprocess.Popen[str]:
 def content(out: Path) -> dict[str, str]:
     """SHA-256 of the files that must be the same."""
     paths = sorted(path for pattern in PATTERNS for path in out.glob(pattern))
-    return {path.name: hashlib.sha256(_without_effort(path)).hexdigest() for path in paths}
+    return {path.name: hashlib.sha256(without_effort(path)).hexdigest() for path in paths}
 
 
-def _without_effort(path: Path) -> bytes:
+def without_effort(path: Path) -> bytes:
     """The bytes of a file; of a table without the columns in `EFFORT`."""
     if path.suffix != ".csv":
         return path.read_bytes()

@@ -9,10 +9,8 @@ from pathlib import Path
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.io.headers import count_values
-from accelsurf.segmentation.memory_need import PROCESS_BYTES, bytes_text, run_bytes
+from accelsurf.segmentation.memory_need import FREE_SHARE, PROCESS_BYTES, bytes_text, run_bytes
 
-#: Share of the free memory that a batch takes unless it is told.
-FREE_SHARE = 0.8
 
 @dataclass(frozen=True)
 class Need:

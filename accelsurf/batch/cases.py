@@ -11,6 +11,7 @@ from accelsurf.batch import case_table, layouts
 from accelsurf.batch.case import Case, check_ids
 from accelsurf.batch.layouts import Layout
 from accelsurf.errors import InputError, UsageError
+from accelsurf.io import is_stored
 
 T = TypeVar("T")
 
@@ -73,13 +74,13 @@ def check_cases(cases: Sequence[Case]) -> None:
     """
     check_ids(cases)
     for case in cases:
-        if case.reference is not None and not case.reference.is_file():
+        if case.reference is not None and not is_stored(case.reference):
             raise InputError(f"{case.place}: the reference {case.reference} is missing", "check its path")
 
 
 def _read(given: Sequence[str], layout: Layout) -> tuple[list[Case], str]:
     path = Path(given[0])
-    if len(given) == 1 and path.is_dir():
+    if len(given) == 1 and path.is_dir() and not is_stored(path):
         return layouts.in_folder(path, layout)
     if layout != "auto":
         raise UsageError(f"--layout {layout} was given, but {given[0]} is no folder", "name the folder of the images")
@@ -88,7 +89,7 @@ def _read(given: Sequence[str], layout: Layout) -> tuple[list[Case], str]:
     if len(given) == 1 and _PATTERN.search(given[0]) and not path.exists():
         return layouts.by_pattern(given[0]), "a pattern"
     for one in given:
-        if Path(one).is_dir():
+        if Path(one).is_dir() and not is_stored(Path(one)):
             raise UsageError(f"{one}: a folder among several CASES", "name one folder alone, or files")
         if not Path(one).exists():
             raise InputError(f"{one}: there is no such file or folder", "check the path")

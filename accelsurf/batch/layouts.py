@@ -11,7 +11,7 @@ from typing import Literal
 
 from accelsurf.batch.case import Case
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io import image_suffixes, split_name
+from accelsurf.io import image_suffixes, is_stored, split_name
 from accelsurf.settings.file_formats import input_help
 
 #: How a folder is read; auto looks at its names.
@@ -80,7 +80,7 @@ def of_files(images: Sequence[Path]) -> list[Case]:
 def _images(paths: Iterable[Path]) -> list[Path]:
     """Those that are images by their names, in order; hidden files are none."""
     named = (path for path in paths if not path.name.startswith(".") and split_name(path)[1] in image_suffixes())
-    return sorted((path for path in named if not path.is_dir()), key=str)
+    return sorted((path for path in named if not path.is_dir() or is_stored(path)), key=str)
 
 
 def _bids(folder: Path) -> list[Case]:

@@ -57,7 +57,7 @@ def finished(task: CaseTask) -> Outcome | None:
     report = load_report(task.folder / report_name(task.case.id))
     if report is None or report["status"] != "ok":
         return None
-    if not all((task.folder / Path(str(one.get("path"))).name).is_file() for one in report["outputs"]):
+    if not all(io.is_stored(task.folder / Path(str(one.get("path"))).name) for one in report["outputs"]):
         return None
     record = _read(record_path(task))
     try:
@@ -80,7 +80,7 @@ def named_files(config: RunConfig) -> list[Path]:
     found = {}
     for text in texts:
         for name in (text, text.rpartition("@")[0]):  # FILE@IDS; a name may have an @ itself
-            if name and Path(name).is_file():
+            if name and io.is_stored(Path(name)):
                 found[name] = Path(name)
                 break
     return list(found.values())

@@ -18,7 +18,7 @@ from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.outcome import shortcoming
 from accelsurf.cli.place import Place
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.io import sha256
+from accelsurf.io import is_stored, sha256
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
@@ -313,7 +313,7 @@ def _write_failure(
     try:
         if target is not place and result_sets.result_stands(target.folder, target.name, ()):
             raise OutputError(f"{target.report_path}: is the report of a result")  # of an image that is called so
-        if log.checksum is None and place.source.is_file() and not stopped:
+        if log.checksum is None and is_stored(place.source) and not stopped:
             log.checksum = sha256(place.source)
         with output_folder.naming_final(files):
             _write_report(target, config, log, "interrupted" if stopped else "failed", code, error, None, files)

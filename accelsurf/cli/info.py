@@ -1,21 +1,37 @@
-"""``accelsurf info``: versions, names and settings of this installation."""
+"""``accelsurf info``: versions, names and settings of this installation, or what an image is."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Annotated, Any, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from cyclopts import Parameter
 
+from accelsurf.cli.options import FILES
 
-def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False) -> int:
-    """Show versions, names, exit codes and settings.
+if TYPE_CHECKING:
+    from accelsurf.grid.geometry import Geometry
+
+
+def info(
+    image: Annotated[Path | None, Parameter(name="IMAGE", group=FILES)] = None,
+    *,
+    as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+) -> int:
+    """Show versions, names, exit codes and settings; or of an image its size, voxels, type, levels and chunks.
 
     Parameters
     ----------
+    image
+        An image; its voxels are not read where its format allows that.
     as_json
-        Print JSON, with the schema of the configuration.
+        Print JSON; without an image with the schema of the configuration.
     """
+    if image is not None:
+        _show_image(image, as_json)
+        return 0
     from accelsurf.report.document import to_json
     from accelsurf.settings.presets import PRESETS
     from accelsurf.settings.run_config import RunConfig
@@ -36,6 +52,52 @@ def info(*, as_json: Annotated[bool, Parameter(name="--json", negative=(), show_
     _print_presets()
     _print_settings()
     return 0
+
+
+def _show_image(path: Path, as_json: bool) -> None:
+    """Print what an image is."""
+    from accelsurf.report.document import to_json
+
+    facts = _facts_of(path)
+    if as_json:
+        print(to_json(facts))
+        return
+    levels = facts.pop("levels")
+    _print_table({key.replace("_", " "): str(value) for key, value in facts.items() if value is not None})
+    for number, level in enumerate(levels):
+        print(f"  level {number}: size {level['size']}, spacing {level['spacing']}")
+
+
+def _facts_of(path: Path) -> dict[str, Any]:
+    """What an image is; lengths in mm, all in the order (x, y, z)."""
+    from accelsurf import io
+    from accelsurf.errors import InputError
+    from accelsurf.io.headers import split_name
+
+    try:
+        lazy, by_boxes = io.open_volume(path, channel_index=0, time_index=0), True
+    except InputError:  # packed as a whole, or damaged: reading says which
+        lazy, by_boxes = io.LazyVolume.of_array(io.read(path)), False
+    geometry, layout = lazy.geometry, lazy.layout
+    return {
+        "format": split_name(path)[1].removeprefix("."),
+        **_grid(geometry),
+        "origin": list(geometry.origin),
+        "direction": geometry.direction.tolist(),
+        "type": str(lazy.dtype),
+        "megabytes": round(math.prod(geometry.shape) * lazy.dtype.itemsize / 1e6, 3),
+        "channels": layout.channels,
+        "time_points": layout.time_points,
+        "chunks": None if layout.chunk_shape is None else list(layout.chunk_shape[::-1]),
+        "read_by_boxes": by_boxes,
+        "warning": lazy.metadata.get(io.WARNING_KEY),
+        "levels": [_grid(grid) for grid in layout.levels],
+    }
+
+
+def _grid(geometry: Geometry) -> dict[str, Any]:
+    """Size and spacing, (x, y, z), mm."""
+    return {"size": list(geometry.size), "spacing": list(geometry.spacing_xyz)}
 
 
 def _known() -> dict[str, Any]:

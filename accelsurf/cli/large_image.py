@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.windowed import LargeImage
 
-#: Part of the free memory that a run may take unless it is told.
-FREE_SHARE = 0.8
 #: Statistics of an image of more voxels are taken from a coarser level, where its store has one of at most so many.
 MAX_STREAMED = 1 << 31
 #: Formats of label maps that are written box by box.
@@ -51,9 +49,9 @@ class ImageParts:
     def allowed_bytes(self) -> int:
         """Memory that the run may take."""
         from accelsurf import io
-        from accelsurf.segmentation.memory_need import memory_of
+        from accelsurf.segmentation.memory_need import allowed_bytes
 
-        return int(FREE_SHARE * io.available_memory()) if self.max_memory is None else memory_of(self.max_memory)
+        return allowed_bytes(self.max_memory, io.available_memory())
 
     @property
     def names_part(self) -> bool:
@@ -80,7 +78,7 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
     if image is None:
         return config, None
     if fits(image, config):
-        return config, _in_memory(image)
+        return config, _in_memory(image, not parts.names_part)
     return for_windows(place, config), _in_windows(image)
 
 
@@ -101,10 +99,14 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
         When it cannot be read in parts.
     """
     from accelsurf.errors import InputError
-    from accelsurf.io.headers import count_values
+    from accelsurf.io.headers import count_values, split_name
     from accelsurf.segmentation.memory_need import run_bytes
+    from accelsurf.settings.file_formats import image_format
 
     if not parts.names_part and not source.is_dir():
+        form = image_format(split_name(source)[1])
+        if parts.max_memory is None and (form is None or form.open is None):
+            return None  # it is read as a whole or not at all
         try:
             needed = run_bytes(count_values(source), energy_expression.uses_model(config.energy))
         except InputError:
@@ -161,10 +163,14 @@ def for_windows(place: Place, config: RunConfig) -> RunConfig:
     return config if own in STORES else config.replace(format="nii")
 
 
-def _in_memory(image: LargeImage) -> Compute:
-    """The computation of a case whose image is read as a whole from a part of its file."""
+def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
+    """The computation of a case whose image is read as a whole from a part of its file.
+
+    Without a checksum where that part is a small one of many: a store may have any size.
+    """
 
     def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
+        from accelsurf import io
         from accelsurf.cli.case import check_formats, evolve_at
         from accelsurf.grid.boxes import whole_box
         from accelsurf.grid.volume import Volume
@@ -175,6 +181,8 @@ def _in_memory(image: LargeImage) -> Compute:
             ))
             for one in image.channels
         )
+        if has_checksum:
+            log.checksum = log.timed("load", lambda: io.sha256(place.source))
         check_formats(place, config, volume, log)
         return evolve_at(place, volume, more, config, watcher, log)
 

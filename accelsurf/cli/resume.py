@@ -6,6 +6,7 @@ import os
 from dataclasses import replace
 
 from accelsurf.cli.place import Place
+from accelsurf.io import is_stored
 from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.report import result_sets
 from accelsurf.settings.run_config import RunConfig
@@ -25,7 +26,7 @@ def code_of_ended(place: Place, config: RunConfig, quiet: bool = False) -> int |
         return None
     finish_killed_runs(place.folder)
     document = result_sets.load_report(place.report_path)
-    if document is None or document["status"] != "ok" or not place.source.is_file():
+    if document is None or document["status"] != "ok" or not is_stored(place.source):
         return None
     if not result_sets.is_of(document, config, place.source):
         return None

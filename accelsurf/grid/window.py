@@ -33,6 +33,14 @@ class LeavesWindow(Exception):
         self.low, self.high = tuple(low), tuple(high)
 
 
+class NeedsLevels(Exception):
+    """A run goes over more levels than its window's blocks are those of: at least ``count``."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(f"{count} levels")
+        self.count = count
+
+
 class Window(NamedTuple):
     """A box of a whole grid.
 
@@ -42,10 +50,13 @@ class Window(NamedTuple):
         Of the whole grid.
     box : tuple of slice
         The window's voxels.
+    levels : int
+        On so many levels of a pyramid, from the finest on, its blocks are those of the whole grid.
     """
 
     geometry: Geometry
     box: Box
+    levels: int = 1
 
     @property
     def shape(self) -> tuple[int, int, int]:

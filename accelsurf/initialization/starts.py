@@ -266,7 +266,7 @@ def extent_hint(geometry: Geometry) -> str:
 
 
 def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDArray[np.float32]:
-    geometry, box = window
+    geometry, box = window.geometry, window.box
     if start.kind == CLICKS:
         raise UsageError(f"start {text!r}: there is no click inside", "give --inside point:X,Y,Z, or another start")
     if start.kind in BY_VALUES and not window.is_whole:

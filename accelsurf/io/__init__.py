@@ -1,7 +1,7 @@
 """Files in and out: images in every format that can be read or written, meshes, and writing that is all or nothing."""
 
 from accelsurf.io.files import sha256
-from accelsurf.io.headers import split_name
+from accelsurf.io.headers import is_stored, split_name
 from accelsurf.io.images import label_type, read, read_labels, write, write_labels
 from accelsurf.io.label_store import LabelStore
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
@@ -15,6 +15,7 @@ __all__ = [
     "WARNING_KEY",
     "available_memory",
     "image_suffixes",
+    "is_stored",
     "label_type",
     "open_volume",
     "read",

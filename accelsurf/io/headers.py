@@ -72,18 +72,21 @@ def _parse_folder(path: Path) -> tuple[ImageFormat, Any]:
     folders = [form for form in IMAGE_FORMATS.values() if form.folder_marks]
     named = image_format(split_name(path)[1])
     for form in folders:
-        if form is named or _has_marks(path, form):
+        if form is named or any((path / mark).is_file() for mark in form.folder_marks):
             return form, load(form.parse)(path)
     raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
 
 
-def _has_marks(path: Path, form: ImageFormat) -> bool:
-    return any((path / mark).is_file() for mark in form.folder_marks)
+def is_stored(path: Path) -> bool:
+    """Whether a path names a file, or a folder that is an image.
 
-
-def is_image_folder(path: Path) -> bool:
-    """Whether a folder has the files of an image that is stored as one."""
-    return any(_has_marks(path, form) for form in IMAGE_FORMATS.values())
+    Examples
+    --------
+    >>> is_stored(Path("absent.ome.zarr"))
+    False
+    """
+    marks = {mark for form in IMAGE_FORMATS.values() for mark in form.folder_marks}
+    return path.is_file() or any((path / mark).is_file() for mark in marks)
 
 
 def count_values(path: Path) -> int:

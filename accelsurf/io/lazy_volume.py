@@ -51,6 +51,26 @@ class Opening:
     cache_bytes: int = CACHE_BYTES
 
 
+@dataclass(frozen=True)
+class StoreLayout:
+    """How an image is stored.
+
+    Attributes
+    ----------
+    levels : tuple of Geometry
+        The grids of its levels, finest first.
+    chunk_shape : tuple of int or None
+        Of the level that was opened, (z, y, x); None where rows lie as they are.
+    channels, time_points : int
+        How many of them there are.
+    """
+
+    levels: tuple[Geometry, ...]
+    chunk_shape: tuple[int, int, int] | None = None
+    channels: int = 1
+    time_points: int = 1
+
+
 class LazyVolume:
     """An image on a grid whose voxels are read box by box.
 
@@ -64,10 +84,12 @@ class LazyVolume:
         As in `Volume`.
     source : Path, optional
         The file or folder.
+    layout : StoreLayout, optional
+        How it is stored; by default one level, channel and time point, without chunks.
 
     Attributes
     ----------
-    voxels, geometry, metadata, source
+    voxels, geometry, metadata, source, layout
         The same.
     """
 
@@ -77,8 +99,10 @@ class LazyVolume:
         geometry: Geometry,
         metadata: dict[str, str] | None = None,
         source: Path | None = None,
+        layout: StoreLayout | None = None,
     ) -> None:
         self.voxels, self.geometry, self.source = voxels, geometry, source
+        self.layout = layout or StoreLayout((geometry,))
         self.metadata: dict[str, str] = metadata or {}
         self._opened: tuple[Path, Opening, bool] | None = None
 
@@ -190,7 +214,7 @@ def open_volume(
     Parameters
     ----------
     path : path-like
-        An uncompressed NIfTI.
+        An OME-Zarr, a TIFF stack in grey, or an uncompressed NIfTI, NRRD or MetaImage.
     level : int, optional
         Of an image that is stored as a pyramid: 0 is the finest.
     channel_index, time_index : int, optional

@@ -9,8 +9,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from accelsurf.errors import OutputError
+from accelsurf.io import is_stored
 from accelsurf.io.file_set import FileSet, opened
-from accelsurf.io.headers import is_image_folder
 from accelsurf.report.result_sets import is_failure_report
 
 #: Of a file's name, on the usual file systems.
@@ -39,7 +39,7 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
     if results and not overwrite:
         more = f" and {len(results) - 1} more" if len(results) > 1 else ""
         raise OutputError(f"{results[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
-    folders = [path for path in existing if path.is_dir() and not is_image_folder(path)]
+    folders = [path for path in existing if path.is_dir() and not is_stored(path)]
     if folders:
         raise OutputError(f"{folders[0]}: is a folder, a file is to be written there", "choose another folder with -o")
     for folder in {path.parent for path in paths.values()}:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.io import sha256
+from accelsurf.io import is_stored, sha256
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 
@@ -112,7 +112,7 @@ def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
     for name, checksum in _entries(document["outputs"] if document is not None else ()):
         path = report.parent / name
         try:
-            if name not in besides and os.path.isfile(path) and sha256(path) == checksum:
+            if name not in besides and is_stored(path) and sha256(path) == checksum:
                 found.append(name)
         except AccelsurfError:
             continue

@@ -13,14 +13,17 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
+from accelsurf.io import LazyVolume, available_memory, open_volume
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
+from accelsurf.segmentation.memory_need import allowed_bytes
 from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
 from accelsurf.segmentation.to_end import finished
+from accelsurf.segmentation.windowed import LargeImage, segment_in_windows
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 
@@ -28,7 +31,7 @@ __all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "seg
 
 
 def segment(
-    volume: Volume | NDArray[Any],
+    volume: Volume | LazyVolume | NDArray[Any],
     *,
     spacing: float | tuple[float, float, float] | None = None,
     channels: Sequence[Volume | NDArray[Any]] = (),
@@ -43,26 +46,25 @@ def segment(
 
     Parameters
     ----------
-    volume : Volume or ndarray (nz, ny, nx)
-        The image; never modified. From `accelsurf.read`, or an array with ``spacing``.
+    volume : Volume, LazyVolume or ndarray (nz, ny, nx)
+        The image; never modified. Of `accelsurf.open_volume` parts near the object are read, with the same result.
     spacing : float or (hz, hy, hx), optional
         mm, for an array only; 1 by default.
-    channels : sequence of Volume or ndarray, optional
-        Further ones of the image, on the same grid.
+    channels : sequence of such images, optional
+        Further ones, on the same grid.
     config : RunConfig, optional
     energy : str or Energy or callable, optional
-        A name, over that of ``config``; an `accelsurf.energies.Energy` of your own; or a class or function that makes
-        one of ``(image, spacing)``: `Result.image` and (hz, hy, hx) mm. Settings of named energies are then refused.
+        A name; an `accelsurf.energies.Energy`, or what makes one of `Result.image` and (hz, hy, hx) mm.
     on_step : callable, optional
         Called with each `StepRecord`; a true return value ends the run with the reason ``interrupted``.
     on_warning : callable, optional
         Called before the first step with each of `Result.warnings`.
-    checkpoint_to : str or Path, optional
-        File of the run's state, written as often as the setting ``checkpoint`` says. Where it exists the run goes on
-        from it, and ends with the same bytes as one that was never stopped.
+    checkpoint_to : path-like, optional
+        File of the run's state, see the setting ``checkpoint``: where it exists the run goes on, to the same bytes.
     **options
         Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
         a Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
+        Of a LazyVolume texts only, and ``max_memory`` for the run, as "4GB" (0.8 of what is free).
 
     Returns
     -------
@@ -71,10 +73,8 @@ def segment(
     Raises
     ------
     UsageError
-        When an option is unknown or out of bounds, a start cannot be parsed, or an energy is incomplete.
-    InputError
-        When the image has NaN or infinite voxels or is constant, the start is outside, empty or full, an energy of your
-        own returns something else than numbers of the right shape, or ``checkpoint_to`` is damaged or of another run.
+        When an option is unknown or out of bounds, a start cannot be parsed, or an energy is incomplete; InputError
+        when the image, the start, what an energy of your own returns, or ``checkpoint_to`` cannot be used.
 
     Examples
     --------
@@ -84,9 +84,12 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
-    checkpoints = _file_of(checkpoint_to)
-    run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
-    return finished(run, _without_id(on_step), on_warning, checkpoints)
+    if isinstance(volume, LazyVolume):
+        large, config = large_of(volume, channels, spacing, config, energy, options)
+        return segment_in_windows(large, config, _without_id(on_step), on_warning, checkpoint_to=checkpoint_to)
+    state = _file_of(checkpoint_to)
+    run = _run_of(volume, spacing, channels, config, energy, options, None, state)
+    return finished(run, _without_id(on_step), on_warning, state)
 
 
 def evolve(
@@ -188,6 +191,36 @@ def segment_objects(
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
     return finished(run, on_step, on_warning, checkpoints)
+
+
+def large_of(
+    volume: LazyVolume,
+    channels: Sequence[Any],
+    spacing: Any,
+    config: RunConfig | None,
+    energy: EnergyLike | None,
+    options: dict[str, Any],
+) -> tuple[LargeImage, RunConfig]:
+    """The image and the settings of a run that reads its image in parts.
+
+    Raises
+    ------
+    UsageError
+        When something is given as an array, or the energy is one of the user's own.
+    """
+    max_memory = options.pop("max_memory", None)
+    texts, given = split_given(options)
+    wrong = [*given, *(["spacing"] if spacing is not None else [])]
+    wrong += [] if energy is None or isinstance(energy, str) else ["energy"]
+    wrong += [] if all(isinstance(one, LazyVolume) for one in channels) else ["channels"]
+    if wrong:
+        raise UsageError(
+            f"{wrong[0]}: an array or a function was given with an image that is read in parts",
+            "give texts and open_volume(), or read the image with accelsurf.read",
+        )
+    config, _ = with_options(config, energy, texts)
+    others = [*channels, *(open_volume(file) for file in config.channel)]
+    return LargeImage((volume, *others), allowed_bytes(max_memory, available_memory())), config
 
 
 def _file_of(path: str | Path | None) -> CheckpointFile | None:

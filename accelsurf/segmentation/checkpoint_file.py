@@ -6,7 +6,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from accelsurf.grid.boxes import Box, box_at
+from accelsurf.grid.boxes import box_at
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.window import Window
 from accelsurf.segmentation.late_growth import LateGrowth
 from accelsurf.segmentation.run_checkpoint import (
     CheckpointHeader,
@@ -55,8 +57,8 @@ class CheckpointFile:
         seed = read_checkpoint(self.path)[0].settings.get("seed")
         return config if seed is None else config.replace(seed=seed)
 
-    def window(self) -> Box | None:
-        """The part of a large image on which the run is to go on; None where it begins anew.
+    def window(self, geometry: Geometry) -> Window | None:
+        """The part of a large image, on the grid ``geometry``, on which the run is to go on; None where it begins anew.
 
         Raises
         ------
@@ -66,7 +68,9 @@ class CheckpointFile:
         if not self.path.exists():
             return None
         found = read_checkpoint(self.path)[0].window
-        return None if found is None else box_at((found[0], found[1], found[2]), found[3:])
+        if found is None:
+            return None
+        return Window(geometry, box_at((found[0], found[1], found[2]), found[3:6]), found[6])
 
     def clear(self) -> None:
         """Remove the file: the run begins anew."""

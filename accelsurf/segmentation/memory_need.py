@@ -8,10 +8,23 @@ from accelsurf.errors import UsageError
 
 #: Bytes of a process that has loaded what a run needs, and of a run by its values: with clicks, and without.
 PROCESS_BYTES, CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
+#: Share of the free memory that a run, or a batch, takes unless it is told.
+FREE_SHARE = 0.8
 
 _MEMORY = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,6})?) *([kmgt]i?)?b?", re.IGNORECASE)
 _UNITS = {"": 1, **{letter: 1000**n for n, letter in enumerate("kmgt", 1)}}
 _UNITS |= {f"{letter}i": 1024**n for n, letter in enumerate("kmgt", 1)}
+
+
+def allowed_bytes(text: str | None, free: int) -> int:
+    """Return the memory that a run may take: what was said, else most of what is free.
+
+    Examples
+    --------
+    >>> allowed_bytes("4GB", 10), allowed_bytes(None, 10)
+    (4000000000, 8)
+    """
+    return int(FREE_SHARE * free) if text is None else memory_of(text)
 
 
 def run_bytes(values: int, clicks: bool) -> int:

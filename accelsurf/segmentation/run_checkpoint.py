@@ -88,7 +88,8 @@ class CheckpointHeader(NamedTuple):
     settings : dict
         Those that the run began with, with the seed that was drawn.
     window : tuple of int or None
-        First voxel and shape of the part of a large image that the run was made on; None for the whole.
+        First voxel and shape of the part of a large image that the run was made on, and for how many levels it has the
+        blocks of the whole; None for the whole.
     """
 
     versions: dict[str, str]
@@ -135,7 +136,7 @@ def versions() -> dict[str, str]:
 
 def header_of(run: Source) -> CheckpointHeader:
     """The header of a run's checkpoints, the same at every step."""
-    window = None if run.window is None else (*run.window.corner, *run.window.shape)
+    window = None if run.window is None else (*run.window.corner, *run.window.shape, run.window.levels)
     return CheckpointHeader(versions(), run_digest(run), run.config.model_dump(mode="json"), window)
 
 
@@ -193,7 +194,7 @@ def _check_header(header: CheckpointHeader) -> None:
     if not isinstance(header.settings, dict):
         raise ValueError("it has no settings")
     window = header.window
-    if window is not None and not (len(window) == 6 and all(isinstance(n, int) and n >= 0 for n in window)):
+    if window is not None and not (len(window) == 7 and all(isinstance(n, int) and n >= 0 for n in window)):
         raise ValueError("its window is none")
 
 

@@ -18,7 +18,7 @@ from accelsurf.flows import StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.grid.window import Window
+from accelsurf.grid.window import NeedsLevels, Window
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io.memory import available_cores
 from accelsurf.segmentation.energy_assembly import make_energy
@@ -64,20 +64,26 @@ def choose_levels(
     Raises
     ------
     UsageError
-        When the grid does not have so many.
+        When the grid does not have so many; NeedsLevels when the window may be too small for all that there are.
     """
     spacing, wanted = geometry.spacing, config.levels
     shape = geometry.shape if window is None else window.geometry.shape
 
     def in_window(grids: list[pyramid.Level]) -> list[pyramid.Level]:
-        return grids if window is None else pyramid.levels(geometry.shape, spacing, len(grids), min_voxels=1)
+        if window is None:
+            return grids
+        return pyramid.levels(geometry.shape, spacing, min(len(grids), window.levels), min_voxels=1)
 
     if wanted == "auto":
         terms = energy_expression.parse(config.energy)
         if psi is None or not has_name or any(TERMS[term.name].keeps_fine_edges for term in terms):
             return in_window(pyramid.levels(shape, spacing, 1))
-        grids = in_window(pyramid.levels(shape, spacing, min_voxels=pyramid.AUTO_MIN_VOXELS))
-        return grids[: pyramid.count_resolved_levels(grids, psi)]
+        possible = pyramid.levels(shape, spacing, min_voxels=pyramid.AUTO_MIN_VOXELS)
+        grids = in_window(possible)
+        count = pyramid.count_resolved_levels(grids, psi)
+        if window is not None and count == window.levels < len(possible):
+            raise NeedsLevels(count + 1)
+        return grids[:count]
     grids = pyramid.levels(shape, spacing, wanted)
     if len(grids) < wanted:
         raise UsageError(

@@ -14,10 +14,10 @@ from typing import Any
 
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid import pyramid
-from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.boxes import widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.grid.window import GUARD, LeavesWindow, Window, aligned, enlarged
+from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.first_window import first_box
@@ -37,6 +37,8 @@ from accelsurf.settings.run_config import RunConfig
 
 #: A window grows by so many times its extent where it was left, or by less where memory does not hold that.
 GROWTH = 1.0
+#: Levels for which a first window has room, where their number is chosen by the start.
+FIRST_LEVELS = 3
 #: What the voxels of a region of interest have around them: a result ends half a voxel beyond the region.
 AROUND_REGION = 2
 
@@ -130,9 +132,8 @@ def segment_in_windows(
     config = seeded(config if checkpoints is None else checkpoints.begun(config))
     check_settings(config)
     image.check()
-    blocks = blocks_of(config, image.geometry)
-    box = None if checkpoints is None else checkpoints.window()
-    window = Window(image.geometry, box or _first(config, image.geometry, blocks))
+    saved = None if checkpoints is None else checkpoints.window(image.geometry)
+    window = saved or first_window(config, image.geometry)
     whole = () if has_region(config) else image.whole(config)
     while True:
         refuse_too_large(window, image, config)
@@ -143,13 +144,29 @@ def segment_in_windows(
         except LeavesWindow as face:
             if checkpoints is not None:
                 checkpoints.clear()
-            window = larger(window, face, blocks, image, config)
+            window = larger(window, face, image, config)
+        except NeedsLevels as more:
+            window = on_levels(window, more.count)
 
 
-def _first(config: RunConfig, geometry: Geometry, blocks: Sequence[int]) -> Box:
+def first_window(config: RunConfig, geometry: Geometry) -> Window:
+    """Return the window that a run begins in.
+
+    Parameters
+    ----------
+    config : RunConfig
+    geometry : Geometry
+        Of the whole grid.
+    """
     if has_region(config):
-        return widened(region_of_run(config, geometry), geometry.shape, [AROUND_REGION] * 3)
-    return aligned(first_box(config, geometry), geometry, blocks)
+        return Window(geometry, widened(region_of_run(config, geometry), geometry.shape, [AROUND_REGION] * 3))
+    window = Window(geometry, first_box(config, geometry))
+    return on_levels(window, FIRST_LEVELS if config.levels == "auto" else config.levels)
+
+
+def on_levels(window: Window, count: int) -> Window:
+    """Return the smallest window around another whose blocks are those of the whole grid on so many levels."""
+    return Window(window.geometry, aligned(window.box, window.geometry, blocks_of(window.geometry, count)), count)
 
 
 def _in(
@@ -200,10 +217,9 @@ def run_in(
     return Run(volumes[0], config, channels=volumes[1:], part=WindowInput(window, smoothed, whole, starts))
 
 
-def blocks_of(config: RunConfig, geometry: Geometry) -> tuple[int, int, int]:
-    """Voxels of a block of the coarsest grid that a run may use, along each axis."""
-    most = None if config.levels == "auto" else config.levels
-    return pyramid.levels(geometry.shape, geometry.spacing, most)[-1].factors
+def blocks_of(geometry: Geometry, count: int) -> tuple[int, int, int]:
+    """Voxels of a block of the coarsest of so many levels, as far as there are so many, along each axis."""
+    return pyramid.levels(geometry.shape, geometry.spacing, count)[-1].factors
 
 
 def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> None:
@@ -226,13 +242,13 @@ def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> No
         )
 
 
-def larger(window: Window, face: LeavesWindow, blocks: Sequence[int], image: LargeImage, config: RunConfig) -> Window:
+def larger(window: Window, face: LeavesWindow, image: LargeImage, config: RunConfig) -> Window:
     """Return the next window: larger where it was left, as far as memory goes.
 
     Where it does not go far enough, the smallest that is larger is returned, which `refuse_too_large` names.
     """
     most = values_within(image.max_bytes, uses_model(config)) // len(image.channels)
-    factor = GROWTH
+    factor, blocks = GROWTH, blocks_of(window.geometry, window.levels)
     while True:
         box = enlarged(window, face, blocks, factor)
         if math.prod(s.stop - s.start for s in box) <= most:
@@ -240,7 +256,7 @@ def larger(window: Window, face: LeavesWindow, blocks: Sequence[int], image: Lar
         if all(factor * (s.stop - s.start) <= GUARD for s in window.box):
             break
         factor *= 0.7
-    return Window(window.geometry, box)
+    return Window(window.geometry, box, window.levels)
 
 
 def check_settings(config: RunConfig) -> None:

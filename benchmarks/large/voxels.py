@@ -38,6 +38,16 @@ def truth(scene: Scene, box: Box) -> NDArray[np.uint16]:
     return labels
 
 
+def tree_distance(scene: Scene, step: int, within: float) -> NDArray[np.float32]:
+    """Distance to the tree, voxels, at the centres of cubes of ``step`` voxels; at most ``within``."""
+    out = np.full((-(-scene.size // step),) * 3, within / step, np.float32)
+    scaled = (scene.capsules - (step - 1) / 2) / step  # positions in cubes
+    scaled[:, 6] = scene.capsules[:, 6] / step
+    for capsule in scaled:
+        _capsule(out, np.zeros(3, np.int64), capsule, within / step)
+    return out * np.float32(step)
+
+
 def _distances(scene: Scene, box: Box) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
     """Distances to the tree and to the nearest cell, voxels, negative inside and at most `BLUR`; that cell's label."""
     first, last = (np.array([getattr(side, end) for side in box], np.int64) for end in ("start", "stop"))
@@ -49,7 +59,7 @@ def _distances(scene: Scene, box: Box) -> tuple[NDArray[np.float32], NDArray[np.
     radius = scene.capsules[:, 6:]
     near = ((ends.min(axis=0) - radius <= high) & (ends.max(axis=0) + radius >= low)).all(axis=1)
     for capsule in scene.capsules[near]:
-        _capsule(tree, first, capsule)
+        _capsule(tree, first, capsule, BLUR)
     reach = scene.axes.max(axis=1, keepdims=True)
     near = ((scene.centres - reach <= high) & (scene.centres + reach >= low)).all(axis=1)
     for number in np.flatnonzero(near):
@@ -66,12 +76,12 @@ def _range(low, high, first, count):
 
 
 @numba.njit(nogil=True, cache=True)
-def _capsule(out, first, capsule):
-    """Lower distances to that of one capsule, where it is less than `BLUR`."""
+def _capsule(out, first, capsule, within):
+    """Lower distances to that of one capsule, where it is less than ``within``."""
     az, ay, ax, bz, by, bx, radius = capsule
     dz, dy, dx = bz - az, by - ay, bx - ax
     square = max(dz * dz + dy * dy + dx * dx, 1e-30)
-    wide = radius + BLUR
+    wide = radius + within
     z0, z1 = _range(min(az, bz) - wide, max(az, bz) + wide, first[0], out.shape[0])
     y0, y1 = _range(min(ay, by) - wide, max(ay, by) + wide, first[1], out.shape[1])
     x0, x1 = _range(min(ax, bx) - wide, max(ax, bx) + wide, first[2], out.shape[2])

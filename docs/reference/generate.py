@@ -12,7 +12,7 @@ from pathlib import Path
 
 from accelsurf.cli import EXIT_CODES
 from accelsurf.grid.geometry import MAX_ORIGIN, SPACING_RANGE
-from accelsurf.grid.volume import MAX_VALUE, MIN_RANGE
+from accelsurf.grid.image_check import MAX_VALUE, MIN_RANGE
 from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
 from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS
@@ -175,7 +175,7 @@ def _presets() -> str:
 def _file_formats() -> str:
     kept = {"all": "the whole grid", "spacing": "the spacing", "pixel": "the size of a pixel"}
     images = [
-        (f"`{name}`", form.help, _code(form.suffixes), _values(form), kept[form.keeps], _channels(form))
+        (f"`{name}`", form.help, _code(form.suffixes), _values(form), kept[form.keeps], _channels(form), _boxes(form))
         for name, form in IMAGE_FORMATS.items()
     ]
     meshes = [(f"`{name}`", form.help, *_uses(form)) for name, form in MESH_FORMATS.items()]
@@ -188,7 +188,13 @@ def _file_formats() -> str:
         f"label map: unless given that of the input, or `{DEFAULT_IMAGE_FORMAT}`. What is not kept of the grid is the",
         "world's origin, the world's axes and slices of 1 mm when the file is read.",
         "",
-        *_table(("Format", "What it is", "Endings", "Values", "Keeps", "Channels"), images),
+        *_table(("Format", "What it is", "Endings", "Values", "Keeps", "Channels", "By boxes"), images),
+        "By boxes: `accelsurf.io.open_volume` reads parts of an image that is larger than the memory. NRRD and",
+        "MetaImage must then be saved uncompressed, TIFF in grey. OME-Zarr is a folder and needs",
+        '`pip install "accelsurf[zarr]"`; `accelsurf info IMAGE` shows its levels and chunks. A chunk that is absent',
+        "has the fill value, as Zarr has it; a damaged one is an error with exit code 3. OME-Zarr has no direction of",
+        "the axes: accelsurf writes it into an attribute of its own, which other programs do not read.",
+        "",
         "## Surfaces and contours",
         "",
         "`--mesh NAMES` is the format of the surface in a volume, or of the contours in an image of one slice; a start",
@@ -207,6 +213,10 @@ def _values(form: ImageFormat) -> str:
 
 def _channels(form: ImageFormat) -> str:
     return "one" if form.read_channels is None else "one or more"
+
+
+def _boxes(form: ImageFormat) -> str:
+    return "no" if form.open is None else "yes" if form.store is None else "yes; label maps also written so"
 
 
 def _uses(form: MeshFormat) -> list[str]:

@@ -12,6 +12,7 @@ REPORT_KEYS = {
     "seed": "of everything random in the run",
     "threads": "number of threads asked for",
     "stop": "why the run ended: reason, steps, flow time, message",
+    "window": "the part of a large image that the run was made in: its first voxel and size, x first; else null",
     "resolved_settings": "what the run took for settings that image and grid decide",
     "resolved_settings.presmooth_mm": "sigma of the Gaussian that the image was smoothed with, mm",
     "resolved_settings.scale": "for each channel, the values that became 0 and 1",

@@ -2,6 +2,7 @@
 
 import pickle
 import struct
+from concurrent.futures import ThreadPoolExecutor
 
 import nibabel
 import numpy as np
@@ -80,6 +81,21 @@ def test_rows_far_apart_are_read_one_by_one_and_near_ones_together(tmp_path):
     before = lazy.bytes_read
     np.testing.assert_array_equal(lazy.read(near), array[near])
     assert lazy.bytes_read - before == 3 * (2 * 9000 + 8000) * 2
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".tif", ".ome.zarr"])
+def test_threads_read_the_same(tmp_path, suffix):
+    array = np.random.default_rng(4).integers(0, 255, (70, 66, 90)).astype(np.uint8)
+    io.write(Volume.from_array(array), tmp_path / f"a{suffix}")
+    lazy = io.open_volume(tmp_path / f"a{suffix}", cache_bytes=70_000)  # of a few pages, or less than a chunk
+
+    def same(seed: int) -> bool:
+        low, high = np.sort(np.random.default_rng(seed).integers(0, np.array(array.shape) + 1, (2, 3)), axis=0)
+        box = tuple(slice(int(a), int(max(a + 1, b))) for a, b in zip(np.minimum(low, 65), high, strict=True))
+        return np.array_equal(lazy.read(box), array[box])
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(same, range(24)))
 
 
 @pytest.mark.parametrize(

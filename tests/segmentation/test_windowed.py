@@ -187,3 +187,13 @@ def test_a_run_that_was_stopped_goes_on_in_its_window(image, small_windows, tmp_
     )
     assert again[0] == windows[-1] and min(later) > 15
     assert_same(accelsurf.segment(image, config=config.replace(checkpoint=None)), part)
+
+
+def test_python_reads_a_large_image_in_parts(image):
+    options = {"start": "ball:66,57,56,5", "presmooth": 1.0, "threads": 1}
+    part = accelsurf.segment(LazyVolume.of_array(image), max_memory="2GB", **options)
+    assert_same(accelsurf.segment(image, **options), part)
+    with pytest.raises(UsageError, match="start: an array or a function was given"):
+        accelsurf.segment(LazyVolume.of_array(image), start=image.array > 50)
+    with pytest.raises(UsageError, match="max_memory"):
+        accelsurf.segment(image, max_memory="2GB", **options)

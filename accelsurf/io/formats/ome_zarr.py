@@ -20,7 +20,7 @@ from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array
 from accelsurf.io.headers import split_name
-from accelsurf.io.lazy_volume import LazyVolume, Opening
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
 
 _SERIES_KEY = "bioformats2raw.layout"
@@ -131,10 +131,9 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
         if place and all(axis.kind != kind for axis in ome.axes):
             raise UsageError(f"{kind} {place} asked for, the image has one", "leave it out")
     voxels = ZarrVoxels(header.folder, ome.levels[opening.level].path, index, ome.space_axes, opening.cache_bytes)
-    full = [1] * len(ome.axes)
-    for place, n in zip(ome.space_axes, voxels.shape[3 - len(ome.space_axes) :], strict=True):
-        full[place] = n
-    return LazyVolume(voxels, ome.geometry(opening.level, full), dict(ome.metadata), path)
+    grids = tuple(ome.geometry(i, open_array(header.folder, one.path).shape) for i, one in enumerate(ome.levels))
+    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"))
+    return LazyVolume(voxels, grids[opening.level], dict(ome.metadata), path, layout)
 
 
 def _place(kind: str, n: int, asked: int | None) -> int:

@@ -42,7 +42,7 @@ from accelsurf.io.formats.tiff_directories import (
     read_directory,
     read_form,
 )
-from accelsurf.io.lazy_volume import LazyVolume, Opening
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
 
 #: What says nothing about the values, and what is written anew.
@@ -76,7 +76,8 @@ def open_lazily(path: Path, header: TiffHeader, opening: Opening) -> LazyVolume:
     if header.planes is not None:
         return LazyVolume(RawVoxels(RawLayout(path, 0, header.stored, header.shape, header.planes)), geometry, {}, path)
     header.check_places()
-    return LazyVolume(TiffPages(header, opening.cache_bytes), geometry, {}, path)
+    layout = StoreLayout((geometry,), (1, *header.shape[1:]))
+    return LazyVolume(TiffPages(header, opening.cache_bytes), geometry, {}, path, layout)
 
 
 def read(path: Path, header: TiffHeader, available: int) -> Volume:

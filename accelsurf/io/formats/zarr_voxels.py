@@ -62,8 +62,8 @@ def open_array(folder: Path, path: str) -> Any:
     try:
         array = zarr.open_array(folder / path, mode="r")
         dtype, chunks = np.dtype(array.dtype), tuple(array.chunks)
-        if not all(0 < n <= _MAX_AXIS for n in array.shape):
-            raise ValueError(f"its shape is {array.shape}")
+        if not all(0 < n <= _MAX_AXIS for n in (*array.shape, *chunks)):
+            raise ValueError(f"its shape is {array.shape}, in chunks of {chunks}")
     except (PermissionError, MemoryError):
         raise
     except Exception as error:  # its metadata may be anything, and each part of zarr raises errors of its own
@@ -100,8 +100,8 @@ class ZarrVoxels:
         self._name = path
         self._index, self._order = tuple(index), tuple(order)
         self._flat = 3 - len(self._order)
-        self.shape = (*[1] * self._flat, *(int(self._array.shape[axis]) for axis in self._order))
-        self.chunk_shape = (*[1] * self._flat, *(int(self._array.chunks[axis]) for axis in self._order))
+        nz, ny, nx = (*[1] * self._flat, *(int(self._array.chunks[axis]) for axis in self._order))
+        self.chunk_shape = (nz, ny, nx)
         self.dtype = np.dtype(self._array.dtype).newbyteorder("=")
         self._cache = ChunkCache(cache_bytes)
         mark = "zarr.json" if self._array.metadata.zarr_format == 3 else ".zarray"

@@ -298,12 +298,20 @@ def test_metadata_that_are_no_json_are_refused(tmp_path):
     refused(path, "metadata of the Zarr are damaged")
 
 
-def test_chunks_that_fill_the_memory_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("chunk", "words"),
+    [
+        ([4096, 4096, 4096], "a chunk of the Zarr: 68719476736 bytes, at most 1073741824"),
+        ([0, 20, 20], "the array 0 is missing or damaged"),
+        ([10**400, 1, 1], "the array 0 is missing or damaged"),
+    ],
+)
+def test_chunks_that_cannot_be_held_are_refused(tmp_path, chunk, words):
     path, _ = written(tmp_path)
     said = json.loads((path / "0" / "zarr.json").read_text())
-    said["chunk_grid"]["configuration"]["chunk_shape"] = [4096, 4096, 4096]
+    said["chunk_grid"]["configuration"]["chunk_shape"] = chunk
     (path / "0" / "zarr.json").write_text(json.dumps(said))
-    refused(path, "a chunk of the Zarr: 68719476736 bytes, at most 1073741824")
+    refused(path, words)
 
 
 def test_an_image_larger_than_memory_is_refused_and_read_by_boxes(tmp_path):

@@ -1,0 +1,41 @@
+"""What ``accelsurf info IMAGE`` says."""
+
+import json
+
+import numpy as np
+import pytest
+
+from accelsurf import cli, io
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+
+GRID = Geometry((70, 75, 150), (2.0, 0.5, 0.25), (-12.5, 4.0, 100.25), [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+#: Fine axes are halved until the voxels are cubic, then all, until one chunk has all of a level.
+LEVELS = [[150, 75, 70], [75, 75, 70], [38, 38, 70], [19, 19, 70], [10, 10, 35]]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "by_boxes"), [(".ome.zarr", True), (".nii", True), (".nii.gz", False), (".nrrd", False)]
+)
+def test_an_image_is_described(tmp_path, capsys, suffix, by_boxes):
+    path = tmp_path / f"a{suffix}"
+    io.write(Volume(np.zeros(GRID.shape, np.int16), GRID), path)
+    assert cli.execute(["info", str(path), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["size"] == [150, 75, 70] and said["spacing"] == [0.25, 0.5, 2.0] and said["type"] == "int16"
+    assert said["origin"] == pytest.approx([-12.5, 4.0, 100.25]) and said["megabytes"] == 1.575
+    assert said["format"] == suffix[1:] and said["read_by_boxes"] is by_boxes and said["channels"] == 1
+    assert said["chunks"] == ([64, 64, 64] if suffix == ".ome.zarr" else None)
+    assert [level["size"] for level in said["levels"]] == (LEVELS if suffix == ".ome.zarr" else LEVELS[:1])
+    assert cli.execute(["info", str(path)]) == 0
+    assert "level 0: size [150, 75, 70]" in capsys.readouterr().out
+
+
+def test_a_damaged_image_is_an_error(tmp_path, capsys):
+    (tmp_path / "a.zarr").mkdir()
+    assert cli.execute(["info", str(tmp_path / "a.zarr")]) == 3
+    assert "a.zarr: this folder is no Zarr" in capsys.readouterr().err
+    assert cli.execute(["info", str(tmp_path / "absent.nii")]) == 3
+    assert "absent.nii: there is no such file" in capsys.readouterr().err
