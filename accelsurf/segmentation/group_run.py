@@ -132,7 +132,7 @@ def run_group(
         try:
             return _in(window, image, whole, config, (starts, others))
         except LeavesWindow as face:
-            window = larger(window, face, (1, 1, 1), image, config)
+            window = larger(window, face, image, config)
 
 
 def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> Box:
