@@ -11,7 +11,7 @@ from accelsurf import cli, io
 from accelsurf.cli import group_task
 from tests.support.many_balls import BALLS, label_map, scene, write_table
 
-WORDS = ("--max-steps", "45", "--threads", "1", "--quiet")
+WORDS = ("--threads", "1", "--quiet")
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +25,11 @@ def folder(tmp_path_factory):
     return made
 
 
-def segment(folder, output, *words, objects="seeds.nii", out=None):
+def segment(folder, output, *words, objects="seeds.nii", out=None, steps=40):
     where = folder if out is None else out
     return cli.execute([
         "segment", str(folder / "big.nii"), "--objects", str(folder / objects), "-o", str(where / output),
-        *WORDS, *words,
+        "--max-steps", str(steps), *WORDS, *words,
     ])
 
 
@@ -120,12 +120,12 @@ def test_what_was_done_before_an_interrupt_is_not_done_again(folder, tmp_path, r
 def test_other_settings_or_starts_begin_anew(folder, tmp_path, ran):
     done, instead = ran
     instead[(47,)] = KeyboardInterrupt()
-    assert segment(folder, "out", "--jobs", "1", out=tmp_path) == 130
+    assert segment(folder, "out", "--jobs", "1", out=tmp_path, steps=4) == 130
     same = {(9,), (20, 21, 22), (47,)}
     assert same <= set(done)
     for words, objects in ((("--cfl", "0.4"), "seeds.nii"), ((), "seeds.csv")):
         done.clear()
-        assert segment(folder, "out", "--resume", "--jobs", "1", *words, objects=objects, out=tmp_path) == 130
+        assert segment(folder, "out", "--resume", "--jobs", "1", *words, objects=objects, out=tmp_path, steps=4) == 130
         assert same <= set(done), "nothing of the other run counts"
 
 
@@ -151,7 +151,7 @@ def test_failures_are_named_and_tried_again(folder, tmp_path, ran, capsys):
 
 def test_an_image_that_does_not_fit_is_read_in_parts(folder, tmp_path, capsys):
     """No --jobs: the memory alone decides, and every group needs less than the image."""
-    assert segment(folder, "out", "--max-memory", "480MB", out=tmp_path) == 9
+    assert segment(folder, "out", "--max-memory", "480MB", out=tmp_path, steps=4) == 9
     table = {row["id"]: row for row in rows(tmp_path / "out" / "big_objects.csv")}
     assert table["20"]["status"] == "failed" and "3 objects that may meet need a window" in table["20"]["failure"]
     assert table["9"]["status"] == "ok"

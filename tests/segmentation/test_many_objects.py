@@ -17,7 +17,7 @@ from accelsurf.segmentation.object_groups import united
 from accelsurf.segmentation.windowed import LargeImage
 from tests.support.many_balls import BALLS, GEOMETRY, SHAPE, label_map, scene, write_table
 
-FAST = {"max_steps": 100, "threads": 1}
+FAST = {"max_steps": 80, "threads": 1}
 
 
 @pytest.fixture(scope="module")
