@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -251,10 +252,14 @@ def _key_of(config: RunConfig, image: LargeImage, numbers: Any) -> str:
     settings = {key: value for key, value in config.model_dump(mode="json").items() if key not in _WITHOUT_EFFECT}
     start = Path(str(config.objects).partition("@")[0])
     files = [_version_of(path) for path in (start, *(one.source for one in image.channels))]
-    known = [sorted((str(getattr(key[0], "__name__", key[0])), str(key[1:]), str(value)) for key, value in one.items())
-             for one in numbers]
+    known = [sorted((_name_of(key), pickle.dumps(value).hex()) for key, value in one.items()) for one in numbers]
     grid = repr(image.geometry), [str(one.dtype) for one in image.channels]
     return json.dumps([__version__, settings, files, known, grid], sort_keys=True)
+
+
+def _name_of(key: tuple[Any, ...]) -> str:
+    """A number of the whole image in words: the function that finds it, and its arguments."""
+    return f"{getattr(key[0], '__name__', key[0])} {key[1:]}"
 
 
 #: Settings that change nothing of what a group leaves.

@@ -117,6 +117,22 @@ def test_what_was_done_before_an_interrupt_is_not_done_again(folder, tmp_path, r
     assert done == [], "it has ended"
 
 
+@pytest.mark.parametrize("energy", ["likelihood:model=histogram", "threshold:60%,"])
+def test_what_was_done_is_found_again_with_any_energy(folder, tmp_path, ran, energy):
+    done, instead = ran
+    for objects in ("seeds.nii", "seeds.csv"):
+        instead[(47,)] = KeyboardInterrupt()
+        words = "--jobs", "1", "--energy", energy, "--resume"
+        assert segment(folder, "out", *words, objects=objects, out=tmp_path, steps=3) == 130
+        before = list(done)
+        instead.clear()
+        done.clear()
+        assert segment(folder, "out", *words, objects=objects, out=tmp_path, steps=3) == 0
+        assert not set(before[:-1]) & set(done) and done[0] == (47,)
+        done.clear()
+        (tmp_path / "out").rename(tmp_path / objects)
+
+
 def test_other_settings_or_starts_begin_anew(folder, tmp_path, ran):
     done, instead = ran
     instead[(47,)] = KeyboardInterrupt()
