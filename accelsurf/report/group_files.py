@@ -163,13 +163,14 @@ def _plain(value: Any) -> Any:
 
 
 def _put(draft: Path, folder: Path) -> None:
-    """Give a complete folder its name, unless another worker was faster."""
+    """Give a complete folder its name, unless another worker was faster; what cannot be read there goes."""
     sync(draft)
     try:
         os.rename(draft, folder)
     except OSError:
         if read_group(folder) is None:
-            raise
+            shutil.rmtree(folder, ignore_errors=True)
+            os.rename(draft, folder)
     sync_folder(folder.parent)
 
 
