@@ -32,7 +32,7 @@ EXIT_CODES = {
     5: "the surface vanished or filled the volume; with --strict also a doubtful result",
     7: "an output exists already, or cannot be written",
     8: "nothing can be drawn: no screen or driver, or a package of the viewer is missing",
-    9: "some cases of a batch failed; the others are complete",
+    9: "some cases of a batch, or some objects of a large image, failed; the others are complete",
     INTERRUPTED: "interrupted (Ctrl-C); the present state is written, after a second Ctrl-C nothing",
     143: "ended by SIGTERM; nothing is written, an earlier result stays",
 }

@@ -23,13 +23,16 @@ class BatchProgress:
         The kind of progress to show.
     count : int
         Number of cases.
+    what : str, optional
+        What they are called.
     """
 
-    def __init__(self, display: Display, count: int) -> None:
+    def __init__(self, display: Display, count: int, what: str = "cases") -> None:
         kind = shown_kind(display)
         self._show_json, self._quiet = kind == "json", display.quiet
         self._count, self._done, self._failed = count, 0, 0
-        self._bar = _Bar(count) if kind == "bar" else None
+        self._what = what
+        self._bar = _Bar(count, what) if kind == "bar" else None
 
     def __enter__(self) -> BatchProgress:
         if self._bar is not None:
@@ -75,24 +78,39 @@ class BatchProgress:
         if self._bar is not None:
             self._bar.show(self._done, self._failed, seconds_left)
 
+    def ended_objects(self, name: str, count: int, failure: str) -> None:
+        """So many objects, which are called ``name``, have ended at once; ``failure`` says why there is nothing."""
+        self._done += count
+        self._failed += count if failure else 0
+        if self._show_json:
+            self._print("end", objects_of=name, status="failed" if failure else "ok", reason=failure)
+        elif failure:
+            say(printable(f"failed: {name}: {failure}", MAX_ERROR))
+        if self._bar is not None:
+            self._bar.show(self._done, self._failed, None)
+
+    def taken_back(self, count: int) -> None:
+        """So many that had ended are run once more."""
+        self._done -= count
+
     def warned(self, text: str) -> None:
         """Something about the batch itself is not as it should be."""
         say(printable(f"warning: {text}", MAX_ERROR))
 
     def _print(self, event: str, **facts: Any) -> None:
-        print_json({"event": event, **facts, "done": self._done, "failed": self._failed, "cases": self._count})
+        print_json({"event": event, **facts, "done": self._done, "failed": self._failed, self._what: self._count})
 
 
 class _Bar:
     """A bar for a terminal."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, what: str) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         self._progress = Progress(
             BarColumn(bar_width=24),
-            TextColumn("{task.completed:.0f}/{task.total:.0f} cases"),
+            TextColumn(f"{{task.completed:.0f}}/{{task.total:.0f}} {what}"),
             TextColumn("{task.fields[state]}"),
             TimeElapsedColumn(),
             console=Console(stderr=True),

@@ -72,19 +72,30 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
     InputError
         When the header cannot be read; UsageError when a setting needs the whole image in memory.
     """
-    from accelsurf.segmentation.memory_need import run_bytes
-
-    image = _image(place.source, config, parts)
+    image = large_image(place.source, config, parts)
     if image is None:
         return config, None
-    voxels = math.prod(image.geometry.shape)
-    if run_bytes(voxels * len(image.channels), energy_expression.uses_model(config.energy)) <= image.max_bytes:
+    if fits(image, config):
         return config, _in_memory(image, not parts.names_part)
-    return _for_windows(place, config), _in_windows(image)
+    return for_windows(place, config), _in_windows(image)
 
 
-def _image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
-    """The image, opened, where it may be read in parts; None where it is an ordinary one that fits."""
+def fits(image: LargeImage, config: RunConfig) -> bool:
+    """Whether a run on the whole image is within the memory that it may take."""
+    from accelsurf.segmentation.memory_need import run_bytes
+
+    values = math.prod(image.geometry.shape) * len(image.channels)
+    return run_bytes(values, energy_expression.uses_model(config.energy)) <= image.max_bytes
+
+
+def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
+    """Return the image, opened, where it may be read in parts; None where it is an ordinary one that fits.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read in parts.
+    """
     from accelsurf.errors import InputError
     from accelsurf.io.headers import count_values, split_name
     from accelsurf.segmentation.memory_need import run_bytes
@@ -100,13 +111,24 @@ def _image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | N
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:
             return None
+    return opened(source, config, parts)
+
+
+def opened(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage:
+    """Return the image, opened to be read in parts.
+
+    Raises
+    ------
+    InputError
+        When it cannot be.
+    """
     from accelsurf.segmentation.windowed import LargeImage
 
     channels = [parts.open(source), *(parts.open(Path(file)) for file in config.channel)]
     return LargeImage.of(channels, parts.allowed_bytes)
 
 
-def _for_windows(place: Place, config: RunConfig) -> RunConfig:
+def for_windows(place: Place, config: RunConfig) -> RunConfig:
     """The settings of a run in windows: its label map is written box by box."""
     if config.format is not None and config.format not in STORES:
         raise UsageError(

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from accelsurf.cli.large_image import ImageParts
+from accelsurf.cli.object_options import ObjectOptions
 from accelsurf.cli.options import FILES, SHOW, Display, InputFile, Output, Overwrite, Settings, required, run_config
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Finished
+    from accelsurf.cli.case import Compute, Finished
+    from accelsurf.cli.place import Place
+    from accelsurf.settings.run_config import RunConfig
 
 
 def segment(
@@ -26,6 +29,7 @@ def segment(
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     profile: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     parts: ImageParts | None = None,
+    work: ObjectOptions | None = None,
     settings: Settings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
@@ -56,18 +60,33 @@ def segment(
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
         return 0
-    from accelsurf.cli.case import report_failure, run_case
+    from accelsurf.cli.case import report_failure
     from accelsurf.cli.large_image import computed
     from accelsurf.cli.place import Place
-    from accelsurf.cli.progress import Watcher
 
-    display = display or Display()
+    display, work = display or Display(), work or ObjectOptions()
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
-        run, compute = computed(place, run_config(settings, config), parts or ImageParts())
+        run, parts = run_config(settings, config), parts or ImageParts()
+        if (image := work.image(place, run, parts)) is not None:
+            _refuse_switches(strict, profile)
+            from accelsurf.cli.object_work import run_objects
+            return run_objects(place, run, image, work, resume, display)
+        run, compute = computed(place, run, parts)
     except AccelsurfError as error:
         report_failure(place, error)
         raise
+    return _run(place, run, compute, resume, display, (strict, profile))
+
+
+def _run(
+    place: Place, run: RunConfig, compute: Compute | None, resume: bool, display: Display, switches: tuple[bool, bool]
+) -> int:
+    """Run a case, or go on with it; ``switches``: strict, profile."""
+    from accelsurf.cli.case import run_case
+    from accelsurf.cli.progress import Watcher
+
+    strict, profile = switches
     if resume:
         from accelsurf.cli.resume import code_of_ended, taken_up
         if (code := code_of_ended(place, run, display.quiet)) is not None:
@@ -75,6 +94,19 @@ def segment(
         place = taken_up(place, run)
     done = run_case(place, run, Watcher(display), strict, compute)
     return _summed_up(place.name, done, display.quiet, profile)
+
+
+def _refuse_switches(strict: bool, profile: bool) -> None:
+    """Refuse what is not known of many objects that are run in groups.
+
+    Raises
+    ------
+    UsageError
+    """
+    for name in (name for name, given in (("--strict", strict), ("--profile", profile)) if given):
+        raise UsageError(
+            f"{name}: was given with objects of an image that is read in parts", "leave it out; the table has all ends"
+        )
 
 
 def _summed_up(name: str, done: Finished, quiet: bool, profile: bool) -> int:

@@ -62,6 +62,23 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
     return found
 
 
+def has_sides(file: str) -> bool:
+    """Return whether a table has a column ``side``: it is one of clicks, and not of balls.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
+        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+        try:
+            first = next((line for line in stream if not line.startswith("#")), "")
+        except UnicodeDecodeError as error:
+            raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
+    return "side" in [name.strip() for name in first.split(",")]
+
+
 def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geometry) -> Click:
     """The click of a row."""
     try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -68,13 +69,10 @@ def read(objects: str | Volume | NDArray[Any], geometry: Geometry, margin: int) 
         grid.
     """
     if isinstance(objects, str) and objects.lower().endswith(".csv"):
-        return _separated(_balls(objects, geometry, margin), objects, geometry)
+        return separated(_balls(objects, geometry, margin), objects, geometry)
     name, labels = _labels(objects, geometry)
     found = np.unique(labels[labels > 0])
-    if found.size == 0:
-        raise InputError(f"objects {name}: no voxel has a label above 0", "give each object's first voxels its id")
-    if int(found[-1]) > MAX_ID:
-        raise InputError(f"objects {name}: id {found[-1]} was given, expected at most {MAX_ID}", "renumber them")
+    check_found(name, found)
     return _of_labels(name, labels, found, geometry, margin)
 
 
@@ -113,7 +111,25 @@ def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[s
     if isinstance(objects, str):
         name, start = objects, starts.parse(f"label:{objects}")
         objects, ids = io.read_labels(start.file), start.ids
-    labels = array_on_grid(objects, geometry, f"objects {name}")
+    return name, whole_numbers(name, array_on_grid(objects, geometry, f"objects {name}"), ids)
+
+
+def whole_numbers(name: str, labels: NDArray[Any], ids: Sequence[tuple[int, int]]) -> NDArray[np.integer]:
+    """Return labels as integers, 0 where an id was not asked for.
+
+    Parameters
+    ----------
+    name : str
+        Of the map, for messages.
+    labels : ndarray (nz, ny, nx)
+    ids : sequence of (first, last)
+        Those asked for; none for all.
+
+    Raises
+    ------
+    InputError
+        When one is no whole number.
+    """
     if labels.dtype.kind == "f" and not np.array_equal(labels, np.rint(labels)):
         raise InputError(f"objects {name}: a label is no whole number", "give a label map, not a probability")
     labels = labels.astype(np.int64 if labels.dtype.kind in "fb" else labels.dtype, copy=False)
@@ -122,19 +138,44 @@ def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[s
         for first, last in ids:
             wanted |= (labels >= first) & (labels <= last)
         labels = np.where(wanted, labels, 0)
-    return name, labels
+    return labels
 
 
-def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
-    """Balls of a table, one start for all balls of an id, in order of their ids."""
+def check_found(name: str, found: NDArray[np.integer]) -> None:
+    """Refuse the ids of a label map, ascending, where there is none or one is too large.
+
+    Raises
+    ------
+    InputError
+    """
+    if found.size == 0:
+        raise InputError(f"objects {name}: no voxel has a label above 0", "give each object's first voxels its id")
+    if int(found[-1]) > MAX_ID:
+        raise InputError(f"objects {name}: id {found[-1]} was given, expected at most {MAX_ID}", "renumber them")
+
+
+def read_balls(file: str, geometry: Geometry) -> dict[int, list[tuple[float, float, float, float]]]:
+    """Return the balls (z, y, x, r) of each id of a table, in order of the ids: voxel indices, r in mm.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or has no row.
+    """
     rows: dict[int, list[tuple[float, float, float, float]]] = {}
     for own, *numbers in _read_table(file, geometry):
         rows.setdefault(int(own), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_FORM}")
+    return dict(sorted(rows.items()))
+
+
+def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
+    """Balls of a table, one start for all balls of an id, in order of their ids."""
+    rows = read_balls(file, geometry)
     out: list[ObjectStart] = []
-    for own in sorted(rows):
-        out.append(_ball(file, own, rows[own], geometry, margin))
+    for own in rows:
+        out.append(ball_start(file, own, rows[own], geometry, margin))
         if len(out) % 64 == 0:
             _check_boxes(file, [box_at(one.corner, one.psi.shape) for one in out], geometry)
     _check_boxes(file, [box_at(one.corner, one.psi.shape) for one in out], geometry)
@@ -174,10 +215,28 @@ def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry)
     return own, *index, r * (min(geometry.steps) if vox else 1.0)
 
 
-def _ball(
+def ball_box(
     file: str, own: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
-) -> ObjectStart:
-    """The union of balls, each of the voxel index (z, y, x) of its centre and its radius in mm."""
+) -> Box:
+    """Voxels of a grid around balls, with a margin where the grid has it.
+
+    Parameters
+    ----------
+    file : str
+        Names the table in messages.
+    own : int
+        The object's id.
+    balls : list of (z, y, x, r)
+        Voxel index of the centre, and radius in mm.
+    geometry : Geometry
+    margin : int
+        Voxels.
+
+    Raises
+    ------
+    InputError
+        When they lie outside of the grid, or there are too many of them.
+    """
     table = np.array(balls)
     radius = table[:, 3:] / geometry.spacing
     n = np.array(geometry.shape)
@@ -187,9 +246,23 @@ def _ball(
         raise InputError(f"{file}: ball {own} lies outside of the volume", _FORM)
     a, b, c = (slice(int(i), int(j)) for i, j in zip(begin, end, strict=True))
     box = widened((a, b, c), geometry.shape, (margin, margin, margin))
-    shape = tuple(s.stop - s.start for s in box)
-    budgets.BALLS.check(len(balls) * math.prod(shape), f"{file}: {len(balls)} balls of id {own}")
-    psi = np.full(shape, np.inf, np.float32)
+    voxels = math.prod(s.stop - s.start for s in box)
+    budgets.BALLS.check(len(balls) * voxels, f"{file}: {len(balls)} balls of id {own}")
+    return box
+
+
+def ball_start(
+    file: str, own: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
+) -> ObjectStart:
+    """The union of balls; the parameters are those of `ball_box`.
+
+    Raises
+    ------
+    InputError
+        As `ball_box`, and when no voxel centre is inside.
+    """
+    box = ball_box(file, own, balls, geometry, margin)
+    psi = np.full(tuple(s.stop - s.start for s in box), np.inf, np.float32)
     for *centre, r in balls:
         np.minimum(psi, ball_distance(box, geometry.spacing, centre, r), out=psi)
     if not (psi < 0).any():
@@ -197,7 +270,7 @@ def _ball(
     return ObjectStart(own, corner_of(box), psi)
 
 
-def _separated(objects: list[ObjectStart], name: str, geometry: Geometry) -> list[ObjectStart]:
+def separated(objects: list[ObjectStart], name: str, geometry: Geometry) -> list[ObjectStart]:
     """Starts without overlap: a voxel of two goes to the one that is deeper there, at a tie to the lower id."""
     out = [one._replace(psi=one.psi.copy()) for one in objects]
     low = np.array([one.corner for one in objects])

@@ -7,7 +7,7 @@ voxel by voxel, in the same type.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -103,8 +103,14 @@ class LazyVolume:
     ) -> None:
         self.voxels, self.geometry, self.source = voxels, geometry, source
         self.layout = layout or StoreLayout((geometry,))
-        self._opening: Opening | None = None
         self.metadata: dict[str, str] = metadata or {}
+        self._opened: tuple[Path, Opening, bool] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """One that was opened is opened again by whoever unpickles it: another process, on the same files."""
+        if self._opened is None:
+            return LazyVolume, (self.voxels, self.geometry, self.metadata, self.source)
+        return _reopened, self._opened
 
     @classmethod
     def of_array(cls, volume: Volume) -> LazyVolume:
@@ -129,11 +135,10 @@ class LazyVolume:
         InputError
             As `open_volume`.
         """
-        own = self._opening
-        if own is None or self.source is None or own.level + 1 >= len(self.layout.levels):
+        if self._opened is None or self._opened[1].level + 1 >= len(self.layout.levels):
             return None
-        level, channel, time, cache = own.level + 1, own.channel_index, own.time_index, own.cache_bytes
-        return open_volume(self.source, level=level, channel_index=channel, time_index=time, cache_bytes=cache)
+        path, own, outside = self._opened
+        return _reopened(path, replace(own, level=own.level + 1), outside)
 
     @property
     def bytes_read(self) -> int:
@@ -257,5 +262,13 @@ def open_volume(
                 "leave them out",
             )
         volume: LazyVolume = load(form.open)(path, header, opening)
-    volume._opening = opening
+    volume._opened = path.absolute(), opening, headers.is_outside_data_allowed() or outside_data
     return volume
+
+
+def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
+    """A volume that was opened, once more."""
+    return open_volume(
+        path, level=opening.level, channel_index=opening.channel_index, time_index=opening.time_index,
+        cache_bytes=opening.cache_bytes, outside_data=outside_data,
+    )

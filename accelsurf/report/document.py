@@ -188,26 +188,28 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
 
 
 def describe_objects(result: Result) -> list[dict[str, Any]]:
-    """Return an entry for each of several objects, in order of their ids; ``centroid`` is (x, y, z) mm, LPS."""
-    return [
-        {
-            "id": one.id,
-            "reason": one.stop.reason,
-            "steps": one.stop.steps,
-            "message": one.stop.message,
-            "volume_mm3": one.volume_mm3,
-            "area_mm2": one.area_mm2,
-            "enclosed_mm2": one.enclosed_mm2,
-            "length_mm": one.length_mm,
-            "components": one.components,
-            "touches_border": one.touches_border,
-            "centroid": _centroid(one),
-            "cells_visited": sum(row.cells_visited for row in one.history),
-            "terms": one.terms,
-            "quality": describe_quality(one.quality if one.labels.any() else None),
-        }
-        for one in result.objects
-    ]
+    """Return an entry for each of several objects, in order of their ids."""
+    return [describe_object(one) for one in result.objects]
+
+
+def describe_object(one: SegmentedObject) -> dict[str, Any]:
+    """Return the entry of one of several objects; ``centroid`` is (x, y, z) mm, LPS."""
+    return {
+        "id": one.id,
+        "reason": one.stop.reason,
+        "steps": one.stop.steps,
+        "message": one.stop.message,
+        "volume_mm3": one.volume_mm3,
+        "area_mm2": one.area_mm2,
+        "enclosed_mm2": one.enclosed_mm2,
+        "length_mm": one.length_mm,
+        "components": one.components,
+        "touches_border": one.touches_border,
+        "centroid": _centroid(one),
+        "cells_visited": sum(row.cells_visited for row in one.history),
+        "terms": one.terms,
+        "quality": describe_quality(one.quality if one.labels.any() else None),
+    }
 
 
 def _centroid(result: SegmentedObject) -> list[float] | None:

@@ -64,11 +64,11 @@ def is_of(document: Mapping[str, Any], config: RunConfig, image: Path) -> bool:
         When it cannot be read.
     """
     source = document.get("input")
-    return isinstance(source, dict) and _had_settings(document, config) and source.get("sha256") == sha256(image)
+    return isinstance(source, dict) and had_settings(document, config) and source.get("sha256") == sha256(image)
 
 
-def _had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
-    """Whether a report is of a run with these settings; later corrections do not count.
+def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
+    """Return whether a report is of a run with these settings; later corrections do not count.
 
     A seed that is not given may be any, and so may an energy that clicks choose.
     """

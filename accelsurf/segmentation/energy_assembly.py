@@ -64,7 +64,7 @@ def make_energy(
     resolved = []
     for term in terms:
         inputs = TermInputs(term.settings, config, image, spacing, context, alpha=config.smoothness if alone else 0.0)
-        parts, settings = _make(term, inputs, channels)
+        parts, settings = make_term(term, inputs, channels)
         made += parts
         resolved.append(settings)
     if alone:
@@ -87,7 +87,7 @@ def _channels_seen(term: Term, channels: Sequence[Image]) -> list[int]:
     return [0] if TERMS[term.name].channels == "first" else list(range(len(channels)))
 
 
-def _make(
+def make_term(
     term: Term, inputs: TermInputs, channels: Sequence[Image]
 ) -> tuple[list[tuple[float, Energy]], dict[str, Any]]:
     """The energies of a term with their weights, one for each channel that it sees, and its resolved settings."""

@@ -105,7 +105,8 @@ class Ensemble:
             one.set_max_steps(steps_left + len(one.evolution.history))
         meets = self._meet()
         steps = [step for batch in self._batches(meets) for step in self._each(EvolvingObject.step, batch)]
-        self._each(EvolvingObject.grow_grid, [one for one in moving if one.moves])
+        # What has vanished needs no room.
+        self._each(EvolvingObject.grow_grid, [one for one in moving if one.moves and one.surface.size])
         if reactivate and steps_left > 1:
             self._reactivate(meets)
         return tuple(step for step in steps if step is not None)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,9 @@ from accelsurf.segmentation.preprocessing import SCALE_PERCENTILES, apply, scale
 
 #: Bins of the histogram of Otsu's threshold, as scikit-image has them.
 OTSU_BINS = 256
+#: Numbers of an image: by the function that finds them and its arguments, and its scale by name.
+Numbers = Mapping[tuple[Any, ...], Any]
+_SCALE = ("scale",)
 
 
 class WholeImage:
@@ -46,6 +49,8 @@ class WholeImage:
         The same image on a coarser level, which all numbers are then of. It is smoothed by the same length.
     slab_bytes : int, optional
         Bytes of a slab as float32.
+    numbers : mapping, optional
+        What another one of the same image has found already.
 
     Attributes
     ----------
@@ -59,12 +64,13 @@ class WholeImage:
         presmooth_mm: float = 0.0,
         statistics_from: LazyVolume | None = None,
         slab_bytes: int = SLAB_BYTES,
+        numbers: Numbers | None = None,
     ) -> None:
         self.geometry = source.geometry
         self._whole = ImageSlabs(source, presmooth_mm, slab_bytes)
         self._coarse = statistics_from
         self._slabs = self._whole if statistics_from is None else ImageSlabs(statistics_from, presmooth_mm, slab_bytes)
-        self._found: dict[tuple[Any, ...], Any] = {}
+        self._found: dict[tuple[Any, ...], Any] = dict(numbers or {})
         self._sums: dict[tuple[str, int], NDArray[np.float64]] = {}
 
     @property
@@ -90,7 +96,12 @@ class WholeImage:
             raise InputError(f"{bad} not finite", "replace them first, e.g. by the value of the background")
         return values
 
-    @cached_property
+    @property
+    def numbers(self) -> Numbers:
+        """The scale, and what `found` has found so far: for a `WholeImage` in another process."""
+        return {_SCALE: self.scale, **self._found}
+
+    @property
     def scale(self) -> Scale:
         """What maps the image's percentiles to 0 and 1, as `accelsurf.segmentation.preprocessing.scale_of` finds it.
 
@@ -99,7 +110,9 @@ class WholeImage:
         InputError
             When the image cannot be used: voxels that are not finite, all the same, or out of range.
         """
-        return scale_between(self._order.percentiles(SCALE_PERCENTILES), self._order.extremes)
+        if _SCALE not in self._found:
+            self._found[_SCALE] = scale_between(self._order.percentiles(SCALE_PERCENTILES), self._order.extremes)
+        return cast("Scale", self._found[_SCALE])
 
     def found(self, make: Callable[..., Any], *args: Any) -> Any:
         """What ``make(image, *args)`` is of the scaled image.

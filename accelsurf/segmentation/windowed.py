@@ -29,7 +29,7 @@ from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_setup import seeded
 from accelsurf.segmentation.to_end import finished
-from accelsurf.segmentation.whole_image import WholeImage
+from accelsurf.segmentation.whole_image import Numbers, WholeImage
 from accelsurf.segmentation.window_input import WindowInput, has_region
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
@@ -94,11 +94,17 @@ class LargeImage:
                     "resample it to the image's grid first",
                 )
 
-    def whole(self, config: RunConfig) -> tuple[WholeImage, ...]:
-        """What a run needs of each whole channel, which is read through when it is first asked for."""
+    def whole(self, config: RunConfig, numbers: Sequence[Numbers] = ()) -> tuple[WholeImage, ...]:
+        """What a run needs of each whole channel, which is read through when it is first asked for.
+
+        ``numbers`` are those of each channel that are known already.
+        """
         sigma = in_mm(config.presmooth, self.geometry)
-        levels = self.statistics or (None,) * len(self.channels)
-        return tuple(WholeImage(one, sigma, coarse) for one, coarse in zip(self.channels, levels, strict=True))
+        levels, known = self.statistics or (None,) * len(self.channels), numbers or [{}] * len(self.channels)
+        return tuple(
+            WholeImage(one, sigma, coarse, numbers=own)
+            for one, coarse, own in zip(self.channels, levels, known, strict=True)
+        )
 
 
 def _for_statistics(image: LazyVolume) -> LazyVolume | None:
@@ -195,11 +201,11 @@ def _in(
     """The result of a run in a window."""
     run = run_in(window, whole, image, config)
     result = finished(run, on_step, on_warning, checkpoints)
-    return replace(result, window=window, state=None, warnings=[*result.warnings, *_notes(whole)])
+    return replace(result, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
 
 
-def _notes(whole: Sequence[WholeImage]) -> list[str]:
-    """What numbers of the whole image are taken from, where not from all of it."""
+def notes_of(whole: Sequence[WholeImage]) -> list[str]:
+    """Return what numbers of the whole image are taken from, where not from all of it."""
     found = {one.statistics for one in whole} - {"exact"}
     return [f"values of the whole image are those of {where}" for where in sorted(found)]
 

@@ -41,7 +41,7 @@ REPORT_KEYS = {
     "components": "number of 6-connected parts of the object",
     "touches_border": "whether the object lies on the volume's border",
     "quality": "how far to trust the result, without a reference; and warnings",
-    "objects": "of several objects each: id, reason, measures, centroid (x, y, z) mm LPS, terms, quality",
+    "objects": "of several objects each: id, reason, measures, centroid (x, y, z) mm, terms, quality; status, failure",
     "seconds": "wall time of load, start, evolve, refine, mesh, write, total",
     "peak_rss_mb": "largest memory of the process, MB (10^6 bytes)",
     "warnings": "of the run and of the files",

@@ -1,5 +1,6 @@
 """Images that are read box by box: the same voxels as the whole image has, and errors instead of zeros."""
 
+import pickle
 import struct
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,6 +11,7 @@ import pytest
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.volume import Volume
+from accelsurf.io import LazyVolume
 
 BOXES = (
     (slice(0, 5), slice(0, 7), slice(0, 9)),  # all of it
@@ -164,3 +166,15 @@ def test_more_than_2_to_the_32_voxels(tmp_path):
     row = lazy.read((slice(1700, 1701), slice(3, 4), slice(0, n)))
     assert np.flatnonzero(row).tolist() == [5]
     assert lazy.read((slice(0, 1), slice(0, 1), slice(0, 1))).tolist() == [[[1]]]
+
+
+def test_an_opened_volume_goes_to_another_process(tmp_path, monkeypatch):
+    image = Volume.from_array(np.arange(24, dtype=np.int16).reshape(2, 3, 4), (2.0, 1.0, 1.0))
+    io.write(image, tmp_path / "a.nii")
+    box = (slice(0, 2), slice(1, 3), slice(0, 1))
+    monkeypatch.chdir(tmp_path)
+    packed = pickle.dumps(io.open_volume("a.nii"))
+    monkeypatch.chdir(tmp_path.parent)
+    for again in (pickle.loads(packed), pickle.loads(pickle.dumps(LazyVolume.of_array(image)))):
+        assert again.geometry.matches(image.geometry) and again.read(box).tolist() == image.array[box].tolist()
+    assert len(packed) < 2000, "the voxels stay in their file"

@@ -1,5 +1,6 @@
 """Numbers of an image that is read in parts have the bytes that they have of the image in memory."""
 
+import pickle
 from functools import partial
 
 import numpy as np
@@ -187,3 +188,17 @@ def test_what_needs_the_image_itself_is_named():
         in_parts(volume((16, 40, 34), np.int16), 0.0, 3).found(np.median)
     with pytest.raises(UsageError, match="presmooth"):
         in_parts(volume((16, 40, 34), np.int16), 1e6, 3)
+
+
+def test_numbers_go_to_another_process():
+    """One that gets them reads nothing of the image for what they tell."""
+    image = Volume.from_array(np.random.default_rng(0).normal(0, 1, (12, 14, 16)).astype(np.float32))
+    first = WholeImage(LazyVolume.of_array(image))
+    found = first.found(noise_of), first.found(np.percentile, 20.0), first.found(Parzen.of_image)
+    numbers = pickle.loads(pickle.dumps(first.numbers))
+    source = LazyVolume.of_array(image)
+    second = WholeImage(source, numbers=numbers)
+    assert second.scale == first.scale and second.numbers.keys() == numbers.keys() == first.numbers.keys()
+    assert (second.found(noise_of), second.found(np.percentile, 20.0)) == found[:2]
+    assert second.found(Parzen.of_image).scale == found[2].scale and source.bytes_read == 0
+    assert second.found(np.ptp) == first.found(np.ptp) and source.bytes_read > 0

@@ -1,0 +1,159 @@
+"""The files of many objects of a large image, put together from what their groups have left."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from accelsurf import io
+from accelsurf.batch.run import SOME_FAILED
+from accelsurf.cli.interrupts import Interrupts
+from accelsurf.io.files import write_bytes
+from accelsurf.report import document, output_folder, result_sets, tables
+from accelsurf.report.file_entries import describe_drafts, describe_input
+from accelsurf.segmentation.ensemble import overall_stop
+
+if TYPE_CHECKING:
+    from accelsurf.cli.object_work import ObjectsDone
+    from accelsurf.cli.options import Display
+    from accelsurf.cli.place import Place
+    from accelsurf.io.file_set import FileSet
+    from accelsurf.report.group_files import GroupRecord
+    from accelsurf.segmentation.windowed import LargeImage
+    from accelsurf.settings.run_config import RunConfig
+
+#: Sums over all objects in the report.
+_SUMS = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
+
+
+def write_outputs(
+    place: Place, config: RunConfig, image: LargeImage, done: ObjectsDone, files: FileSet, display: Display
+) -> int:
+    """Write the label map, the table, the meshes and the report, all at once; returns the exit code.
+
+    What the groups have left is removed, unless some have failed: then ``--resume`` tries these again.
+
+    Parameters
+    ----------
+    place : Place
+    config : RunConfig
+    image : LargeImage
+    done : ObjectsDone
+    files : FileSet
+    display : Display
+
+    Raises
+    ------
+    OutputError
+        When something cannot be written; nothing is then.
+    """
+    interrupts = Interrupts.current()
+    names = place.names(config, image.geometry.slice_axis is not None)
+    rows = rows_of(done)
+    code = SOME_FAILED if done.failures else 0
+    with interrupts.patience("finishing the files"), output_folder.naming_final(files):
+        kinds = {names["labels"]: "labels", names["objects"]: "objects", **_link_meshes(done, files)}
+        _write_labels(files.drafts / names["labels"], image, done)
+        write_bytes(files.drafts / names["objects"], tables.objects_csv(rows).encode())
+        outputs = describe_drafts(files, kinds)
+        contents = _report(place, config, image, done, rows) | {"exit_code": code, "outputs": outputs}
+        report = place.report_path.name
+        write_bytes(files.drafts / report, f"{document.to_json(contents)}\n".encode())
+        written = [*kinds, report]
+        files.commit(last=report, remove=result_sets.outdated(files.folder, place.name, written, False))
+    if not done.failures:
+        shutil.rmtree(done.folder, ignore_errors=True)
+    if not display.quiet:
+        _print_summary(place, done, rows, outputs)
+    return code
+
+
+def rows_of(done: ObjectsDone) -> list[dict[str, Any]]:
+    """Return an entry for each object, in order of the ids: how it ended, or why there is nothing of it."""
+    rows = {row["id"]: {**row, "status": "ok", "failure": ""} for record in done.records for row in record.rows}
+    keys = next(iter(rows.values()), dict.fromkeys(("id", "reason", "message", "centroid", "quality")))
+    for own, why in done.failures.items():
+        rows[own] = {**dict.fromkeys(keys), "id": own, "status": "failed", "failure": why}
+    return [rows[own] for own in done.ids]
+
+
+def _link_meshes(done: ObjectsDone, files: FileSet) -> dict[str, str]:
+    """Put the meshes beside the other drafts; kind of each by its name."""
+    kinds = {}
+    for record in done.records:
+        for meshes in record.meshes:
+            for kind, name in meshes.items():
+                try:
+                    os.link(record.folder / name, files.drafts / name)
+                except OSError:  # a file system without links
+                    shutil.copyfile(record.folder / name, files.drafts / name)
+                kinds[name] = kind.partition("-")[0]
+    return kinds
+
+
+def _write_labels(path: Any, image: LargeImage, done: ObjectsDone) -> None:
+    """Write the label map box by box; no voxel is in two objects."""
+    first, dtype = image.channels[0], io.label_type(done.ids[-1])
+    with io.LabelStore(path, image.geometry, dtype, dict(first.metadata), first.source) as store:
+        for record in done.records:
+            for row, box, mask in zip(record.rows, record.boxes, record.masks(), strict=True):
+                part = store.read(box)
+                part[mask] = np.array(row["id"], dtype)
+                store.write(box, part)
+
+
+def _report(
+    place: Place, config: RunConfig, image: LargeImage, done: ObjectsDone, rows: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """The report, but for its outputs and the exit code."""
+    contents = document.build(
+        status="failed" if done.failures else "ok",
+        exit_code=0,
+        argv=sys.argv,
+        config=config,
+        source=describe_input(place.source, geometry=image.geometry),
+        warnings=[*done.notes, *(line for record in done.records for line in record.facts["warnings"])],
+    )
+    contents["objects"] = rows
+    if done.records:
+        facts, stops = done.records[0].facts, [stop for record in done.records for stop in record.stops]
+        stop = overall_stop(stops)
+        contents |= {
+            "stop": {"reason": stop.reason, "steps": stop.steps, "time": stop.time, "message": stop.message},
+            "resolved_settings": facts["resolved_settings"],
+            "touches_border": any(row["touches_border"] for row in rows),
+            **{key: _sum(done.records, key) for key in _SUMS},
+        }
+    if done.failures:
+        own, why = next(iter(sorted(done.failures.items())))
+        more = f" (and {len(done.failures) - 1} more)" if len(done.failures) > 1 else ""
+        contents["error"] = {
+            "type": "SomeFailed",
+            "message": f"object {own}{more}: {why}",
+            "hint": "the table says why; the same command with --resume tries them again",
+        }
+    return contents
+
+
+def _sum(records: list[GroupRecord], key: str) -> Any:
+    values = [row[key] for record in records for row in record.rows if row[key] is not None]
+    return sum(values) if values else None
+
+
+def _print_summary(place: Place, done: ObjectsDone, rows: list[dict[str, Any]], outputs: list[dict[str, str]]) -> None:
+    """Print how many objects there are, and the files."""
+    counts: dict[str, int] = {}
+    for row in rows:
+        word = "failed" if row["status"] == "failed" else str(row["reason"])
+        counts[word] = counts.get(word, 0) + 1
+    print(f"{place.name}: of {len(rows)} objects {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}")
+    by_kind: dict[str, list[str]] = {}
+    for output in outputs:
+        by_kind.setdefault(output["kind"], []).append(output["path"])
+    for kind, paths in by_kind.items():
+        print(f"  {kind:8} {paths[0]}" + (f" and {len(paths) - 1} more" if len(paths) > 1 else ""))
+    print(f"  {'report':8} {place.report_path.absolute()}")

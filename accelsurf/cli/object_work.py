@@ -1,0 +1,274 @@
+"""``segment --objects`` on an image that is read in parts: groups of objects, in processes or on a cluster."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from accelsurf import __version__
+from accelsurf.batch.pool import Ended, Job, Pool
+from accelsurf.cli import large_image
+from accelsurf.cli.batch_progress import BatchProgress
+from accelsurf.cli.interrupts import Interrupts
+from accelsurf.cli.object_options import ObjectOptions
+from accelsurf.cli.options import Display
+from accelsurf.cli.place import Place
+from accelsurf.errors import OutputError
+from accelsurf.report import group_files, object_files, output_folder, result_sets
+from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.cli.group_task import GroupTask
+    from accelsurf.initialization.large_object_starts import ManyStarts
+    from accelsurf.report.group_files import GroupRecord
+    from accelsurf.segmentation.many_objects import Groups
+    from accelsurf.segmentation.object_groups import Group as Places
+    from accelsurf.segmentation.windowed import LargeImage
+
+def run_objects(
+    place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, resume: bool, display: Display
+) -> int:
+    """Run the objects of a large image, and write their files; returns the exit code.
+
+    Parameters
+    ----------
+    place : Place
+    config : RunConfig
+    image : LargeImage
+    options : ObjectOptions
+    resume : bool
+        Whether groups that an earlier run has left count.
+    display : Display
+
+    Raises
+    ------
+    AccelsurfError
+        When nothing can be run, or not be written.
+    """
+    from accelsurf.segmentation.group_run import check_settings
+
+    config = large_image.for_windows(place, config)
+    check_settings(config)
+    image.check()
+    report = result_sets.load_report(place.report_path) if resume else None
+    if report is not None and report["status"] == "ok" and result_sets.had_settings(report, config):
+        if not display.quiet:
+            print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
+        return int(report["exit_code"])
+    if report is not None and report["status"] != "ok" and report.get("objects"):
+        place = replace(place, overwrite=True)
+    with output_folder.opened_set(place.folder, place.name) as files:
+        output_folder.refuse_existing(place.paths(config), place.overwrite)
+        work = _work_folder(place, resume)
+        done = _Work(place, config, image, options, work).run(display)
+        from accelsurf.cli.object_outputs import write_outputs
+
+        return write_outputs(place, config, image, done, files, display)
+
+
+def _work_folder(place: Place, resume: bool) -> Path:
+    """The folder for what groups leave.
+
+    Raises
+    ------
+    OutputError
+        When an earlier run has left something there that may not be lost.
+    """
+    work = (place.folder / f".{place.name}_objects").absolute()
+    if work.is_dir() and not resume:
+        if not place.overwrite:
+            raise OutputError(
+                f"{work}: has what a run that was stopped has left",
+                "add --resume to go on from it, or --overwrite to begin anew",
+            )
+        shutil.rmtree(work)
+    work.mkdir(exist_ok=True)
+    for draft in work.glob(".draft-*"):
+        shutil.rmtree(draft, ignore_errors=True)
+    return work
+
+
+@dataclass(frozen=True)
+class ObjectsDone:
+    """What all groups have left.
+
+    Attributes
+    ----------
+    records : list of GroupRecord
+        In order of their first objects.
+    failures : dict of int to str
+        Why there is nothing of an object, by its id.
+    ids : list of int
+        Of all objects.
+    folder : Path
+        Where the records are.
+    notes : list of str
+        About all of them.
+    """
+
+    records: list[GroupRecord]
+    failures: dict[int, str]
+    ids: list[int]
+    folder: Path
+    notes: list[str]
+
+
+class _Work:
+    """The groups of objects of one image, from the first to the last."""
+
+    def __init__(
+        self, place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, folder: Path
+    ) -> None:
+        from accelsurf.segmentation.many_objects import Groups, many_starts, numbers_needed
+        from accelsurf.segmentation.windowed import notes_of
+
+        jobs = options.jobs or 1
+        self._options, self._image = options, replace(image, max_bytes=image.max_bytes // jobs)
+        self._place, self._folder, self._config = place, folder, _with_threads(config, options)
+        self._starts: ManyStarts = many_starts(str(config.objects), image)
+        self._groups: Groups = Groups(self._starts)
+        whole = image.whole(config)
+        self._numbers, self._notes = numbers_needed(whole, config), notes_of(whole)
+        self._key = _key_of(config, image, self._numbers)
+        self._records: dict[Places, GroupRecord] = {}
+        self._failures: dict[Places, str] = {}
+
+    def run(self, display: Display) -> ObjectsDone:
+        """Run group after group, until no two of them could have met."""
+        pool = self._pool()
+        interrupts = Interrupts.current()
+        number = 0
+        with BatchProgress(display, len(self._starts.ids), "objects") as progress:
+            try:
+                while self._groups.waiting:
+                    self._round(pool, number, progress)
+                    for group in self._groups.unite():
+                        progress.taken_back(len(group) if group in self._records else 0)
+                        self._records.pop(group, None)
+                    number += 1
+            except BaseException:
+                count = sum(len(group) for group in self._records)
+                interrupts.outcome = (
+                    f"{count} of {len(self._starts.ids)} objects are done; the same command with --resume goes on"
+                )
+                raise
+            finally:
+                pool.close()
+        ids = self._starts.ids
+        failures = {int(ids[one]): why for group, why in self._failures.items() for one in group}
+        records = [self._records[group] for group in sorted(self._records)]
+        return ObjectsDone(records, failures, ids.tolist(), self._folder, self._notes)
+
+    def _round(self, pool: Pool, number: int, progress: BatchProgress) -> None:
+        """Run what waits, and take note of what becomes of it."""
+        groups = {f"{number}-{place}": group for place, group in enumerate(self._groups.waiting)}
+        for key, group in groups.items():
+            record = group_files.read_group(self._folder_of(group))
+            if record is None:
+                pool.submit(Job(key, self._task(group)))
+            else:
+                self._put(group, record, progress)
+        for event in pool.events():
+            if not isinstance(event, Ended):
+                continue
+            group, failure = groups[event.key], event.value if event.failure is None else event.failure.message
+            record = None if failure else group_files.read_group(self._folder_of(group))
+            if record is not None:
+                self._put(group, record, progress)
+                continue
+            why = failure or "what it left cannot be read"
+            self._failures[group] = why
+            self._groups.put_failed(group)
+            progress.ended_objects(self._name(group), len(group), why)
+
+    def _put(self, group: Places, record: GroupRecord, progress: BatchProgress) -> None:
+        if record.near:
+            ids = self._starts.ids.tolist()
+            self._groups.put_near(group, [ids.index(own) for own in record.near])
+            return
+        self._records[group] = record
+        self._groups.put(group, record.low, record.high)
+        progress.ended_objects(self._name(group), len(group), "")
+
+    def _name(self, group: Places) -> str:
+        first = f"object {self._starts.ids[group[0]]}"
+        return first if len(group) == 1 else f"{first} and {len(group) - 1} more"
+
+    def _folder_of(self, group: Places) -> Path:
+        """Where a group leaves its files: found again by the same objects, starts, image and settings alone."""
+        rows = self._starts.ids[list(group)].tolist(), *(one.tolist() for one in self._groups.starts_of(group))
+        name = hashlib.sha256(f"{self._key} {rows}".encode()).hexdigest()[:16]
+        return self._folder / f"group-{self._starts.ids[group[0]]}-{name}"
+
+    def _task(self, group: Places) -> GroupTask:
+        from accelsurf.cli.group_task import GroupTask
+
+        others = self._groups.others(group)
+        names = self._place.names(self._config, self._image.geometry.slice_axis is not None)
+        return GroupTask(
+            self._image,
+            self._numbers,
+            self._config,
+            self._starts.only(group),
+            self._groups.starts_of(others),
+            tuple(self._starts.ids[others].tolist()),
+            self._folder_of(group),
+            {kind: name for kind, name in names.items() if kind.startswith(object_files.EACH)},
+        )
+
+    def _pool(self) -> Pool:
+        from accelsurf.cli.group_task import load, run_task
+
+        if self._options.scheduler is not None:
+            from accelsurf.batch.dask_pool import DaskPool
+
+            return DaskPool(run_task, self._options.scheduler)
+        if self._options.jobs is None or self._options.jobs == 1:
+            from accelsurf.batch.inline_pool import InlinePool
+
+            return InlinePool(run_task)
+        from accelsurf.batch.pool import LocalPool
+
+        return LocalPool(run_task, self._options.jobs, prepare=load)
+
+
+def _with_threads(config: RunConfig, options: ObjectOptions) -> RunConfig:
+    """The settings with the threads of each group."""
+    from accelsurf.io.memory import available_cores
+
+    if config.threads != "auto":
+        return config
+    threads = 1 if options.scheduler is not None else max(1, available_cores() // (options.jobs or 1))
+    return config.model_copy(update={"threads": threads})
+
+
+def _key_of(config: RunConfig, image: LargeImage, numbers: Any) -> str:
+    """What the files of a group depend on beside its objects."""
+    settings = {key: value for key, value in config.model_dump(mode="json").items() if key not in _WITHOUT_EFFECT}
+    start = Path(str(config.objects).partition("@")[0])
+    files = [_version_of(path) for path in (start, *(one.source for one in image.channels))]
+    known = [sorted((_name_of(key), pickle.dumps(value).hex()) for key, value in one.items()) for one in numbers]
+    grid = repr(image.geometry), [str(one.dtype) for one in image.channels]
+    return json.dumps([__version__, settings, files, known, grid], sort_keys=True)
+
+
+def _name_of(key: tuple[Any, ...]) -> str:
+    """A number of the whole image in words: the function that finds it, and its arguments."""
+    return f"{getattr(key[0], '__name__', key[0])} {key[1:]}"
+
+
+#: Settings that change nothing of what a group leaves.
+_WITHOUT_EFFECT = ("threads", "checkpoint", "format")
+
+
+def _version_of(path: Path | None) -> list[Any]:
+    """What changes when a file is written again, wherever it lies."""
+    if path is None or not path.exists():
+        return [str(path)]
+    found = path.stat()
+    return [path.name, 0 if path.is_dir() else found.st_size, found.st_mtime_ns]

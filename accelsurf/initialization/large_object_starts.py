@@ -1,0 +1,207 @@
+"""First surfaces of many objects in an image that is not in memory: where each lies is known, and some are made."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf import io
+from accelsurf.errors import GeometryError, UsageError
+from accelsurf.grid.boxes import Box, corner_of, widened
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.slabs import slabs
+from accelsurf.initialization import object_starts, starts
+from accelsurf.initialization.object_clicks import has_sides
+from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.io import LazyVolume
+
+Some = TypeVar("Some", bound="ManyStarts")
+_HINT = "give a table of balls (id,x,y,z,r), or a label map of first voxels"
+
+
+class ManyStarts(Protocol):
+    """First surfaces of objects with ids.
+
+    Attributes
+    ----------
+    ids : ndarray (n,) of int64
+        Ascending.
+    low, high : ndarray (n, 3) of int64
+        First voxel of the box of each, and the one after its last.
+    """
+
+    ids: NDArray[np.int64]
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+
+    def made(self, places: Sequence[int]) -> list[ObjectStart]:
+        """The starts at ascending positions in ``ids``, on the whole grid.
+
+        The box of none of them may meet that of another object that is left out.
+
+        Raises
+        ------
+        InputError
+            When one lies entirely within others.
+        """
+        ...
+
+    def only(self, places: Sequence[int]) -> ManyStarts:
+        """The starts at some positions alone, for another process: what is in a file is read there."""
+        ...
+
+
+class BallTable:
+    """Balls of a table; all balls of an id are one object.
+
+    Parameters
+    ----------
+    file : str
+    geometry : Geometry
+        The whole grid.
+    margin : int
+        Voxels around each object, where the grid has them.
+
+    Raises
+    ------
+    InputError
+        As `accelsurf.initialization.object_starts.read`; UsageError when it is a table of clicks.
+    """
+
+    def __init__(self, file: str, geometry: Geometry, margin: int) -> None:
+        if has_sides(file):
+            raise UsageError(
+                f"objects {file}: it has a column side, and the image is read in parts: clicks count everywhere", _HINT
+            )
+        self._file, self._geometry, self._margin = file, geometry, margin
+        self._balls = object_starts.read_balls(file, geometry)
+        boxes = [object_starts.ball_box(file, own, rows, geometry, margin) for own, rows in self._balls.items()]
+        self.ids = np.array(list(self._balls), np.int64)
+        self.low, self.high = _ends(boxes)
+
+    def only(self, places: Sequence[int]) -> BallTable:
+        """See `ManyStarts`."""
+        part = _at(self, places)
+        part._balls = {own: self._balls[own] for own in part.ids.tolist()}
+        return part
+
+    def made(self, places: Sequence[int]) -> list[ObjectStart]:
+        """See `ManyStarts`."""
+        ids = [int(self.ids[place]) for place in places]
+        found = [
+            object_starts.ball_start(self._file, own, self._balls[own], self._geometry, self._margin) for own in ids
+        ]
+        return object_starts.separated(found, self._file, self._geometry)
+
+
+class LabelMap:
+    """Labels of a map that is read in parts.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    labels : LazyVolume
+    geometry : Geometry
+        The image's grid.
+    margin : int
+        Voxels around each object, where the grid has them.
+    ids : sequence of (first, last), optional
+        Those that count; none for all.
+
+    Raises
+    ------
+    InputError
+        As `accelsurf.initialization.object_starts.read`; GeometryError when it lies on another grid.
+    """
+
+    def __init__(
+        self, name: str, labels: LazyVolume, geometry: Geometry, margin: int, ids: Sequence[tuple[int, int]] = ()
+    ) -> None:
+        if not labels.geometry.matches(geometry):
+            raise GeometryError(
+                f"objects {name}: on another grid than the image: {labels.geometry.difference(geometry)}",
+                "resample it to the image's grid first",
+            )
+        self._name, self._labels, self._geometry, self._wanted = name, labels, geometry, tuple(ids)
+        self.ids, self.low, self.high = self._scanned(margin)
+
+    def only(self, places: Sequence[int]) -> LabelMap:
+        """See `ManyStarts`."""
+        return _at(self, places)
+
+    def _scanned(self, margin: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """The ids and their boxes, by one pass over the map."""
+        boxes: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
+        shape = self._geometry.shape
+        for planes in slabs(shape):
+            labels = self._read((planes, slice(0, shape[1]), slice(0, shape[2])))
+            found = np.unique(labels[labels > 0])
+            places = np.where(labels > 0, np.searchsorted(found, labels) + 1, 0).astype(np.int32)
+            for own, box in zip(found.tolist(), ndimage.find_objects(places), strict=True):
+                low = np.array([box[0].start + planes.start, box[1].start, box[2].start])
+                high = np.array([box[0].stop + planes.start, box[1].stop, box[2].stop])
+                if own in boxes:
+                    low, high = np.minimum(boxes[own][0], low), np.maximum(boxes[own][1], high)
+                boxes[own] = low, high
+        ids = np.array(sorted(boxes), np.int64)
+        object_starts.check_found(self._name, ids)
+        around = [widened(_box(*boxes[own]), shape, (margin, margin, margin)) for own in ids.tolist()]
+        return ids, *_ends(around)
+
+    def _read(self, box: Box) -> NDArray[np.integer]:
+        return object_starts.whole_numbers(self._name, self._labels.read(box), self._wanted)
+
+    def made(self, places: Sequence[int]) -> list[ObjectStart]:
+        """See `ManyStarts`."""
+        half, out = np.float32(0.5 * min(self._geometry.steps)), []
+        for place in places:
+            box = _box(self.low[place], self.high[place])
+            psi = np.where(self._read(box) == self.ids[place], -half, half)
+            out.append(ObjectStart(int(self.ids[place]), corner_of(box), psi))
+        return out
+
+
+def opened(objects: str, geometry: Geometry, margin: int) -> ManyStarts:
+    """Return the first surfaces that ``--objects`` names.
+
+    Parameters
+    ----------
+    objects : str
+        Table of balls (.csv), or label map on the image's grid that can be read in parts (``FILE@2,5-9``).
+    geometry : Geometry
+        The whole grid.
+    margin : int
+        Voxels around each object, where the grid has them.
+
+    Raises
+    ------
+    UsageError, InputError
+        As of `BallTable` and `LabelMap`, and when a map cannot be read in parts.
+    """
+    if objects.lower().endswith(".csv"):
+        return BallTable(objects, geometry, margin)
+    start = starts.parse(f"label:{objects}")
+    return LabelMap(objects, io.open_volume(start.file), geometry, margin, start.ids)
+
+
+def _at(starts: Some, places: Sequence[int]) -> Some:
+    part, here = copy.copy(starts), list(places)
+    part.ids, part.low, part.high = starts.ids[here], starts.low[here], starts.high[here]
+    return part
+
+
+def _ends(boxes: Sequence[Box]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First voxels (n, 3) of boxes, and those after the last."""
+    low = np.array([[side.start for side in box] for box in boxes], np.int64)
+    return low, np.array([[side.stop for side in box] for box in boxes], np.int64)
+
+
+def _box(low: NDArray[np.int64], high: NDArray[np.int64]) -> Box:
+    z, y, x = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+    return z, y, x

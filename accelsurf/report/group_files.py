@@ -1,0 +1,184 @@
+"""What a group of objects has left, in a folder of its own: complete or not there, for whoever puts all together."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.evolution.records import Stop
+from accelsurf.grid.boxes import Box
+from accelsurf.io.file_set import sync, sync_folder
+from accelsurf.report import object_files
+from accelsurf.report.document import describe_object, describe_window
+
+if TYPE_CHECKING:
+    from accelsurf.segmentation.group_run import GroupResult
+
+_RECORD, _LABELS = "record.json", "labels.npz"
+
+
+@dataclass(frozen=True)
+class GroupRecord:
+    """What a group has left.
+
+    Attributes
+    ----------
+    folder : Path
+        Where its meshes lie, under their final names.
+    near : tuple of int
+        Ids of objects that begin where one of the group came to; then there is nothing else.
+    rows : list of dict
+        As of `accelsurf.report.document.describe_object`.
+    boxes : list of tuple of slice
+        Part of the whole grid that each object has.
+    low, high : ndarray (n, 3) of int64
+        As of `accelsurf.segmentation.group_run.GroupResult`.
+    stops : list of Stop
+    meshes : list of dict of str to str
+        Of each object: name of the file by kind.
+    facts : dict
+        ``energy``, ``resolved_settings``, ``warnings``, ``window``.
+    """
+
+    folder: Path
+    near: tuple[int, ...]
+    rows: list[dict[str, Any]]
+    boxes: list[Box]
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    stops: list[Stop]
+    meshes: list[dict[str, str]]
+    facts: dict[str, Any]
+
+    def masks(self) -> list[NDArray[np.bool_]]:
+        """Where each object is, on its box."""
+        with np.load(self.folder / _LABELS, allow_pickle=False) as packed:
+            return [
+                np.unpackbits(packed[str(row["id"])], count=_count(box)).reshape(_shape(box)).view(np.bool_)
+                for row, box in zip(self.rows, self.boxes, strict=True)
+            ]
+
+
+def write_group(
+    folder: Path, result: GroupResult, names: Mapping[str, str], space: Literal["lps", "ras"]
+) -> None:
+    """Write what a group has left.
+
+    Parameters
+    ----------
+    folder : Path
+        Its own, which appears when all is complete. One that is there already is left as it is.
+    result : GroupResult
+    names : mapping of str to str
+        Name of the file of a single object by kind; of those that each object has.
+    space : {"lps", "ras"}
+        Of meshes.
+
+    Raises
+    ------
+    OutputError
+        When a mesh cannot be written; OSError when something else cannot.
+    """
+    draft = _draft(folder)
+    try:
+        meshes = [_write_meshes(draft, one, names, space) for one in result.objects]
+        packed = {str(one.id): np.packbits(one.labels) for one in result.objects}
+        np.savez(draft / _LABELS, **packed)  # type: ignore[arg-type]
+        _write_record(draft, {
+            "near": [],
+            "rows": [describe_object(one) for one in result.objects],
+            "boxes": [[[side.start, side.stop] for side in one.box] for one in result.objects],
+            "low": result.low.tolist(),
+            "high": result.high.tolist(),
+            "stops": [list(one.stop) for one in result.objects],
+            "meshes": meshes,
+            "facts": {
+                "energy": result.energy,
+                "resolved_settings": result.resolved_settings,
+                "warnings": result.warnings,
+                "window": describe_window(result.window),
+            },
+        })
+        _put(draft, folder)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def write_near(folder: Path, ids: Sequence[int]) -> None:
+    """Write that a group came to where others begin, by their ids; parameters as of `write_group`."""
+    draft = _draft(folder)
+    try:
+        _write_record(draft, {"near": list(ids)})
+        _put(draft, folder)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def read_group(folder: Path) -> GroupRecord | None:
+    """Return what a group has left; None where there is nothing, or something that is none of ours."""
+    try:
+        found = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
+        if found["near"]:
+            nothing = np.empty((0, 3), np.int64)
+            return GroupRecord(folder, tuple(found["near"]), [], [], nothing, nothing, [], [], {})
+        boxes: list[Box] = [(slice(*z), slice(*y), slice(*x)) for z, y, x in found["boxes"]]
+        low, high = np.array(found["low"], np.int64), np.array(found["high"], np.int64)
+        stops = [Stop(*one) for one in found["stops"]]
+        return GroupRecord(folder, (), found["rows"], boxes, low, high, stops, found["meshes"], found["facts"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _draft(folder: Path) -> Path:
+    return Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
+
+
+def _write_meshes(draft: Path, one: Any, names: Mapping[str, str], space: Literal["lps", "ras"]) -> dict[str, str]:
+    """Write the surface or the contours of an object; the names of its files by kind."""
+    shape = "surface" if one.length_mm is None else "contour"
+    wanted = {kind: name for kind, name in names.items() if kind.startswith(shape) and one.has_surface}
+    own = {kind: object_files.name_of(name, one.id) for kind, name in wanted.items()}
+    for name in own.values():
+        (one.surface if shape == "surface" else one.contours).write(draft / name, space)
+    return own
+
+
+def _write_record(draft: Path, record: dict[str, Any]) -> None:
+    (draft / _RECORD).write_text(json.dumps(record, default=_plain), encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} in the record of a group")
+
+
+def _put(draft: Path, folder: Path) -> None:
+    """Give a complete folder its name, unless another worker was faster; what cannot be read there goes."""
+    sync(draft)
+    try:
+        os.rename(draft, folder)
+    except OSError:
+        if read_group(folder) is None:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.rename(draft, folder)
+    sync_folder(folder.parent)
+
+
+def _shape(box: Box) -> tuple[int, int, int]:
+    z, y, x = (side.stop - side.start for side in box)
+    return z, y, x
+
+
+def _count(box: Box) -> int:
+    nz, ny, nx = _shape(box)
+    return nz * ny * nx

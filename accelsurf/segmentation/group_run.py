@@ -1,0 +1,263 @@
+"""A run of some objects of an image that is read in parts, and how far each of them came."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, enclosing, widened
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.window import LeavesWindow, Window
+from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.segmentation.ensemble import REACH
+from accelsurf.segmentation.first_window import MIN_MARGIN
+from accelsurf.segmentation.memory_need import bytes_text, run_bytes
+from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.segmentation.result import SegmentedObject
+from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_result import result_of
+from accelsurf.segmentation.run_setup import window_reach
+from accelsurf.segmentation.whole_image import WholeImage
+from accelsurf.segmentation.windowed import LargeImage, larger, run_in
+from accelsurf.settings import energy_expression
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.run_config import RunConfig
+
+#: Bytes of a voxel of an object's own box: image, psi twice, and an index of the band.
+BOX_BYTES = 16
+_ALONE = "give --roi around them, or let the image be read into memory (more --max-memory)"
+
+
+@dataclass(frozen=True, eq=False)
+class GroupResult:
+    """What a run of some objects leaves.
+
+    Attributes
+    ----------
+    objects : tuple of SegmentedObject
+        In order of their ids; boxes and grids are those of the whole image.
+    low, high : ndarray (n, 3) of int64
+        Of each object, the box of all voxels where another could have met it at any time: the first, and the one after
+        the last. Empty where it had no surface at all.
+    window : Window
+        The last one.
+    energy : str
+    resolved_settings : dict
+    warnings : list of str
+    """
+
+    objects: tuple[SegmentedObject, ...]
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    window: Window
+    energy: str
+    resolved_settings: dict[str, Any]
+    warnings: list[str]
+
+
+class MeetsOthers(Exception):
+    """An object came to where others begin, so that all must be run at once: ``places`` among the boxes given."""
+
+    def __init__(self, places: Sequence[int]) -> None:
+        super().__init__(f"{len(places)} other objects are near")
+        self.places = tuple(places)
+
+
+class Boxes(NamedTuple):
+    """Boxes on the whole grid: ``low`` (n, 3), the first voxel of each, and ``high``, the one after its last."""
+
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+
+
+def check_settings(config: RunConfig) -> None:
+    """Refuse what depends on all objects at once, or on the whole image.
+
+    Raises
+    ------
+    UsageError
+        Naming the setting.
+    """
+    given = [name for name in ("edit", "refine", "checkpoint", "roi", "box", "mask", "inside", "outside", "foreground",
+                               "background") if getattr(config, name)]
+    if config.levels not in ("auto", 1):
+        given.append("levels")  # the first one on which all starts are resolved
+    if config.noise > 0:
+        given.append("noise")  # the seed of each goes by its place among all
+    if given:
+        raise UsageError(f"{given[0]}: it was given for objects of an image that is read in parts", _ALONE)
+    for term in energy_expression.parse(config.energy):
+        if TERMS[term.name].uses_model:
+            raise UsageError(f"energy: {term.name} is of clicks, and the image of the objects is read in parts", _ALONE)
+        if term.settings.get("update") == "no":
+            raise UsageError(
+                f"energy: {term.name}:update=no learns outside of all objects, and the image is read in parts", _ALONE
+            )
+
+
+def run_group(
+    image: LargeImage, whole: tuple[WholeImage, ...], config: RunConfig, starts: list[ObjectStart], others: Boxes
+) -> GroupResult:
+    """Run some objects in a window that is made larger until they stay within it.
+
+    Parameters
+    ----------
+    image : LargeImage
+    whole : tuple of WholeImage
+        Of each channel.
+    config : RunConfig
+        That `check_settings` lets pass.
+    starts : list of ObjectStart
+        On the whole grid, in order of their ids.
+    others : Boxes
+        Where objects begin that are not among these.
+
+    Raises
+    ------
+    MeetsOthers
+        When one comes to where others begin.
+    InputError
+        When the window that they need is larger than memory, and as of `accelsurf.segment_objects`.
+    """
+    window = Window(image.geometry, _first_box(starts, image.geometry, window_reach(config, image.geometry)))
+    while True:
+        refuse_too_large(window, starts, image)
+        try:
+            return _in(window, image, whole, config, (starts, others))
+        except LeavesWindow as face:
+            window = larger(window, face, image, config)
+
+
+def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> Box:
+    """The starts, and around them as much as the largest is wide, and as their energies see (``reach``, mm)."""
+    boxes = [box_at(one.corner, one.psi.shape) for one in starts]
+    widest = max(n for one in starts for n in one.psi.shape)
+    margin = [max(MIN_MARGIN, widest, math.ceil(reach / h) + MIN_MARGIN // 2) for h in geometry.spacing]
+    return widened(functools.reduce(enclosing, boxes), geometry.shape, margin)
+
+
+def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImage) -> None:
+    """Refuse a window whose run would take more memory than it may.
+
+    Raises
+    ------
+    InputError
+        With the estimate.
+    """
+    boxes = sum(math.prod(n + MIN_MARGIN for n in one.psi.shape) for one in starts)
+    needed = run_bytes(math.prod(window.shape) * len(image.channels), False) + BOX_BYTES * boxes
+    if needed > image.max_bytes:
+        size = " x ".join(str(n) for n in reversed(window.shape))
+        what = f"object {starts[0].id} needs" if len(starts) == 1 else f"{len(starts)} objects that may meet need"
+        raise InputError(
+            f"{what} a window of {size} voxels, for which a run takes about {bytes_text(needed)} of memory; "
+            f"{bytes_text(image.max_bytes)} are allowed",
+            "take a coarser level of the image (--level), fewer --jobs, or more --max-memory",
+        )
+
+
+def _in(
+    window: Window,
+    image: LargeImage,
+    whole: tuple[WholeImage, ...],
+    config: RunConfig,
+    objects: tuple[list[ObjectStart], Boxes],
+) -> GroupResult:
+    """The run in a window, as far as it goes."""
+    starts, others = objects
+    own = tuple(
+        one._replace(corner=corner_of(window.local(box_at(one.corner, one.psi.shape)))) for one in starts
+    )
+    with run_in(window, whole, image, config, own) as run:
+        visited = VisitedBoxes(run, window.corner)
+        visited.refuse_near(others)
+        while run.step():
+            visited.look()
+            visited.refuse_near(others)
+        visited.look_at_ends()
+        visited.refuse_near(others)
+        result = result_of(run)
+    found = tuple(_on_whole(one, window) for one in result.objects)
+    return GroupResult(found, *visited.boxes, window, result.energy, result.resolved_settings, result.warnings)
+
+
+class VisitedBoxes:
+    """Where each object of a run was at any time, as far as it matters to others.
+
+    The objects of a run look at each other where their bands, made larger by `REACH`, overlap; at the end all that is
+    not far outside of one counts for the others.
+
+    Parameters
+    ----------
+    run : Run
+        Before its first step.
+    first : (z, y, x)
+        First voxel of its grid in the whole grid.
+    """
+
+    def __init__(self, run: Run, first: Corner) -> None:
+        self._run, self._first = run, np.array(first, np.int64)
+        far = np.iinfo(np.int64).max // 2
+        self._low, self._high = np.full((len(run.objects), 3), far), np.full((len(run.objects), 3), -far)
+        self._larger: set[int] = set()
+        self.look()
+
+    def look(self) -> None:
+        """Add where the objects are now."""
+        for place, one in enumerate(self._run.objects):
+            if one.surface.size:
+                low, high = one.extent()
+                self._add(place, low - REACH, high + REACH)
+
+    def look_at_ends(self) -> None:
+        """Add what is not far outside of the last surfaces."""
+        for place, one in enumerate(self._run.objects):
+            box = bounding_box(one.surface.psi < one.surface.gamma)
+            if box is not None:
+                low = np.array([side.start for side in box], np.int64) + np.array(one.corner, np.int64)
+                self._add(place, low, low + [side.stop - side.start for side in box])
+
+    def _add(self, place: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
+        low, high = low + self._first, high + self._first
+        if (low < self._low[place]).any() or (high > self._high[place]).any():
+            self._low[place] = np.minimum(self._low[place], low)
+            self._high[place] = np.maximum(self._high[place], high)
+            self._larger.add(place)
+
+    def refuse_near(self, others: Boxes) -> None:
+        """Refuse to go on where others begin.
+
+        Raises
+        ------
+        MeetsOthers
+        """
+        near = np.zeros(len(others.low), np.bool_)
+        for place in self._larger:
+            near |= ((others.low < self._high[place]) & (others.high > self._low[place])).all(axis=1)
+        self._larger.clear()
+        if near.any():
+            raise MeetsOthers(np.flatnonzero(near).tolist())
+
+    @property
+    def boxes(self) -> Boxes:
+        """The box of each object on the whole grid; empty where it had no surface at all."""
+        there = np.all(self._low < self._high, axis=1, keepdims=True)
+        return Boxes(np.where(there, self._low, 0), np.where(there, self._high, 0))
+
+
+def _on_whole(one: SegmentedObject, window: Window) -> SegmentedObject:
+    """An object of a run in a window, on the whole grid: its places are worked out there, to the last digit."""
+    z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(one.box, window.corner, strict=True))
+    part, rests = cropped(window.geometry, window.box), []
+    for rest in one.rests:
+        index = np.rint(part.world_to_index(rest.place)) + window.corner
+        px, py, pz = (float(v) for v in window.geometry.index_to_world(index))
+        rests.append(rest._replace(place=(px, py, pz)))
+    return replace(one, box=(z, y, x), geometry=cropped(window.geometry, (z, y, x)), rests=tuple(rests))
