@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.report import group_files
@@ -55,20 +55,27 @@ class GroupTask:
     names: Mapping[str, str]
 
 
+class GroupEnd(NamedTuple):
+    """How a group ended: why it ``failed``, if it did, and whether it was ``too_large`` for its memory."""
+
+    failed: str = ""
+    too_large: bool = False
+
+
 def load() -> None:
     """Load what every group needs."""
     for name in _LOADED:
         importlib.import_module(name)
 
 
-def run_task(task: GroupTask) -> str:
+def run_task(task: GroupTask) -> GroupEnd:
     """Run a group and write its files; return why that is not possible, or nothing.
 
     Parameters
     ----------
     task : GroupTask
     """
-    from accelsurf.segmentation.group_run import MeetsOthers, run_group
+    from accelsurf.segmentation.group_run import MeetsOthers, TooLarge, run_group
     from accelsurf.segmentation.many_objects import failure_text
 
     whole = task.image.whole(task.config, task.numbers)
@@ -79,5 +86,5 @@ def run_task(task: GroupTask) -> str:
     except MeetsOthers as near:
         group_files.write_near(task.folder, [task.other_ids[place] for place in near.places])
     except (AccelsurfError, MemoryError) as error:
-        return failure_text(error)
-    return ""
+        return GroupEnd(failure_text(error), isinstance(error, TooLarge))
+    return GroupEnd()

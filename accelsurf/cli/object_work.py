@@ -128,7 +128,8 @@ class _Work:
         from accelsurf.segmentation.windowed import notes_of
 
         jobs = options.jobs or 1
-        self._options, self._image = options, replace(image, max_bytes=image.max_bytes // jobs)
+        self._options, self._whole_image = options, image
+        self._image = replace(image, max_bytes=image.max_bytes // jobs)
         self._place, self._folder, self._config = place, folder, _with_threads(config, options)
         self._starts: ManyStarts = many_starts(str(config.objects), image)
         self._groups: Groups = Groups(self._starts)
@@ -173,18 +174,29 @@ class _Work:
                 pool.submit(Job(key, self._task(group)))
             else:
                 self._put(group, record, progress)
-        for event in pool.events():
-            if not isinstance(event, Ended):
-                continue
-            group, failure = groups[event.key], event.value if event.failure is None else event.failure.message
-            record = None if failure else group_files.read_group(self._folder_of(group))
-            if record is not None:
-                self._put(group, record, progress)
-                continue
-            why = failure or "what it left cannot be read"
-            self._failures[group] = why
-            self._groups.put_failed(group)
-            progress.ended_objects(self._name(group), len(group), why)
+        too_large = [groups[event.key] for event in pool.events() if not self._took(event, groups, progress, False)]
+        for group in too_large:  # one after the other, with the memory of all jobs
+            pool.submit(Job("alone", self._task(group, alone=True)))
+            for event in pool.events():
+                self._took(event, {"alone": group}, progress, True)
+
+    def _took(self, event: Any, groups: dict[str, Places], progress: BatchProgress, alone: bool) -> bool:
+        """Take note of what became of a group; False where it was too large for its part of the memory."""
+        if not isinstance(event, Ended):
+            return True
+        group, failure = groups[event.key], event.value.failed if event.failure is None else event.failure.message
+        may_have_more = not alone and self._whole_image.max_bytes > self._image.max_bytes
+        if event.failure is None and event.value.too_large and may_have_more:
+            return False
+        record = None if failure else group_files.read_group(self._folder_of(group))
+        if record is not None:
+            self._put(group, record, progress)
+            return True
+        why = failure or "what it left cannot be read"
+        self._failures[group] = why
+        self._groups.put_failed(group)
+        progress.ended_objects(self._name(group), len(group), why)
+        return True
 
     def _put(self, group: Places, record: GroupRecord, progress: BatchProgress) -> None:
         if record.near:
@@ -205,13 +217,13 @@ class _Work:
         name = hashlib.sha256(f"{self._key} {rows}".encode()).hexdigest()[:16]
         return self._folder / f"group-{self._starts.ids[group[0]]}-{name}"
 
-    def _task(self, group: Places) -> GroupTask:
+    def _task(self, group: Places, alone: bool = False) -> GroupTask:
         from accelsurf.cli.group_task import GroupTask
 
         others = self._groups.others(group)
         names = self._place.names(self._config, self._image.geometry.slice_axis is not None)
         return GroupTask(
-            self._image,
+            self._whole_image if alone else self._image,
             self._numbers,
             self._config,
             self._starts.only(group),

@@ -18,7 +18,7 @@ from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.segmentation.ensemble import REACH
 from accelsurf.segmentation.first_window import MIN_MARGIN
-from accelsurf.segmentation.memory_need import bytes_text, run_bytes
+from accelsurf.segmentation.memory_need import PLAIN_BYTES, PROCESS_BYTES, bytes_text
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import SegmentedObject
 from accelsurf.segmentation.run import Run
@@ -30,8 +30,9 @@ from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 
-#: Bytes of a voxel of an object's own box: image, psi twice, and an index of the band.
-BOX_BYTES = 16
+#: Bytes of a voxel of an object's own box, as of a whole run: image, psi twice, an index of the band, and the band; and
+#: of a voxel of the window beside the file's own: the image as float32, the union of the starts, and a copy of either.
+BOX_BYTES, WINDOW_BYTES = PLAIN_BYTES, 12
 _ALONE = "give --roi around them, or let the image be read into memory (more --max-memory)"
 
 
@@ -60,6 +61,10 @@ class GroupResult:
     energy: str
     resolved_settings: dict[str, Any]
     warnings: list[str]
+
+
+class TooLarge(InputError):
+    """A group needs more memory than it may take."""
 
 
 class MeetsOthers(Exception):
@@ -124,7 +129,7 @@ def run_group(
     MeetsOthers
         When one comes to where others begin.
     InputError
-        When the window that they need is larger than memory, and as of `accelsurf.segment_objects`.
+        As of `accelsurf.segment_objects`; TooLarge when the window that they need is larger than memory.
     """
     window = Window(image.geometry, _first_box(starts, image.geometry, window_reach(config, image.geometry)))
     while True:
@@ -132,7 +137,8 @@ def run_group(
         try:
             return _in(window, image, whole, config, (starts, others))
         except LeavesWindow as face:
-            window = larger(window, face, image, config)
+            most = (image.max_bytes - _fixed_bytes(starts)) // _voxel_bytes(image)
+            window = larger(window, face, most)
 
 
 def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> Box:
@@ -148,19 +154,29 @@ def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImag
 
     Raises
     ------
-    InputError
+    TooLarge
         With the estimate.
     """
-    boxes = sum(math.prod(n + MIN_MARGIN for n in one.psi.shape) for one in starts)
-    needed = run_bytes(math.prod(window.shape) * len(image.channels), False) + BOX_BYTES * boxes
+    needed = _fixed_bytes(starts) + _voxel_bytes(image) * math.prod(window.shape)
     if needed > image.max_bytes:
         size = " x ".join(str(n) for n in reversed(window.shape))
         what = f"object {starts[0].id} needs" if len(starts) == 1 else f"{len(starts)} objects that may meet need"
-        raise InputError(
+        raise TooLarge(
             f"{what} a window of {size} voxels, for which a run takes about {bytes_text(needed)} of memory; "
             f"{bytes_text(image.max_bytes)} are allowed",
             "take a coarser level of the image (--level), fewer --jobs, or more --max-memory",
         )
+
+
+def _fixed_bytes(starts: list[ObjectStart]) -> int:
+    """What a run takes whatever its window."""
+    boxes = sum(math.prod(n + MIN_MARGIN for n in one.psi.shape) for one in starts)
+    return PROCESS_BYTES + BOX_BYTES * boxes
+
+
+def _voxel_bytes(image: LargeImage) -> int:
+    """What it takes for each voxel of its window."""
+    return sum(WINDOW_BYTES + one.dtype.itemsize for one in image.channels)
 
 
 def _in(

@@ -164,7 +164,8 @@ def segment_in_windows(
         except LeavesWindow as face:
             if checkpoints is not None:
                 checkpoints.clear()
-            window = larger(window, face, image, config)
+            most = values_within(image.max_bytes, uses_model(config)) // len(image.channels)
+            window = larger(window, face, most)
         except NeedsLevels as more:
             window = on_levels(window, more.count)
 
@@ -262,12 +263,11 @@ def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> No
         )
 
 
-def larger(window: Window, face: LeavesWindow, image: LargeImage, config: RunConfig) -> Window:
-    """Return the next window: larger where it was left, as far as memory goes.
+def larger(window: Window, face: LeavesWindow, most: int) -> Window:
+    """Return the next window: larger where it was left, with at most so many voxels.
 
-    Where it does not go far enough, the smallest that is larger is returned, which `refuse_too_large` names.
+    Where that does not go far enough, the smallest that is larger is returned, which is refused then.
     """
-    most = values_within(image.max_bytes, uses_model(config)) // len(image.channels)
     factor, blocks = GROWTH, blocks_of(window.geometry, window.levels)
     while True:
         box = enlarged(window, face, blocks, factor)

@@ -8,6 +8,7 @@ import pytest
 from distributed import LocalCluster
 
 from accelsurf import cli, io
+from accelsurf.batch.inline_pool import InlinePool
 from accelsurf.cli import group_task
 from tests.support.many_balls import BALLS, label_map, scene, write_table
 
@@ -164,6 +165,13 @@ def test_failures_are_named_and_tried_again(folder, tmp_path, ran, capsys):
     instead.clear()
     assert segment(folder, "out", "--jobs", "1", "--resume", out=tmp_path) == 0
     assert done == [(9,)]
+    assert_as_in_memory(folder, tmp_path / "out")
+
+
+def test_groups_that_need_more_than_their_part_of_the_memory_run_alone(folder, tmp_path, monkeypatch):
+    """Half of 700 MB holds no process that runs one."""
+    monkeypatch.setattr("accelsurf.batch.pool.LocalPool", lambda run, jobs, prepare: InlinePool(run))
+    assert segment(folder, "out", "--jobs", "2", "--max-memory", "700MB", out=tmp_path) == 0
     assert_as_in_memory(folder, tmp_path / "out")
 
 

@@ -12,7 +12,7 @@ from accelsurf.segmentation import group_run, many_objects
 from accelsurf.segmentation.api import segment_objects
 from accelsurf.segmentation.group_run import Boxes, MeetsOthers, VisitedBoxes
 from accelsurf.segmentation.many_objects import Groups, segment_many_objects
-from accelsurf.segmentation.memory_need import run_bytes
+from accelsurf.segmentation.memory_need import PROCESS_BYTES
 from accelsurf.segmentation.object_groups import united
 from accelsurf.segmentation.windowed import LargeImage
 from tests.support.many_balls import BALLS, GEOMETRY, SHAPE, label_map, scene, write_table
@@ -125,7 +125,8 @@ def test_a_group_that_does_not_fit_is_named_and_the_others_go_on(image):
     """Windows of 80 columns fit: the rod's must be larger, as it goes on along x."""
     values = image.array.copy()
     values[15:22, 16:25, 30:] = 100.0
-    long, fits = image.with_array(values), run_bytes(SHAPE[0] * SHAPE[1] * 80, False)
+    # Beside the window a float32 image takes 12 bytes and its own 4, the object's box 36.
+    long, fits = image.with_array(values), PROCESS_BYTES + 16 * SHAPE[0] * SHAPE[1] * 80 + 36 * 42**3
     found, _ = in_groups(long, LazyVolume.of_array(label_map((9, 31, 47))), max_bytes=fits)
     failed = {own: outcome.failure for own, outcome in found.items() if outcome.object is None}
     assert list(failed) == [47] and "object 47 needs a window of" in failed[47] and "of memory" in failed[47]
