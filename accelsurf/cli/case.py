@@ -18,7 +18,7 @@ from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.outcome import shortcoming
 from accelsurf.cli.place import Place
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.io import is_stored, sha256
+from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.result import Result
 
 T = TypeVar("T")
+#: Bytes of the largest image whose checksum is in the report of a run that could not begin.
+MAX_HASHED = 1 << 31
 #: Computes the result of a case.
 Compute = Callable[["Place", RunConfig, "Watcher", "Log"], "Result"]
 
@@ -313,13 +315,20 @@ def _write_failure(
     try:
         if target is not place and result_sets.result_stands(target.folder, target.name, ()):
             raise OutputError(f"{target.report_path}: is the report of a result")  # of an image that is called so
-        if log.checksum is None and is_stored(place.source) and not stopped:
-            log.checksum = sha256(place.source)
+        if log.checksum is None and not stopped:
+            log.checksum = _checksum(place.source)
         with output_folder.naming_final(files):
             _write_report(target, config, log, "interrupted" if stopped else "failed", code, error, None, files)
             _commit(target, files, failed=True)
     except AccelsurfError as second:
         say(f"warning: the report could not be written: {second.message}")
+
+
+def _checksum(image: Path) -> str | None:
+    """That of an image that could not be used; None where there is none, or where it would take long."""
+    if not image.is_file() or image.stat().st_size > MAX_HASHED:
+        return None
+    return sha256(image)
 
 
 def _write_report(

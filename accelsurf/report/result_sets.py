@@ -64,7 +64,8 @@ def is_of(document: Mapping[str, Any], config: RunConfig, image: Path) -> bool:
         When it cannot be read.
     """
     source = document.get("input")
-    return isinstance(source, dict) and had_settings(document, config) and source.get("sha256") == sha256(image)
+    known = source.get("sha256") if isinstance(source, dict) else None  # none of an image that was read in parts
+    return known is not None and had_settings(document, config) and known == sha256(image)
 
 
 def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:

@@ -256,10 +256,12 @@ def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> No
     if needed > image.max_bytes:
         size = " x ".join(str(n) for n in reversed(window.shape))
         what = "the region has" if has_region(config) else "the object needs a window of"
+        unsized = uses_model(config) and config.size is None and not has_region(config)
         raise InputError(
             f"{what} {size} voxels, for which a run takes about {bytes_text(needed)} of memory; "
             f"{bytes_text(image.max_bytes)} are allowed",
-            "take a coarser level of the image (--level), a smaller --roi, or more --max-memory",
+            ("say about how large it is (--size), " if unsized else "")
+            + "take a coarser level of the image (--level), a smaller --roi, or more --max-memory",
         )
 
 

@@ -103,3 +103,15 @@ def test_look_shows_a_level_that_is_not_too_large(scans, tmp_path, capsys, monke
     assert cli.execute([*look, str(tmp_path / "coarse.png"), "--level", "1"]) == 2
     assert "60,60,50vox lies outside" in capsys.readouterr().err
     assert cli.execute([*look, str(tmp_path / "coarse.png"), "--level", "5"]) == 2
+
+
+def test_a_run_in_parts_reads_no_byte_for_a_checksum(scans, tmp_path, monkeypatch):
+    pytest.importorskip("zarr")
+    hashed = []
+    for name in ("accelsurf.cli.case.sha256", "accelsurf.report.result_sets.sha256", "accelsurf.io.sha256"):
+        monkeypatch.setattr(name, lambda path: hashed.append(path) or "x")
+    assert segment(scans / "a.ome.zarr", tmp_path / "good", "--max-memory", LITTLE) == 0
+    assert segment(scans / "a.ome.zarr", tmp_path / "none", "--max-memory", "475MB") == 3
+    assert segment(scans / "a.ome.zarr", tmp_path / "good", "--max-memory", LITTLE, "--resume", "--overwrite") == 0
+    assert scans / "a.ome.zarr" not in hashed
+    assert json.loads((tmp_path / "good" / "a_report.json").read_text())["input"]["sha256"] is None

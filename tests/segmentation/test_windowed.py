@@ -224,3 +224,12 @@ def test_an_image_without_coarser_levels_is_read_through(image, tmp_path, monkey
     options = {"start": "ball:66,57,56,5", "presmooth": 1.0, "threads": 1}
     whole = accelsurf.segment(io.read(tmp_path / "a.nii"), **options)
     assert_same(whole, accelsurf.segment(io.open_volume(tmp_path / "a.nii"), **options))
+
+
+def test_a_click_that_needs_too_much_is_told_to_say_a_size(image):
+    large = LargeImage((LazyVolume.of_array(image),), run_bytes(50**3, clicks=True))
+    for options, said in (({}, True), ({"size": "900ml"}, False)):
+        config, _ = with_options(None, None, {"inside": "ball:70,60,60,3", **options})
+        with pytest.raises(InputError) as refused:
+            segment_in_windows(large, config)
+        assert ("--size" in refused.value.hint) == said
