@@ -100,7 +100,7 @@ def extent_of(text: str, geometry: Geometry) -> Box:
     Examples
     --------
     >>> extent_of("ball:4,4,4,2", Geometry((20, 20, 9), (1.0, 1.0, 1.0)))
-    (slice(2, 7, None), slice(2, 7, None), slice(2, 7, None))
+    (slice(3, 6, None), slice(3, 6, None), slice(3, 6, None))
     """
     if text.partition(":")[0] in KINDS or text.startswith("ball:"):
         grid = Volume(np.zeros((1, 1, 1), np.uint8), Geometry((1, 1, 1), (1.0, 1.0, 1.0)))
