@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 #: Voxels of a box within a grid, (z, y, x).
 Box = tuple[slice, slice, slice]
+#: Of so many boxes each is compared with all.
+FEW = 128
 #: First voxel of a box, (z, y, x).
 Corner = tuple[int, int, int]
 
@@ -107,12 +110,52 @@ def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[in
     >>> meeting(np.array([[0, 0, 0], [2, 0, 0], [5, 0, 0]]), np.array([[3, 3, 3], [5, 1, 1], [6, 1, 1]]))
     [[1], [0], []]
     """
-    out = []
-    for i in range(len(low)):
-        overlap = ((low < high[i]) & (high > low[i])).all(axis=1)
-        overlap[i] = False
-        out.append([int(j) for j in np.flatnonzero(overlap)])
-    return out
+    if len(low) <= FEW:
+        return [_overlapping(i, low, high) for i in range(len(low))]
+    # Boxes are put into the cells of a coarse grid that they touch: only those in one cell may overlap. The largest and
+    # the empty ones are compared with all.
+    extent = high - low
+    side = np.maximum(np.percentile(extent, 90, axis=0).astype(np.int64), 1)
+    apart = ((extent <= 0) | (extent > 2 * side)).any(axis=1)
+    found: list[set[int]] = [set() for _ in range(len(low))]
+    for one, other in _in_one_cell(low, high, side, np.flatnonzero(~apart)):
+        touch = ((low[one] < high[other]) & (high[one] > low[other])).all(axis=1)
+        for i, j in zip(one[touch].tolist(), other[touch].tolist(), strict=True):
+            found[i].add(j)
+            found[j].add(i)
+    for i in np.flatnonzero(apart).tolist():
+        for j in _overlapping(i, low, high):
+            found[i].add(j)
+            found[j].add(i)
+    return [sorted(one) for one in found]
+
+
+def _overlapping(i: int, low: NDArray[np.integer], high: NDArray[np.integer]) -> list[int]:
+    """The boxes that box number ``i`` overlaps, by looking at all."""
+    overlap = ((low < high[i]) & (high > low[i])).all(axis=1)
+    overlap[i] = False
+    return [int(j) for j in np.flatnonzero(overlap)]
+
+
+def _in_one_cell(
+    low: NDArray[np.integer], high: NDArray[np.integer], side: NDArray[np.int64], some: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Pairs of ``some`` boxes that touch one cell, all of them; each touches few cells along each axis."""
+    first, last = low[some] // side, (high[some] - 1) // side
+    cells, boxes = [], []
+    for step in itertools.product(range(int((last - first).max(initial=0)) + 1), repeat=3):
+        there = (first + step <= last).all(axis=1)
+        cells.append(first[there] + step)
+        boxes.append(some[there])
+    # The same cells beside each other, the boxes in each ascending.
+    cell, box = np.concatenate(cells), np.concatenate(boxes)
+    order = np.lexsort((box, *cell.T))
+    cell, box = cell[order], box[order]
+    for apart in range(1, len(box)):
+        same = (cell[apart:] == cell[:-apart]).all(axis=1)
+        if not same.any():
+            return
+        yield box[:-apart][same], box[apart:][same]
 
 
 def shared(corner: Corner, shape: Sequence[int], other: Corner, other_shape: Sequence[int]) -> tuple[Box, Box]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.grid.boxes import meeting
 from accelsurf.initialization import large_object_starts
 from accelsurf.initialization.large_object_starts import LabelMap, ManyStarts
 from accelsurf.io.lazy_volume import LazyVolume
@@ -33,6 +34,8 @@ from accelsurf.settings.run_config import RunConfig
 MARGIN = 6
 #: A run that comes to where others begin ends at once, as it would not count; so many others are looked at.
 MAX_OTHERS = 200
+#: Others that begin farther away than twice so many extents of the starts are not looked at.
+FAR = 8
 
 
 class ObjectOutcome(NamedTuple):
@@ -73,6 +76,9 @@ class Groups:
     def __init__(self, starts: ManyStarts, margin: int = MARGIN) -> None:
         self._starts, self.waiting = starts, first_groups(starts, margin)
         self._ended: list[Group] = []
+        # As far as an object may well grow: several times the extent of its start.
+        reach = margin + FAR * (starts.high - starts.low).max(axis=1, keepdims=True, initial=1)
+        self._near = meeting(starts.low - reach, starts.high + reach)
         self._failed = np.zeros(len(starts.ids), np.bool_)
         self._pairs: list[tuple[int, int]] = []
         # Objects that failed stay empty: they meet none.
@@ -80,9 +86,8 @@ class Groups:
 
     def others(self, group: Group) -> list[int]:
         """Positions of at most `MAX_OTHERS` objects that begin near a group and are not in it, none that has failed."""
-        there = ~self._failed
-        there[list(group)] = False
-        places = np.flatnonzero(there)
+        near = {other for place in group for other in self._near[place]} - set(group)
+        places = np.array(sorted(place for place in near if not self._failed[place]), np.int64)
         if places.size > MAX_OTHERS:
             low, high = self._starts.low, self._starts.high
             first, end = low[list(group)].min(axis=0), high[list(group)].max(axis=0)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from accelsurf.grid import boxes
 from accelsurf.grid.boxes import bounding_box, box_at, corner_of, meeting, shared, whole_box, widened
 
 SHAPE = (7, 9, 8)
@@ -69,3 +70,15 @@ def test_shared_voxels_are_counted_from_the_first_voxel_of_each_box():
             np.testing.assert_array_equal(np.sort(one[mine].ravel()), np.intersect1d(one, other))
             compared += 1
     assert compared > 10
+
+
+@pytest.mark.parametrize("sizes", [(1, 9), (0, 9), (0, 140)], ids=["alike", "some empty", "some large"])
+def test_many_boxes_meet_as_few_do(sizes, monkeypatch):
+    rng = np.random.default_rng(3)
+    low = rng.integers(-20, 80, (400, 3))
+    extent = rng.integers(sizes[0], 9, (400, 3))
+    extent[::80] = rng.integers(max(sizes[1] - 40, 1), sizes[1] + 1, (5, 3))
+    found = boxes.meeting(low, low + extent)
+    assert sum(map(len, found)) > 20
+    monkeypatch.setattr(boxes, "FEW", 400)
+    assert found == boxes.meeting(low, low + extent)

@@ -206,9 +206,12 @@ def test_thousands_of_objects_are_light_and_look_at_the_nearest():
     places = np.stack(np.meshgrid(*[np.arange(15) * 40] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     groups = Groups(Starts(places, places + 9))
     assert groups.waiting == [(place,) for place in range(15**3)]
-    near = groups.others((0,))
-    assert len(near) == many_objects.MAX_OTHERS and 0 not in near and {1, 15, 225} < set(near)
-    assert places[near].max() <= 240 and near == sorted(near)
+    middle = 7 * (225 + 15 + 1)
+    near = groups.others((middle,))
+    assert len(near) == many_objects.MAX_OTHERS and middle not in near and near == sorted(near)
+    assert {middle + step for step in (-225, -15, -1, 1, 15, 225)} < set(near)
+    corner = groups.others((0,))
+    assert {1, 15, 225} < set(corner) and places[corner].max() <= 160
 
 
 def test_what_has_failed_meets_nobody_any_more():
