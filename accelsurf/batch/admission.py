@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.io.headers import count_values
+from accelsurf.io.headers import count_values, options_of
 from accelsurf.segmentation.memory_need import FREE_SHARE, PROCESS_BYTES, bytes_text, run_bytes
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ class Admission:
     bytes: int
 
 
-def need_of(image: Path, channels: Sequence[Path | str] = (), clicks: bool = False) -> Need:
+def need_of(
+    image: Path, channels: Sequence[Path | str] = (), clicks: bool = False, options: ReadOptions = AS_IT_IS
+) -> Need:
     """Estimate what a case needs.
 
     Parameters
@@ -60,9 +63,12 @@ def need_of(image: Path, channels: Sequence[Path | str] = (), clicks: bool = Fal
         Files of further channels.
     clicks : bool
         Whether the run learns from clicks, which takes more.
+    options : ReadOptions, optional
+        How the image is read; its channels are read with those of them that their formats have.
     """
     try:
-        values = sum(count_values(Path(path)) for path in (image, *channels))
+        values = count_values(image, options)
+        values += sum(count_values(Path(path), options.among(options_of(path))) for path in channels)
     except (AccelsurfError, OSError) as error:
         return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
     return Need(values, run_bytes(values, clicks))

@@ -166,7 +166,8 @@ def admitted(
     from accelsurf.io.memory import available_cores, available_memory
 
     needs = {
-        task.case.id: need_of(task.case.image, task.config.channel, bool(task.config.inside)) for task in tasks
+        task.case.id: need_of(task.case.image, task.config.channel, bool(task.config.inside), task.config.reading)
+        for task in tasks
     }
     given = {task.config.threads for task in tasks} - {"auto"}
     threads = max((int(number) for number in given), default=None)

@@ -123,7 +123,7 @@ def _truth_of(task: CaseTask) -> Volume | None:
     if task.case.reference is None:
         return None
     truth = read_labels(task.case.reference)
-    check_reference(truth, channels.read(task.case.image)[0])
+    check_reference(truth, channels.read(task.case.image, task.config.reading)[0])
     return truth
 
 

@@ -244,7 +244,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     from accelsurf import io
     from accelsurf.io import channels
 
-    volume, *more = log.timed("load", lambda: channels.read(place.source))
+    volume, *more = log.timed("load", lambda: channels.read(place.source, config.reading))
     if log.checksum is None:
         log.checksum = log.timed("load", lambda: io.sha256(place.source))
     check_formats(place, config, volume, log)

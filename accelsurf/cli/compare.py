@@ -75,7 +75,7 @@ def compare(
     paths = {"comparison": folder / "compare.json", "picture": folder / "compare.png"}
     with opened_set(folder, "compare") as files:
         refuse_existing(paths, overwrite)
-        volume, *channels = read_channels(source)
+        volume, *channels = read_channels(source, next(iter(configs.values())).reading)
         truth = io.read_labels(reference) if reference is not None else None
         if truth is not None:
             check_reference(truth, volume)

@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES
+from accelsurf.cli.options import FILES, ReadSettings, run_config
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
+    from accelsurf.settings.reading import ReadOptions
 
 
 def info(
     image: Annotated[Path | None, Parameter(name="IMAGE", group=FILES)] = None,
     *,
     as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+    reading: ReadSettings | None = None,  # type: ignore[valid-type]
 ) -> int:
     """Show versions, names, exit codes and settings; or of an image its size, voxels, type, levels and chunks.
 
@@ -30,7 +32,7 @@ def info(
         Print JSON; without an image with the schema of the configuration.
     """
     if image is not None:
-        _show_image(image, as_json)
+        _show_image(image, as_json, run_config(reading).reading)
         return 0
     from accelsurf.report.document import to_json
     from accelsurf.settings.presets import PRESETS
@@ -54,11 +56,11 @@ def info(
     return 0
 
 
-def _show_image(path: Path, as_json: bool) -> None:
+def _show_image(path: Path, as_json: bool, asked: ReadOptions) -> None:
     """Print what an image is."""
     from accelsurf.report.document import to_json
 
-    facts = _facts_of(path)
+    facts = _facts_of(path, asked)
     if as_json:
         print(to_json(facts))
         return
@@ -68,16 +70,17 @@ def _show_image(path: Path, as_json: bool) -> None:
         print(f"  level {number}: size {level['size']}, spacing {level['spacing']}")
 
 
-def _facts_of(path: Path) -> dict[str, Any]:
+def _facts_of(path: Path, asked: ReadOptions) -> dict[str, Any]:
     """What an image is; lengths in mm, all in the order (x, y, z)."""
     from accelsurf import io
     from accelsurf.errors import InputError
     from accelsurf.io.headers import split_name
 
     try:
-        lazy, by_boxes = io.open_volume(path, channel_index=0, time_index=0), True
+        moment, channel = asked.time_index or 0, asked.channel_index or 0
+        lazy, by_boxes = io.open_volume(path, level=asked.level, channel_index=channel, time_index=moment), True
     except InputError:  # packed as a whole, or damaged: reading says which
-        lazy, by_boxes = io.LazyVolume.of_array(io.read(path)), False
+        lazy, by_boxes = io.LazyVolume.of_array(io.read(path, options=asked)), False
     geometry, layout = lazy.geometry, lazy.layout
     return {
         "format": split_name(path)[1].removeprefix("."),

@@ -29,20 +29,11 @@ STORES = ("ome.zarr", "nii")
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ImageParts:
-    """Which part of a file is the image, and how much of it may be in memory."""
+    """How much of an image may be in memory."""
 
     max_memory: Annotated[str | None, Parameter(group=FILES, show_default="0.8 of what is free")] = None
     """Memory that the run may take, as 4GB. A larger image is read in parts near the object, with the same result; one
     whose object needs more is refused."""
-
-    level: Annotated[int, Parameter(group=FILES)] = 0
-    """Level of an image that is stored as a pyramid (OME-Zarr); 0 is the finest."""
-
-    channel_index: Annotated[int | None, Parameter(group=FILES, show_default=False)] = None
-    """Channel of an OME-Zarr image, from 0 on; needed where it has several."""
-
-    time_index: Annotated[int | None, Parameter(group=FILES, show_default=False)] = None
-    """Time point of an OME-Zarr image, from 0 on; needed where it has several."""
 
     @property
     def allowed_bytes(self) -> int:
@@ -51,17 +42,6 @@ class ImageParts:
         from accelsurf.segmentation.memory_need import allowed_bytes
 
         return allowed_bytes(self.max_memory, io.available_memory())
-
-    @property
-    def names_part(self) -> bool:
-        """Whether a level, channel or time point was asked for."""
-        return self.level != 0 or self.channel_index is not None or self.time_index is not None
-
-    def open(self, path: Path) -> LazyVolume:
-        """Open an image without reading its voxels."""
-        from accelsurf import io
-
-        return io.open_volume(path, level=self.level, channel_index=self.channel_index, time_index=self.time_index)
 
 
 def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunConfig, Compute | None]:
@@ -76,7 +56,7 @@ def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunCon
     if image is None:
         return config, None
     if fits(image, config):
-        return config, _in_memory(image, not parts.names_part)
+        return config, _in_memory(image, not config.reading.given)
     return for_windows(place, config), _in_windows(image)
 
 
@@ -97,16 +77,16 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
         When it cannot be read in parts.
     """
     from accelsurf.errors import InputError
-    from accelsurf.io.headers import count_values, split_name
+    from accelsurf.io.headers import count_values, is_store, split_name
     from accelsurf.segmentation.memory_need import run_bytes
     from accelsurf.settings.file_formats import image_format
 
-    if not parts.names_part and not source.is_dir():
-        form = image_format(split_name(source)[1])
+    form = image_format(split_name(source)[1])
+    if not ((form is not None and form.has_levels and config.reading.given) or is_store(source)):
         if parts.max_memory is None and (form is None or form.open is None):
             return None  # it is read as a whole or not at all
         try:
-            needed = run_bytes(count_values(source), energy_expression.uses_model(config.energy))
+            needed = run_bytes(count_values(source, config.reading), energy_expression.uses_model(config.energy))
         except InputError:
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:
@@ -124,8 +104,17 @@ def opened(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage:
     """
     from accelsurf.segmentation.windowed import LargeImage
 
-    channels = [parts.open(source), *(parts.open(Path(file)) for file in config.channel)]
+    channels = [_opened(source, config), *(_opened(Path(file), config) for file in config.channel)]
     return LargeImage.of(channels, parts.allowed_bytes)
+
+
+def _opened(path: Path, config: RunConfig) -> LazyVolume:
+    """A file, opened with those of the options of reading that its format has."""
+    from accelsurf import io
+    from accelsurf.io.headers import options_of
+
+    asked = config.reading.among(options_of(path))
+    return io.open_volume(path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index)
 
 
 def for_windows(place: Place, config: RunConfig) -> RunConfig:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, Overwrite, required
+from accelsurf.cli.options import FILES, IMAGE, Overwrite, ReadWithoutLevel, required, run_config
 from accelsurf.errors import InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from accelsurf.grid.geometry import Geometry
     from accelsurf.grid.volume import Volume
+    from accelsurf.settings.reading import ReadOptions
 
 #: The finest level of a store with at most so many voxels is shown, unless told.
 MAX_VOXELS = 1 << 27
@@ -27,8 +28,9 @@ def look(
     at: str | None = None,
     window: str = "auto",
     labels: Annotated[Path | None, Parameter(group=FILES)] = None,
-    level: Annotated[int | None, Parameter(group=FILES, show_default="the finest that is not too large")] = None,
+    level: Annotated[int | None, Parameter(group=IMAGE, show_default="the finest that is not too large")] = None,
     overwrite: Overwrite = False,
+    reading: ReadWithoutLevel | None = None,  # type: ignore[valid-type]
 ) -> int:
     """Look at an image: three slices with a grid in mm, without a run.
 
@@ -62,7 +64,7 @@ def look(
     path = _picture(source, output)
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
-    volumes, grid = _read(source, level)
+    volumes, grid = _read(source, level, run_config(reading).reading)
     from accelsurf.report.look import look_png  # loads what draws
 
     geometry = volumes[0].geometry
@@ -81,7 +83,7 @@ def look(
     return 0
 
 
-def _read(source: Path, level: int | None) -> tuple[list[Volume], Geometry]:
+def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Volume], Geometry]:
     """The channels of an image, of a store those of a level, and the grid that indices belong to.
 
     That is the grid of the level which was asked for, else of the finest.
@@ -92,21 +94,23 @@ def _read(source: Path, level: int | None) -> tuple[list[Volume], Geometry]:
     from accelsurf.grid.boxes import whole_box
     from accelsurf.grid.volume import Volume
     from accelsurf.io import channels
+    from accelsurf.io.headers import is_store
 
-    if level is None and not source.is_dir():
-        volumes = channels.read(source)
+    if level is None and not is_store(source):
+        volumes = channels.read(source, asked)
         return volumes, volumes[0].geometry
-    first = io.open_volume(source, level=level or 0, channel_index=0, time_index=0)
+    moment = asked.time_index or 0
+    first = io.open_volume(source, level=level or 0, channel_index=asked.channel_index or 0, time_index=moment)
     grids = first.layout.levels
     shown = level
     if shown is None:
         small = (n for n, grid in enumerate(grids) if math.prod(grid.shape) <= MAX_VOXELS)
         shown = next(small, len(grids) - 1)
     if len(grids) > 1 or first.layout.time_points > 1:
-        print(f"level    {shown} of 0 to {len(grids) - 1}, time point 0 of {first.layout.time_points}")
+        print(f"level    {shown} of 0 to {len(grids) - 1}, time point {moment} of {first.layout.time_points}")
     out = []
-    for channel in range(first.layout.channels):
-        one = io.open_volume(source, level=shown, channel_index=channel, time_index=0)
+    for channel in range(first.layout.channels) if asked.channel_index is None else (asked.channel_index,):
+        one = io.open_volume(source, level=shown, channel_index=channel, time_index=moment)
         values = one.read(whole_box(one.geometry.shape))
         out.append(Volume(values, one.geometry, dict(one.metadata), one.source))
     return out, grids[level or 0]

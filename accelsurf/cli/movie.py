@@ -109,7 +109,7 @@ def movie(
     image, run_settings = _source(source, settings, config)
     refuse_existing({"movie": target}, overwrite)
     require_graphics()
-    volume, *more = channels.read(image)
+    volume, *more = channels.read(image, run_settings.reading)
     scene = _scene(volume, reference, look, movie_settings.size)
     watcher = Watcher(display)
     try:

@@ -18,7 +18,7 @@ from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 
 GROUPS = {group: Group(str(group), sort_key=place) for place, group in enumerate(SettingGroup, 1)}
-RUN, FILES = GROUPS[SettingGroup.RUN], GROUPS[SettingGroup.FILES]
+RUN, IMAGE, FILES = (GROUPS[group] for group in (SettingGroup.RUN, SettingGroup.IMAGE, SettingGroup.FILES))
 SHOW = Group("Display", sort_key=len(GROUPS) + 1)
 
 ProgressKind = Literal["bar", "json", "none"]
@@ -29,7 +29,9 @@ Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 OutputFolder = Annotated[Path, Parameter(name=("--output", "-o"), group=FILES)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
-def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = True) -> type:
+def _settings(
+    name: str, leave_out: tuple[str, ...] = (), groups: tuple[SettingGroup, ...] = tuple(SettingGroup)
+) -> type:
     """Return a dataclass with an option for each field of RunConfig; ``None`` where the option was not given.
 
     The values stay text as typed. RunConfig checks them, so that an invalid one has the same message in a file, on the
@@ -38,7 +40,7 @@ def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = Tru
     members: list[tuple[str, Any, Any]] = []
     for key in RunConfig.model_fields:
         said = entry(key)
-        if key in leave_out or (said.group is SettingGroup.FILES and not with_files):
+        if key in leave_out or said.group not in groups:
             continue
         kind: Any = bool if is_switch(key) else tuple[str, ...] if said.repeated else str
         parameter = Parameter(
@@ -55,11 +57,16 @@ def _settings(name: str, leave_out: tuple[str, ...] = (), with_files: bool = Tru
     return Parameter(name="*")(made)
 
 
+_WITHOUT_FILES = tuple(group for group in SettingGroup if group is not SettingGroup.FILES)
 Settings = _settings("Settings")
 #: For commands that write none of a run's files.
-RunSettings = _settings("RunSettings", with_files=False)
+RunSettings = _settings("RunSettings", groups=_WITHOUT_FILES)
 #: For commands that choose the flow and the files themselves.
-SharedSettings = _settings("SharedSettings", leave_out=("flow",), with_files=False)
+SharedSettings = _settings("SharedSettings", leave_out=("flow",), groups=_WITHOUT_FILES)
+#: For commands that only read an image.
+ReadSettings = _settings("ReadSettings", groups=(SettingGroup.IMAGE,))
+#: As ReadSettings, for those that choose a level themselves.
+ReadWithoutLevel = _settings("ReadWithoutLevel", leave_out=("level",), groups=(SettingGroup.IMAGE,))
 
 
 def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **forced: Any) -> RunConfig:

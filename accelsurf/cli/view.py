@@ -81,7 +81,7 @@ def view(
     from accelsurf.cli.interrupts import default_handling
     from accelsurf.io import channels
 
-    volume, *more = channels.read(source)
+    volume, *more = channels.read(source, made.reading)
     truth = None if reference is None else io.read_labels(reference)
     from accelsurf.viewer.core.session import Session
 

@@ -10,10 +10,13 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
 from accelsurf.io.memory import available_memory
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
 
-def read(path: str | os.PathLike[str], *, outside_data: bool = False) -> list[Volume]:
+def read(
+    path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS, *, outside_data: bool = False
+) -> list[Volume]:
     """Read an image of one or more channels.
 
     Parameters
@@ -21,6 +24,8 @@ def read(path: str | os.PathLike[str], *, outside_data: bool = False) -> list[Vo
     path : path-like
         As for `accelsurf.io.read`; also a NIfTI of vectors or with a few volumes along its fourth axis, or an NRRD or
         MetaImage of vectors.
+    options : ReadOptions, optional
+        As for `accelsurf.io.read`; a channel index leaves one channel.
     outside_data : bool
         Whether the header may name a data file in another folder than its own.
 
@@ -36,7 +41,7 @@ def read(path: str | os.PathLike[str], *, outside_data: bool = False) -> list[Vo
     """
     path = Path(path)
     with naming(path), headers.outside_data_allowed(outside_data):
-        form, header = headers.parse(path)
+        form, header = headers.parse(path, options)
         available = available_memory()
         if form.read_channels is None:
             return [load(form.read)(path, header, available)]
@@ -44,8 +49,14 @@ def read(path: str | os.PathLike[str], *, outside_data: bool = False) -> list[Vo
     return volumes
 
 
-def read_further(paths: tuple[str, ...]) -> list[Volume]:
+def read_further(paths: tuple[str, ...], options: ReadOptions = AS_IT_IS) -> list[Volume]:
     """Read the files that add channels, in order.
+
+    Parameters
+    ----------
+    paths : tuple of str
+    options : ReadOptions, optional
+        Those of the image; a file is read with those of them that its format has.
 
     Raises
     ------
@@ -54,4 +65,4 @@ def read_further(paths: tuple[str, ...]) -> list[Volume]:
     """
     if any(not path for path in paths):
         raise UsageError("channel: nothing was given, expected a file", "write --channel FILE")
-    return [volume for path in paths for volume in read(path)]
+    return [volume for path in paths for volume in read(path, options.among(headers.options_of(path)))]

@@ -9,8 +9,9 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-from accelsurf.errors import InputError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
 _OUTSIDE_DATA = ContextVar("outside data", default=False)
@@ -35,11 +36,20 @@ def outside_data_allowed(allowed: bool = True) -> Iterator[None]:
         _OUTSIDE_DATA.reset(before)
 
 
-def parse(path: Path) -> tuple[ImageFormat, Any]:
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any]:
     """Read the header of a file without its voxels; return its format and what the header claims.
+
+    Parameters
+    ----------
+    path : Path
+        A file, or a folder that is an image.
+    options : ReadOptions, optional
+        What is asked for beside.
 
     Raises
     ------
+    UsageError
+        When the format has not what is asked for.
     InputError
         When there is no such file, no format has its ending, or it is empty, is not of that format, is damaged, or
         points to a data file that does not exist, or outside of its folder; GeometryError when its header does not
@@ -47,7 +57,7 @@ def parse(path: Path) -> tuple[ImageFormat, Any]:
     """
     check_name(path)
     if path.is_dir():
-        return _parse_folder(path)
+        return _parse_folder(path, options)
     if not path.exists():
         raise InputError("there is no such file", hint="check the path")
     form = image_format(split_name(path)[1])
@@ -60,20 +70,35 @@ def parse(path: Path) -> tuple[ImageFormat, Any]:
         raise InputError("this is no file but a pipe or a device", hint="give an image file")
     if path.stat().st_size == 0:
         raise InputError("the file is empty", hint="copy or export it again")
-    header = load(form.parse)(path)
+    header = _header(form, path, options)
     data = getattr(header, "data", path)
     if data != path and not _OUTSIDE_DATA.get():
         _check_data_folder(path, data)
     return form, header
 
 
-def _parse_folder(path: Path) -> tuple[ImageFormat, Any]:
+def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
+    """What a header claims."""
+    unknown = [name for name in options.given if name not in form.options]
+    if unknown:
+        raise UsageError(
+            f"{unknown[0].replace('_', '-')}: {getattr(options, unknown[0])} was given, and a {form.suffixes[0]} has no "
+            "such choice",
+            "leave it out",
+        )
+    return load(form.parse)(path, options) if form.options else load(form.parse)(path)
+
+
+def _parse_folder(path: Path, options: ReadOptions) -> tuple[ImageFormat, Any]:
     """As `parse`, of a folder: one whose name says that it is an image, or in which the files of such one are."""
     folders = [form for form in IMAGE_FORMATS.values() if form.folder_marks]
     named = image_format(split_name(path)[1])
     for form in folders:
         if form is named or any((path / mark).is_file() for mark in form.folder_marks):
-            return form, load(form.parse)(path)
+            return form, _header(form, path, options)
+    for form in IMAGE_FORMATS.values():
+        if form.is_folder is not None and load(form.is_folder)(path):
+            return form, _header(form, path, options)
     raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
 
 
@@ -89,7 +114,13 @@ def is_stored(path: Path) -> bool:
     return path.is_file() or any((path / mark).is_file() for mark in marks)
 
 
-def count_values(path: Path) -> int:
+def is_store(path: Path) -> bool:
+    """Whether a path is the folder of an image that may have any size, and is opened rather than read."""
+    stores = [form for form in IMAGE_FORMATS.values() if form.has_levels]
+    return any((path / mark).is_file() for form in stores for mark in form.folder_marks)
+
+
+def count_values(path: Path, options: ReadOptions = AS_IT_IS) -> int:
     """How many values an image has, those of all channels together, by its header alone.
 
     Raises
@@ -105,8 +136,20 @@ def count_values(path: Path) -> int:
     accelsurf.errors.InputError: there is no such file
     hint: check the path
     """
-    _, header = parse(path)
+    _, header = parse(path, options)
     return int(header.values)
+
+
+def options_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Names of the options of reading that the format of a file has; none where it is not known by its name.
+
+    Examples
+    --------
+    >>> options_of("cells.ome.zarr")
+    ('level', 'channel_index', 'time_index')
+    """
+    form = image_format(split_name(path)[1])
+    return () if form is None else form.options
 
 
 def is_outside_data_allowed() -> bool:

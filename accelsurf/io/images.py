@@ -22,17 +22,26 @@ from accelsurf.io import headers
 from accelsurf.io.files import SPACE_HINT, naming, staging
 from accelsurf.io.headers import split_name
 from accelsurf.io.memory import available_memory
-from accelsurf.settings.file_formats import ImageFormat, image_format, image_suffixes
+from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, label_formats
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
 
-def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None, outside_data: bool = False) -> Volume:
+def read(
+    path: str | os.PathLike[str],
+    *,
+    options: ReadOptions = AS_IT_IS,
+    memory_bytes: int | None = None,
+    outside_data: bool = False,
+) -> Volume:
     """Read a 3D image, or a 2D one as a volume of one slice.
 
     Parameters
     ----------
     path : path-like
         A file that ends in one of `accelsurf.io.image_suffixes`.
+    options : ReadOptions, optional
+        Which channel, time point or series, and what else the file does not say.
     memory_bytes : int, optional
         Memory to plan with; by default what the machine has available now.
     outside_data : bool
@@ -46,6 +55,8 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None, outsi
 
     Raises
     ------
+    UsageError
+        When the format has not what ``options`` ask for.
     InputError
         When the file is missing, damaged, incomplete, not a 3D image of real numbers, or larger than the memory;
         GeometryError when its header does not describe a grid of perpendicular axes.
@@ -62,7 +73,7 @@ def read(path: str | os.PathLike[str], *, memory_bytes: int | None = None, outsi
     """
     path = Path(path)
     with naming(path), headers.outside_data_allowed(outside_data):
-        form, header = headers.parse(path)
+        form, header = headers.parse(path, options)
         available = available_memory() if memory_bytes is None else memory_bytes
         volume: Volume = load(form.read)(path, header, available)
     return volume
@@ -112,8 +123,10 @@ def _write(volume: Volume, path: Path, labels: bool) -> None:
         headers.check_name(path)
     stem, suffix = split_name(path)
     form = image_format(suffix)
-    if form is None:
-        raise UsageError(f"{path}: unknown file type, one of {', '.join(image_suffixes())} expected")
+    if form is None or form.write is None:
+        written = [IMAGE_FORMATS[name].suffixes[0] for name in label_formats()]
+        what = "unknown file type" if form is None else f"a {suffix} is read only"
+        raise UsageError(f"{path}: {what}, one of {', '.join(written)} expected")
     volume = volume.with_array(_storable(volume.array))
     _check_writable(volume.array, form, suffix)
     with staging(path, form.folder_marks) as files:

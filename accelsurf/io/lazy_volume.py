@@ -20,6 +20,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
+from accelsurf.settings.reading import Level
 from accelsurf.settings.registry import load
 
 #: Bytes of unpacked chunks or pages that are held at most, where the caller says nothing.
@@ -45,7 +46,7 @@ class VoxelSource(Protocol):
 class Opening:
     """What `open_volume` was asked for beside the name of the image; see there."""
 
-    level: int = 0
+    level: Level = 0
     channel_index: int | None = None
     time_index: int | None = None
     cache_bytes: int = CACHE_BYTES
@@ -63,12 +64,15 @@ class StoreLayout:
         Of the level that was opened, (z, y, x); None where rows lie as they are.
     channels, time_points : int
         How many of them there are.
+    level : int
+        The one that was opened.
     """
 
     levels: tuple[Geometry, ...]
     chunk_shape: tuple[int, int, int] | None = None
     channels: int = 1
     time_points: int = 1
+    level: int = 0
 
 
 class LazyVolume:
@@ -135,10 +139,10 @@ class LazyVolume:
         InputError
             As `open_volume`.
         """
-        if self._opened is None or self._opened[1].level + 1 >= len(self.layout.levels):
+        if self._opened is None or self.layout.level + 1 >= len(self.layout.levels):
             return None
         path, own, outside = self._opened
-        return _reopened(path, replace(own, level=own.level + 1), outside)
+        return _reopened(path, replace(own, level=self.layout.level + 1), outside)
 
     @property
     def bytes_read(self) -> int:
@@ -216,7 +220,7 @@ def check_box(box: Box, shape: tuple[int, int, int]) -> None:
 def open_volume(
     path: str | os.PathLike[str],
     *,
-    level: int = 0,
+    level: Level = 0,
     channel_index: int | None = None,
     time_index: int | None = None,
     cache_bytes: int = CACHE_BYTES,
@@ -228,8 +232,8 @@ def open_volume(
     ----------
     path : path-like
         An OME-Zarr, a TIFF stack in grey, or an uncompressed NIfTI, NRRD or MetaImage.
-    level : int, optional
-        Of an image that is stored as a pyramid: 0 is the finest.
+    level : int or "auto", optional
+        Of an image that is stored as a pyramid: 0 is the finest, "auto" the finest whose run fits into the memory.
     channel_index, time_index : int, optional
         Which channel and time point, from 0 on; needed where there are several.
     cache_bytes : int, optional

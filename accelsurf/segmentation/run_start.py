@@ -85,7 +85,7 @@ def start_of_run(
             config = config.replace(energy="seeded")
     if labels is not None and any(click.id == 1 for click in clicks) and table is None:
         raise UsageError("inside: clicks were given with objects", "give a table of objects with a column side")
-    volumes = [volume, *channels, *([] if part is not None else read_further(config.channel))]
+    volumes = [volume, *channels, *([] if part is not None else read_further(config.channel, config.reading))]
     has_ids = labels is not None
     if part is not None and part.starts is not None:
         several, has_ids = list(part.starts), True

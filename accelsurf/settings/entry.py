@@ -19,6 +19,7 @@ class SettingGroup(StrEnum):
 
     RUN = "What to run"
     FLOW = "Fine control of the flow"
+    IMAGE = "The image"
     FILES = "Files"
 
 

@@ -35,12 +35,15 @@ class ImageFormat:
     suffixes : tuple of str
         Endings of its files, in lower case, with the dot. No ending of one format ends with that of another.
     parse : str or callable
-        Of a Path, returns what the header claims, of any type; raises InputError or GeometryError.
+        Of a Path, and where the format has ``options`` of `accelsurf.settings.reading.ReadOptions`, returns what the
+        header claims, of any type; raises InputError or GeometryError.
     read : str or callable
         Of a Path, that header and the memory in bytes, returns a Volume; raises as `accelsurf.io.read` does.
-    write : str or callable
+    write : str or callable, optional
         Of a Volume, whose values have one of the ``types``, and a Path, which it makes. Further files may lie beside
-        it; all are in a folder of their own until they are complete.
+        it; all are in a folder of their own until they are complete. None: it is read only.
+    options : tuple of str
+        Names of the options of reading that it has. An option that it has not is refused.
     read_channels : str or callable, optional
         As ``read``, returns a list of a Volume for each channel; None: the format has one channel.
     write_labels : str or callable, optional
@@ -55,6 +58,8 @@ class ImageFormat:
         Whether a file may hold several levels, channels and time points.
     folder_marks : tuple of str
         Files of which an image of this format has one, where it is a folder; empty: it is a file.
+    is_folder : str or callable, optional
+        Of the Path of a folder without such marks, whether what is in it is an image of this format.
     is_anatomical : str or callable, optional
         Of the metadata of a Volume that was read, whether its header said that the world's axes are a patient's; also
         asked of volumes that were read from other formats. None: it never does.
@@ -76,7 +81,8 @@ class ImageFormat:
     suffixes: tuple[str, ...]
     parse: Function
     read: Function
-    write: Function
+    write: Function | None = None
+    options: tuple[str, ...] = ()
     read_channels: Function | None = None
     is_anatomical: Function | None = None
     write_labels: Function | None = None
@@ -84,6 +90,7 @@ class ImageFormat:
     store: Function | None = None
     has_levels: bool = False
     folder_marks: tuple[str, ...] = ()
+    is_folder: Function | None = None
     types: tuple[str, ...] = ()
     only_2d: bool = False
     keeps: GridFidelity = "all"
@@ -102,8 +109,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti:read_compressed_header",
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write_compressed",
-        f"{_FORMATS}.nifti_volumes:read_channels",
-        f"{_FORMATS}.nifti_grid:is_anatomical",
+        read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
+        is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
     ),
     ImageFormat(
         "nii",
@@ -112,8 +119,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti:read_plain_header",
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write",
-        f"{_FORMATS}.nifti_volumes:read_channels",
-        f"{_FORMATS}.nifti_grid:is_anatomical",
+        read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
+        is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
         open=f"{_FORMATS}.nifti_volumes:open_lazily",
         store=f"{_FORMATS}.nifti_volumes:store",
     ),
@@ -124,8 +131,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
         f"{_FORMATS}.itk_volumes:read",
         f"{_FORMATS}.itk_volumes:write_nrrd",
-        f"{_FORMATS}.itk_volumes:read_channels",
-        f"{_FORMATS}.nrrd_metaimage:is_anatomical",
+        read_channels=f"{_FORMATS}.itk_volumes:read_channels",
+        is_anatomical=f"{_FORMATS}.nrrd_metaimage:is_anatomical",
         open=f"{_FORMATS}.itk_volumes:open_lazily",
     ),
     *(
@@ -136,7 +143,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
             f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
             f"{_FORMATS}.itk_volumes:read",
             f"{_FORMATS}.itk_volumes:write_metaimage",
-            f"{_FORMATS}.itk_volumes:read_channels",
+            read_channels=f"{_FORMATS}.itk_volumes:read_channels",
             open=f"{_FORMATS}.itk_volumes:open_lazily",
         )
         for name, help in (
@@ -151,7 +158,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.ome_zarr:parse",
         f"{_FORMATS}.ome_zarr:read",
         f"{_FORMATS}.ome_zarr:write",
-        f"{_FORMATS}.ome_zarr:read_channels",
+        ("level", "channel_index", "time_index"),
+        read_channels=f"{_FORMATS}.ome_zarr:read_channels",
         write_labels=f"{_FORMATS}.ome_zarr:write_labels",
         open=f"{_FORMATS}.ome_zarr:open_lazily",
         store=f"{_FORMATS}.ome_zarr:store",
@@ -248,7 +256,7 @@ MESH_FORMATS: Registry[MeshFormat] = Registry(
 
 
 def image_suffixes() -> tuple[str, ...]:
-    """Endings of the images that can be read and written.
+    """Endings of the images that can be read.
 
     Examples
     --------
@@ -297,6 +305,11 @@ def input_help() -> str:
     return f"{', '.join(others)} or {last}"
 
 
+def label_formats() -> tuple[str, ...]:
+    """Names of the formats that label maps are written in."""
+    return tuple(name for name, form in IMAGE_FORMATS.items() if form.write is not None)
+
+
 def label_help() -> str:
     """The formats of label maps, as the help of ``--format`` says them.
 
@@ -305,8 +318,8 @@ def label_help() -> str:
     >>> label_help()
     'nii.gz, nii, nrrd, mha, mhd, ome.zarr, tif, or for one slice png'
     """
-    volumes = [name for name, form in IMAGE_FORMATS.items() if not form.only_2d]
-    slices = [name for name, form in IMAGE_FORMATS.items() if form.only_2d]
+    volumes = [name for name in label_formats() if not IMAGE_FORMATS[name].only_2d]
+    slices = [name for name in label_formats() if IMAGE_FORMATS[name].only_2d]
     return f"{', '.join(volumes)}, or for one slice {', '.join(slices)}"
 
 

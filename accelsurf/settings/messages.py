@@ -8,8 +8,9 @@ from pydantic import ValidationError
 
 from accelsurf.errors import UsageError
 from accelsurf.settings.catalogue import help_of
-from accelsurf.settings.fields import VOXELS, SettingFields
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.intervals import INTERVAL
+from accelsurf.settings.run_fields import VOXELS
 from accelsurf.settings.volumes import VOLUME
 from accelsurf.settings.wording import did_you_mean, shown
 

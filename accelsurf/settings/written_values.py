@@ -6,6 +6,7 @@ from typing import Any
 
 from accelsurf.settings import energy_expression
 from accelsurf.settings.intervals import INTERVAL_FORM, interval_of
+from accelsurf.settings.reading import spacing_of
 from accelsurf.settings.volumes import VOLUME_FORM, volume_mm3
 
 
@@ -22,6 +23,17 @@ def checked_interval(value: Any) -> Any:
         value = str(value)
     if isinstance(value, str) and INTERVAL_FORM.fullmatch(value):
         interval_of(value)
+    return value
+
+
+def checked_spacing(value: Any) -> Any:
+    """Check the size of a voxel; a list of numbers in mm becomes its text."""
+    if isinstance(value, (list, tuple)):
+        value = ",".join(str(number) for number in value)
+    elif isinstance(value, (int, float)):
+        value = str(value)
+    if isinstance(value, str):
+        spacing_of(value)
     return value
 
 

@@ -60,7 +60,7 @@ def test_what_needs_more_memory_is_refused_with_the_estimate(scans, tmp_path, ca
         ("a.nii", ("--format", "nrrd"), 2, "expected ome.zarr or nii"),
         ("a.nii", ("--save-sdf",), 2, "save-sdf: it was given"),
         ("a.nii", ("--energy", "local-region"), 2, "local-region looks at the whole image"),
-        ("a.nii", ("--level", "1"), 2, "level 1"),
+        ("a.nii", ("--level", "1"), 2, "level: 1 was given"),
     ],
 )
 def test_what_cannot_be_done_in_parts_is_said_in_one_line(scans, tmp_path, capsys, name, words, code, said):

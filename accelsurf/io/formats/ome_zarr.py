@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,12 @@ from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array
 from accelsurf.io.headers import split_name
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
-from accelsurf.io.memory import check_memory
+from accelsurf.io.memory import available_memory, check_memory
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 _SERIES_KEY = "bioformats2raw.layout"
+#: Of a run, for each voxel, at most.
+_RUN_BYTES = 80
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +43,15 @@ class OmeHeader:
         Of the array of the finest level, all axes.
     dtype : numpy.dtype
         Of its values.
+    options : ReadOptions
+        Which level, channel and time point is read as a whole.
     """
 
     folder: Path
     ome: OmeMetadata
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+    options: ReadOptions = AS_IT_IS
 
     @property
     def values(self) -> int:
@@ -57,7 +63,7 @@ class OmeHeader:
         return math.prod(n for n, axis in zip(self.shape, self.ome.axes, strict=True) if axis.kind == kind)
 
 
-def parse(path: Path) -> OmeHeader:
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
     """Read the metadata of an image, or of the only one in a store that bioformats2raw has written.
 
     Raises
@@ -83,7 +89,7 @@ def parse(path: Path) -> OmeHeader:
         raise InputError(
             f"the OME-Zarr names {len(ome.axes)} axes, its array has {len(array.shape)}", "export it again"
         )
-    return OmeHeader(path, ome, tuple(map(int, array.shape)), np.dtype(array.dtype))
+    return OmeHeader(path, ome, tuple(map(int, array.shape)), np.dtype(array.dtype), options)
 
 
 def _attributes(path: Path) -> dict[str, Any]:
@@ -119,9 +125,11 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
         When there is no such level, channel or time point.
     """
     ome = header.ome
-    if not 0 <= opening.level < len(ome.levels):
+    grids = tuple(ome.geometry(i, open_array(header.folder, one.path).shape) for i, one in enumerate(ome.levels))
+    level = _finest_within(grids, available_memory()) if opening.level == "auto" else opening.level
+    if not 0 <= level < len(ome.levels):
         raise UsageError(
-            f"level {opening.level} asked for, the image has {len(ome.levels)}", f"give 0 to {len(ome.levels) - 1}"
+            f"level {level} asked for, the image has {len(ome.levels)}", f"give 0 to {len(ome.levels) - 1}"
         )
     asked = {"channel": opening.channel_index, "time": opening.time_index}
     index: list[int | None] = []
@@ -130,10 +138,15 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
     for kind, place in asked.items():
         if place and all(axis.kind != kind for axis in ome.axes):
             raise UsageError(f"{kind} {place} asked for, the image has one", "leave it out")
-    voxels = ZarrVoxels(header.folder, ome.levels[opening.level].path, index, ome.space_axes, opening.cache_bytes)
-    grids = tuple(ome.geometry(i, open_array(header.folder, one.path).shape) for i, one in enumerate(ome.levels))
-    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"))
-    return LazyVolume(voxels, grids[opening.level], dict(ome.metadata), path, layout)
+    voxels = ZarrVoxels(header.folder, ome.levels[level].path, index, ome.space_axes, opening.cache_bytes)
+    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), level)
+    return LazyVolume(voxels, grids[level], dict(ome.metadata), path, layout)
+
+
+def _finest_within(grids: Sequence[Geometry], available: int) -> int:
+    """The finest level whose run fits into the memory, else the coarsest."""
+    small = (n for n, grid in enumerate(grids) if math.prod(grid.shape) * _RUN_BYTES <= available)
+    return next(small, len(grids) - 1)
 
 
 def _place(kind: str, n: int, asked: int | None) -> int:
@@ -148,27 +161,31 @@ def _place(kind: str, n: int, asked: int | None) -> int:
 
 
 def read(path: Path, header: OmeHeader, available: int) -> Volume:
-    """Read the finest level of an image of one channel and time point.
+    """Read a level of one channel and time point, the finest unless another was asked for.
 
     Raises
     ------
     InputError
         When it is larger than the memory, a chunk is damaged, or there are several channels or time points.
     """
-    return _in_memory(open_lazily(path, header, Opening(cache_bytes=0)), available, 1)
+    asked = header.options
+    opening = Opening(asked.level, asked.channel_index, asked.time_index, cache_bytes=0)
+    return _in_memory(open_lazily(path, header, opening), available, 1)
 
 
 def read_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
-    """Read the channels of an image.
+    """Read the channels of an image, or the one that was asked for.
 
     Raises
     ------
     InputError
         As `read`, and for more than `itk_volumes.MAX_CHANNELS` channels.
     """
-    count = header.count("channel")
+    if header.options.channel_index is not None:
+        return [read(path, header, available)]
+    count, asked = header.count("channel"), header.options
     itk_volumes.check_channels(count)
-    lazy = [open_lazily(path, header, Opening(channel_index=i, cache_bytes=0)) for i in range(count)]
+    lazy = [open_lazily(path, header, Opening(asked.level, i, asked.time_index, 0)) for i in range(count)]
     return [_in_memory(one, available, count) for one in lazy]
 
 

@@ -7,7 +7,6 @@ that are halved are those of the solver's own levels: voxels become more cubic.
 
 from __future__ import annotations
 
-import colorsys
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,12 +21,12 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import MAX_SPACING_RATIO
 from accelsurf.io.formats.ome_metadata import VERSIONS, attributes_of
 from accelsurf.io.formats.zarr_voxels import library
+from accelsurf.settings.labels import default_color
 
 #: Voxels of a chunk along each axis; of one slice, along the two others.
 CHUNK, SLICE_CHUNK = 64, 512
 #: So many labels get a colour; programs choose colours for the others.
 MAX_COLORS = 1024
-_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -182,15 +181,10 @@ class ZarrPyramid:
         values = sorted(self._values - {0})[:MAX_COLORS]
         said: dict[str, Any] = {"version": VERSIONS[-1]}
         if values:
-            said["colors"] = [{"label-value": value, "rgba": [*_color(value), 255]} for value in values]
+            said["colors"] = [{"label-value": value, "rgba": [*default_color(value), 255]} for value in values]
         if self._source is not None:
             said["source"] = {"image": self._source}
         return said
-
-
-def _color(label: int) -> tuple[int, ...]:
-    """A colour for a label: neighbours in number differ much."""
-    return tuple(round(255 * part) for part in colorsys.hsv_to_rgb(label * _GOLDEN % 1.0, 0.75, 1.0))
 
 
 def _places(box: Box, chunks: Sequence[int]) -> itertools.product[tuple[int, ...]]:

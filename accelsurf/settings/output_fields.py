@@ -1,0 +1,55 @@
+"""The settings of the files that a run writes, one entry each; see `accelsurf.settings.fields`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field
+
+from accelsurf.settings.entry import SettingEntry, SettingGroup, setting
+from accelsurf.settings.file_formats import MESH_FORMATS, label_formats, label_help, mesh_help
+from accelsurf.settings.image_fields import ImageFields
+from accelsurf.settings.intervals import INTERVAL
+from accelsurf.settings.known_names import OneOf
+from accelsurf.settings.written_values import checked_interval, split_commas
+
+FILES = SettingGroup.FILES
+
+
+class OutputFields(ImageFields):
+    """Which files a run writes, and how."""
+
+    mesh: Annotated[
+        Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], Field(min_length=1)] | Literal["auto"],
+        BeforeValidator(split_commas),
+    ] = setting(
+        "auto",
+        "Formats, separated by commas, {}",
+        entry=SettingEntry(FILES, metavar="NAMES", fixed=True, listed=mesh_help),
+    )
+    mesh_space: Literal["lps", "ras"] = setting(
+        "lps",
+        "World axes of the mesh or contours, in mm: lps as ITK, or ras as NIfTI.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
+    save_sdf: bool = setting(
+        False,
+        "Also write the signed distance (mm, negative inside) as a volume.",
+        entry=SettingEntry(FILES, fixed=True),
+    )
+    format: Annotated[str, OneOf(label_formats)] | None = setting(
+        None,
+        "Format of the label map: {}. Follows the input unless given.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True, listed=label_help),
+    )
+    keep_state: Literal["auto", "yes", "no"] = setting(
+        "auto",
+        "Also write the state of the run, from which accelsurf refine goes on; auto does with clicks.",
+        entry=SettingEntry(FILES, metavar="auto|yes|no", fixed=True),
+    )
+    checkpoint: Annotated[Annotated[str, Field(pattern=INTERVAL)] | None, BeforeValidator(checked_interval)] = setting(
+        None,
+        "How often the state of the run is written while it goes on: 50 (steps), 30s, 5min. A killed run goes on from "
+        "it with --resume, and ends with the same bytes; it is removed when the run has ended.",
+        entry=SettingEntry(FILES, metavar="STEPS|TIME", fixed=True),
+    )

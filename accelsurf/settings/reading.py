@@ -1,0 +1,105 @@
+"""How the image is read from a file or folder that holds more than one, or does not say where its voxels lie."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
+
+from accelsurf.errors import UsageError
+
+#: mm of a unit that a spacing may have.
+_MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
+_NUMBER = r"[0-9]{0,12}\.?[0-9]{0,20}(?:[eE][-+]?[0-9]{1,2})?"
+_SPACING = re.compile(rf"({_NUMBER})(?:,({_NUMBER}),({_NUMBER}))? ?([a-zµμ]*)")
+#: Sizes of a voxel that can be meant, mm.
+_SMALLEST, _LARGEST = 1e-9, 1e6
+
+#: A level of a pyramid, 0 the finest; "auto" is the finest whose run fits into the memory.
+Level = int | Literal["auto"]
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What is asked for beside the name of an image.
+
+    Attributes
+    ----------
+    level : int or "auto"
+        Of an image that is stored as a pyramid; 0 is the finest, "auto" the finest that fits into the memory.
+    channel_index, time_index : int, optional
+        Which channel and time point, from 0 on.
+    channels_from_time : bool
+        Whether time points are channels of one image.
+    series : str, optional
+        Which series of a DICOM folder: its UID or its number in the list.
+    spacing : tuple of float, optional
+        Size of a voxel (x, y, z), mm, where the file does not say it.
+    resample : bool
+        Whether slices that lie on no regular grid are put on one.
+    """
+
+    level: Level = 0
+    channel_index: int | None = None
+    time_index: int | None = None
+    channels_from_time: bool = False
+    series: str | None = None
+    spacing: tuple[float, float, float] | None = None
+    resample: bool = False
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the options that were given.
+
+        Examples
+        --------
+        >>> ReadOptions(time_index=0, spacing=(1.0, 1.0, 2.0)).given
+        ('time_index', 'spacing')
+        """
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) != f.default)
+
+    def among(self, names: Collection[str]) -> ReadOptions:
+        """Those of the options that a format has; the others as if they had not been given.
+
+        Examples
+        --------
+        >>> ReadOptions(level=2, series="7").among(("level",)).given
+        ('level',)
+        """
+        absent: dict[str, Any] = {f.name: f.default for f in fields(self) if f.name not in names}
+        return replace(self, **absent)
+
+
+#: Nothing asked for.
+AS_IT_IS = ReadOptions()
+
+
+def spacing_of(text: str) -> tuple[float, float, float]:
+    """The size of a voxel (x, y, z) in mm, as it is written: one number or three, and a unit unless it is mm.
+
+    Raises
+    ------
+    UsageError
+        When it is written in another way, or no size of a voxel.
+
+    Examples
+    --------
+    >>> spacing_of("0.5,0.5,2"), spacing_of("250nm")
+    ((0.5, 0.5, 2.0), (0.00025, 0.00025, 0.00025))
+    """
+    found = _SPACING.fullmatch(text.strip())
+    numbers = [float(word) for word in found.groups()[:3] if word not in (None, ".", "")] if found else []
+    unit = _MM.get(found.group(4) or "mm") if found else None
+    if found is None or unit is None or len(numbers) != (1 if found.group(2) is None else 3):
+        raise UsageError(
+            f"spacing: {text[:60]} was given, expected X,Y,Z or one number, in mm or with a unit",
+            "as --spacing 0.5,0.5,2 or --spacing 0.2,0.2,1um",
+        )
+    x, y, z = (number * unit for number in (numbers if len(numbers) == 3 else numbers * 3))
+    if not all(_SMALLEST <= size <= _LARGEST for size in (x, y, z)):
+        raise UsageError(
+            f"spacing: {text[:60]} was given, expected sizes of {_SMALLEST:g} to {_LARGEST:g} mm",
+            "is the unit right?",
+        )
+    return x, y, z
