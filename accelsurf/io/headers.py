@@ -81,11 +81,8 @@ def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
     """What a header claims."""
     unknown = [name for name in options.given if name not in form.options]
     if unknown:
-        raise UsageError(
-            f"{unknown[0].replace('_', '-')}: {getattr(options, unknown[0])} was given, and a {form.suffixes[0]} has no "
-            "such choice",
-            "leave it out",
-        )
+        name, value = unknown[0].replace("_", "-"), getattr(options, unknown[0])
+        raise UsageError(f"{name}: {value} was given, and a {form.suffixes[0]} has no such choice", "leave it out")
     return load(form.parse)(path, options) if form.options else load(form.parse)(path)
 
 
