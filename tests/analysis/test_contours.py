@@ -175,9 +175,9 @@ def test_slices_of_a_ball(oblique):
         (loop,) = contours.loops
         assert np.abs(geometry.world_to_index(loop)[:, 0] - k).max() < 1e-9
         centre_here = geometry.index_to_world((k, 19.6, 21.2))
-        # psi of the ball along a slice: no further from the circle than a fortieth of a pixel.
+        # psi of the ball along a slice: no further from the circle than a thirtieth of a pixel.
         assert np.abs(np.linalg.norm(loop - centre_here, axis=1) - radius).max() < 0.02
-        assert contours.area == pytest.approx(np.pi * radius**2, rel=5e-3 if radius > 4 else 2e-2)
+        assert contours.area == pytest.approx(np.pi * radius**2, rel=3e-4)
 
 
 def test_slices_with_a_hole_and_an_island_in_it():
@@ -205,7 +205,7 @@ def test_slices_of_an_object_that_the_border_cuts():
 def test_slices_agree_with_the_image_of_one_slice():
     volume = Geometry((1, 40, 50), (7.0, 1.0, 0.5))
     (loop,) = in_slices(disc(), volume)[0].loops
-    assert np.array_equal(loop, extract(disc(), GRID).loops[0])
+    assert np.abs(loop - extract(disc(), GRID).loops[0]).max() < 1e-9
 
 
 def test_slices_of_an_empty_volume_and_of_another_grid():
