@@ -60,6 +60,10 @@ def _show_image(path: Path, as_json: bool, asked: ReadOptions) -> None:
     """Print what an image is."""
     from accelsurf.report.document import to_json
 
+    volumes = _listing(path)
+    if volumes is not None and asked.series is None:
+        _show_volumes(volumes, as_json)
+        return
     facts = _facts_of(path, asked)
     if as_json:
         print(to_json(facts))
@@ -68,6 +72,40 @@ def _show_image(path: Path, as_json: bool, asked: ReadOptions) -> None:
     _print_table({key.replace("_", " "): str(value) for key, value in facts.items() if value is not None})
     for number, level in enumerate(levels):
         print(f"  level {number}: size {level['size']}, spacing {level['spacing']}")
+
+
+def _listing(path: Path) -> list[dict[str, Any]] | None:
+    """The volumes of a folder, archive or file of a format that may have several; None of other formats."""
+    from accelsurf.io.files import naming
+    from accelsurf.io.headers import format_of
+    from accelsurf.settings.registry import load
+
+    with naming(path):
+        form = format_of(path)
+        return None if form.listing is None else load(form.listing)(path)
+
+
+def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
+    """Print the volumes of a folder, a block of lines each."""
+    from accelsurf.report.document import to_json
+
+    if as_json:
+        print(to_json({"volumes": volumes}))
+        return
+    for entry in volumes:
+        phase = ", ".join(f"{name} {value}" for name, value in entry["phase"].items())
+        title = " ".join(word for word in (entry["modality"], entry["description"]) if word) or "without a name"
+        print(f"{entry['number']}  {title}" + (f" ({phase})" if phase else ""))
+        if entry["size"] is not None:
+            size, voxel = " x ".join(map(str, entry["size"])), " x ".join(f"{h:.4g}" for h in entry["spacing"])
+            print(f"   {size} voxels of {voxel} mm, {entry['orientation']}, {entry['unit'] or 'no unit'}")
+        print(f"   {entry['files']} file{'s' if entry['files'] > 1 else ''}, first {entry['first_file']}")
+        print(f"   series {entry['uid'] or 'without a UID'}")
+        for warning in entry["warnings"]:
+            print(f"   warning: {warning}")
+    for note in volumes[0]["left_out"]:
+        print(note)
+    print("--series NUMBER chooses one" if len(volumes) > 1 else "it is the only one: no --series is needed")
 
 
 def _facts_of(path: Path, asked: ReadOptions) -> dict[str, Any]:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from accelsurf.cli.case import Compute, Log
     from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
-    from accelsurf.io import LazyVolume
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.windowed import LargeImage
 
@@ -102,19 +101,11 @@ def opened(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage:
     InputError
         When it cannot be.
     """
+    from accelsurf.io.lazy_volume import open_with
     from accelsurf.segmentation.windowed import LargeImage
 
-    channels = [_opened(source, config), *(_opened(Path(file), config) for file in config.channel)]
+    channels = [open_with(path, config.reading) for path in (source, *map(Path, config.channel))]
     return LargeImage.of(channels, parts.allowed_bytes)
-
-
-def _opened(path: Path, config: RunConfig) -> LazyVolume:
-    """A file, opened with those of the options of reading that its format has."""
-    from accelsurf import io
-    from accelsurf.io.headers import options_of
-
-    asked = config.reading.among(options_of(path))
-    return io.open_volume(path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index)
 
 
 def for_windows(place: Place, config: RunConfig) -> RunConfig:
@@ -149,7 +140,7 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
             log.timed("load", lambda one=one: Volume(  # type: ignore[misc]
                 one.read(whole_box(one.geometry.shape)), one.geometry, dict(one.metadata), one.source
             ))
-            for one in image.channels
+            for one in image.channels[: len(image.channels) - len(config.channel)]  # a run reads those files itself
         )
         if has_checksum:
             log.checksum = log.timed("load", lambda: io.sha256(place.source))

@@ -7,7 +7,7 @@ from accelsurf.io.label_store import LabelStore
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory
 from accelsurf.io.metadata import WARNING_KEY
-from accelsurf.settings.file_formats import image_suffixes
+from accelsurf.settings.file_formats import image_suffixes, written_suffixes
 
 __all__ = [
     "LabelStore",
@@ -24,4 +24,5 @@ __all__ = [
     "split_name",
     "write",
     "write_labels",
+    "written_suffixes",
 ]

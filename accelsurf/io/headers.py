@@ -55,22 +55,10 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
         points to a data file that does not exist, or outside of its folder; GeometryError when its header does not
         describe a grid.
     """
-    check_name(path)
-    if path.is_dir():
-        return _parse_folder(path, options)
-    if not path.exists():
-        raise InputError("there is no such file", hint="check the path")
-    form = image_format(split_name(path)[1])
-    if form is None:
-        raise InputError(
-            f"unknown file type, one of {', '.join(image_suffixes())} expected",
-            hint="convert the image to one of them first",
-        )
-    if not path.is_file():
-        raise InputError("this is no file but a pipe or a device", hint="give an image file")
-    if path.stat().st_size == 0:
-        raise InputError("the file is empty", hint="copy or export it again")
+    form = format_of(path)
     header = _header(form, path, options)
+    if path.is_dir():
+        return form, header
     data = getattr(header, "data", path)
     if data != path and not _OUTSIDE_DATA.get():
         _check_data_folder(path, data)
@@ -81,25 +69,49 @@ def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
     """What a header claims."""
     unknown = [name for name in options.given if name not in form.options]
     if unknown:
-        raise UsageError(
-            f"{unknown[0].replace('_', '-')}: {getattr(options, unknown[0])} was given, and a {form.suffixes[0]} has no "
-            "such choice",
-            "leave it out",
-        )
+        name, value = unknown[0].replace("_", "-"), getattr(options, unknown[0])
+        raise UsageError(f"{name}: {value} was given, and a {form.suffixes[0]} has no such choice", "leave it out")
     return load(form.parse)(path, options) if form.options else load(form.parse)(path)
 
 
-def _parse_folder(path: Path, options: ReadOptions) -> tuple[ImageFormat, Any]:
-    """As `parse`, of a folder: one whose name says that it is an image, or in which the files of such one are."""
-    folders = [form for form in IMAGE_FORMATS.values() if form.folder_marks]
+def format_of(path: Path) -> ImageFormat:
+    """The format of a file or folder that is there: by its name, else by what is in it.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, it is empty, or of no known format.
+    """
+    check_name(path)
+    if path.is_dir():
+        return _format_of_folder(path)
+    if not path.exists():
+        raise InputError("there is no such file", hint="check the path")
+    form = image_format(split_name(path)[1])
+    if form is None and path.is_file():
+        form = next((one for one in IMAGE_FORMATS.values() if one.is_file and load(one.is_file)(path)), None)
+    if form is None:
+        raise InputError(
+            f"unknown file type, one of {', '.join(image_suffixes())} expected",
+            hint="convert the image to one of them first",
+        )
+    if not path.is_file():
+        raise InputError("this is no file but a pipe or a device", hint="give an image file")
+    if path.stat().st_size == 0:
+        raise InputError("the file is empty", hint="copy or export it again")
+    return form
+
+
+def _format_of_folder(path: Path) -> ImageFormat:
+    """As `format_of`, of a folder: one whose name says that it is an image, or in which the files of such one are."""
     named = image_format(split_name(path)[1])
-    for form in folders:
-        if form is named or any((path / mark).is_file() for mark in form.folder_marks):
-            return form, _header(form, path, options)
+    for form in IMAGE_FORMATS.values():
+        if form.folder_marks and (form is named or any((path / mark).is_file() for mark in form.folder_marks)):
+            return form
     for form in IMAGE_FORMATS.values():
         if form.is_folder is not None and load(form.is_folder)(path):
-            return form, _header(form, path, options)
-    raise InputError("this is a folder, an image file expected", hint="give one file; convert a DICOM series first")
+            return form
+    raise InputError("this is a folder, an image file expected", hint="give an image file, or a folder of DICOM")
 
 
 def is_stored(path: Path) -> bool:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
+from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
@@ -39,6 +40,12 @@ def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     with _quiet():
         image = reader.Execute()
     return image[:, :, :, 0] if image.GetDimension() == 4 else image
+
+
+def array_of(path: Path, itk_name: str) -> NDArray[Any]:
+    """The values of a file, (z, y, x), or with colours along a fourth axis; without what ITK's libraries print."""
+    with _without_stderr():
+        return np.asarray(sitk.GetArrayFromImage(execute(open_reader(path, itk_name))))
 
 
 def save(volume: Volume, path: Path, itk_name: str, compress: bool) -> None:

@@ -20,7 +20,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
-from accelsurf.settings.reading import Level
+from accelsurf.settings.reading import Level, ReadOptions
 from accelsurf.settings.registry import load
 
 #: Bytes of unpacked chunks or pages that are held at most, where the caller says nothing.
@@ -268,6 +268,12 @@ def open_volume(
         volume: LazyVolume = load(form.open)(path, header, opening)
     volume._opened = path.absolute(), opening, headers.is_outside_data_allowed() or outside_data
     return volume
+
+
+def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:
+    """As `open_volume`, with those options of an image that the format of the file has."""
+    asked = options.among(headers.options_of(path))
+    return open_volume(path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index)
 
 
 def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:

@@ -38,7 +38,7 @@ def label_format(config: RunConfig, source_suffix: str) -> str:
     ('tif', 'png')
     """
     followed = image_format(source_suffix)
-    return config.format or (DEFAULT_IMAGE_FORMAT if followed is None else followed.name)
+    return config.format or (DEFAULT_IMAGE_FORMAT if followed is None or followed.write is None else followed.name)
 
 
 def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:

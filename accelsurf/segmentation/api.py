@@ -13,7 +13,8 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
-from accelsurf.io import LazyVolume, available_memory, open_volume
+from accelsurf.io import LazyVolume, available_memory
+from accelsurf.io.lazy_volume import open_with
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.given import clicks_of, psi_of, split_given
 from accelsurf.segmentation.memory_need import allowed_bytes
@@ -219,7 +220,7 @@ def large_of(
             "give texts and open_volume(), or read the image with accelsurf.read",
         )
     config, _ = with_options(config, energy, texts)
-    others = [*channels, *(open_volume(file) for file in config.channel)]
+    others = [*channels, *(open_with(file, config.reading) for file in config.channel)]
     return LargeImage.of((volume, *others), allowed_bytes(max_memory, available_memory())), config
 
 

@@ -60,6 +60,10 @@ class ImageFormat:
         Files of which an image of this format has one, where it is a folder; empty: it is a file.
     is_folder : str or callable, optional
         Of the Path of a folder without such marks, whether what is in it is an image of this format.
+    is_file : str or callable, optional
+        Of the Path of a file whose name has no known ending, whether it is of this format.
+    listing : str or callable, optional
+        Of a Path, a dictionary for each volume that it holds, for a person to choose from.
     is_anatomical : str or callable, optional
         Of the metadata of a Volume that was read, whether its header said that the world's axes are a patient's; also
         asked of volumes that were read from other formats. None: it never does.
@@ -91,6 +95,8 @@ class ImageFormat:
     has_levels: bool = False
     folder_marks: tuple[str, ...] = ()
     is_folder: Function | None = None
+    is_file: Function | None = None
+    listing: Function | None = None
     types: tuple[str, ...] = ()
     only_2d: bool = False
     keeps: GridFidelity = "all"
@@ -191,6 +197,18 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         keeps="spacing",
         white_labels=True,
     ),
+    ImageFormat(
+        "dcm",
+        "DICOM, a folder of slices, one of its files, or a zip archive; read only",
+        (".dcm", ".ima", ".zip"),
+        f"{_FORMATS}.dicom:parse",
+        f"{_FORMATS}.dicom:read",
+        options=("series", "resample", "spacing"),
+        is_anatomical=f"{_FORMATS}.dicom:is_anatomical",
+        is_folder=f"{_FORMATS}.dicom:holds_dicom",
+        is_file=f"{_FORMATS}.dicom:is_dicom",
+        listing=f"{_FORMATS}.dicom:listing",
+    ),
 )
 #: The format of a label map where neither the settings nor the input give one.
 DEFAULT_IMAGE_FORMAT = "nii.gz"
@@ -266,6 +284,17 @@ def image_suffixes() -> tuple[str, ...]:
     return tuple(suffix for form in IMAGE_FORMATS.values() for suffix in form.suffixes)
 
 
+def written_suffixes() -> tuple[str, ...]:
+    """Endings of the images that can be written.
+
+    Examples
+    --------
+    >>> ".dcm" in image_suffixes(), ".dcm" in written_suffixes()
+    (True, False)
+    """
+    return tuple(suffix for form in IMAGE_FORMATS.values() if form.write is not None for suffix in form.suffixes)
+
+
 def image_format(suffix: str) -> ImageFormat | None:
     """The format whose files have an ending; None where there is none.
 
@@ -299,7 +328,7 @@ def input_help() -> str:
     Examples
     --------
     >>> input_help()
-    '.nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .png or .tif'
+    '.nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .png, .tif or .dcm'
     """
     *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values())  # .tiff is known where .tif is
     return f"{', '.join(others)} or {last}"

@@ -92,6 +92,14 @@ def test_a_run_in_parts_that_was_interrupted_goes_on(scans, tmp_path):
     assert np.array_equal(once, twice)
 
 
+def test_a_file_of_a_further_channel_counts_once(scans, tmp_path):
+    pytest.importorskip("zarr")
+    image = scans / "a.ome.zarr"
+    assert segment(image, tmp_path, "--level", "1", "--channel", str(image), "--max-steps", "3") == 0
+    report = json.loads((tmp_path / "a_report.json").read_text())
+    assert len(report["resolved_settings"]["scale"]) == 2
+
+
 def test_look_shows_a_level_that_is_not_too_large(scans, tmp_path, capsys, monkeypatch):
     pytest.importorskip("zarr")
     look = ["look", str(scans / "a.ome.zarr"), "--at", "60,60,50vox", "--overwrite", "-o"]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pydicom.uid import RLELossless
 
 from accelsurf import io as files
 from accelsurf.analysis import surface_mesh
@@ -18,6 +19,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import mutators
+from tests.support import dicom_series
 
 #: Beside each image: what a header may name as its data file.
 DATA_FILE = "voxels.raw"
@@ -61,11 +63,22 @@ def input_of(seed: int, number: int) -> Input:
     return chosen._replace(content=content)
 
 
+def _slices():
+    """DICOM: one slice, plain and packed, and a file of several."""
+    series = dicom_series.Series().stacked(3)
+    packed = series.dataset(0)
+    packed.compress(RLELossless)
+    for one in (series.dataset(0), packed, dicom_series.enhanced(series)):
+        content = io.BytesIO()
+        one.save_as(content, enforce_file_format=True)
+        yield Input("image", ".dcm", "binary", content.getvalue())
+
+
 def _images(folder: Path):
     turned, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
     turned *= np.sign(np.linalg.det(turned))
     grids = [Geometry(SHAPE, (1.0, 1.0, 1.0)), Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25), turned)]
-    for suffix in files.image_suffixes():
+    for suffix in files.written_suffixes():
         if suffix in (".tiff", ".ome.zarr", ".zarr"):
             continue
         for grid in grids:
@@ -77,6 +90,7 @@ def _images(folder: Path):
                 mode = "mixed" if suffix in (".nrrd", ".mha", ".mhd") else "binary"
                 if suffix != ".mhd":
                     yield Input("image", suffix, mode, path.read_bytes())
+    yield from _slices()
     big = _nifti2()
     yield Input("image", ".nii", "binary", big)
     yield Input("image", ".nii.gz", "binary", gzip.compress(big, 1, mtime=0))

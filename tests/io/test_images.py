@@ -20,7 +20,7 @@ from accelsurf.settings.file_formats import image_format
 from tests.support.folders import contents
 
 #: Formats that keep the whole grid; tests/io/test_raster.py is about the others.
-VOLUMES = [suffix for suffix in io.image_suffixes() if image_format(suffix).keeps == "all"]
+VOLUMES = [suffix for suffix in io.written_suffixes() if image_format(suffix).keeps == "all"]
 DTYPES = ["uint8", "int16", "uint16", "int32", "float32", "float64"]
 
 
@@ -207,10 +207,10 @@ def test_folder_instead_of_a_file(tmp_path):
     refuse(tmp_path / "a.nii", "folder")
 
 
-@pytest.mark.parametrize("name", ["a.jpg", "a.gz", "a", ".nii", "a.nii.zip"])
+@pytest.mark.parametrize("name", ["a.jpg", "a.gz", "a", ".nii", "a.nii.bz2"])
 def test_unknown_suffix(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
-    known = ".nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff"
+    known = ".nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .zip"
     refuse(tmp_path / name, re.escape(f"unknown file type, one of {known} expected"))
 
 

@@ -9,16 +9,16 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import SimpleITK as sitk
-from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
+from accelsurf.io.grey import to_grey
 from accelsurf.io.memory import check_memory
 from accelsurf.io.metadata import WARNING_KEY
 
@@ -27,9 +27,6 @@ STORED = {
     "float32": (32, 3),
 }
 """Types of values that a TIFF can hold here: bits and sample format (1 unsigned, 2 signed, 3 floating point)."""
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Parts of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 
 TRUNCATED_HINT = "the file is truncated or damaged: copy or export it again"
 
@@ -72,43 +69,6 @@ class RasterHeader(ABC):
         InputError
             With what is missing.
         """
-
-
-def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
-    """One value per pixel from red, green, blue (and alpha), and what a person should know about that.
-
-    Parameters
-    ----------
-    array : ndarray, shape (..., 3) or (..., 4)
-        Colours of an unsigned type; the fourth is the opacity.
-
-    Returns
-    -------
-    ndarray, str
-        Where the three are equal everywhere, that value, unchanged; else the luminance as float32. The note is empty
-        when nothing was decided.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> to_grey(np.array([[[7, 7, 7], [9, 9, 9]]], dtype=np.uint8))
-    (array([[7, 9]], dtype=uint8), '')
-    """
-    notes = []
-    red, green, blue = array[..., 0], array[..., 1], array[..., 2]
-    if np.array_equal(red, green) and np.array_equal(red, blue):
-        grey = np.ascontiguousarray(red)
-    else:
-        grey = np.zeros(red.shape, np.float32)
-        for part, channel in zip(LUMINANCE, (red, green, blue), strict=True):
-            grey += np.float32(part) * channel
-        notes.append(
-            "a colour image: its luminance (0.2126 R + 0.7152 G + 0.0722 B) is used; "
-            "extract a channel first if the object differs in colour more than in brightness"
-        )
-    if array.shape[-1] == 4 and (array[..., 3] != np.iinfo(array.dtype).max).any():
-        notes.append("the image is transparent in places, which is ignored")
-    return grey, "; ".join(notes)
 
 
 def read(path: Path, header: RasterHeader, available: int) -> Volume:

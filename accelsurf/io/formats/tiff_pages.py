@@ -26,7 +26,7 @@ from accelsurf.io import itk
 from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.files import file_version
 from accelsurf.io.formats import raster
-from accelsurf.io.formats.raster import TRUNCATED_HINT, to_grey
+from accelsurf.io.formats.raster import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import CHANGED, RawLayout, RawVoxels
 from accelsurf.io.formats.tiff import MAX_FILE_BYTES, TiffHeader, strips_of
 from accelsurf.io.formats.tiff_directories import (
@@ -42,6 +42,7 @@ from accelsurf.io.formats.tiff_directories import (
     read_directory,
     read_form,
 )
+from accelsurf.io.grey import to_grey
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
 

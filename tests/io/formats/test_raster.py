@@ -16,6 +16,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import images
 from accelsurf.io.formats import raster, tiff
+from accelsurf.io.grey import LUMINANCE
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 
 SUFFIXES = (".png", ".tif", ".tiff")
@@ -148,7 +149,7 @@ def test_colour_becomes_its_luminance_and_says_so(tmp_path, name, scale):
     sitk.WriteImage(sitk.GetImageFromArray(colours, isVector=True), str(tmp_path / name))
     volume = io.read(tmp_path / name)
     assert volume.array.dtype == np.float32
-    np.testing.assert_allclose(volume.array[0], colours @ raster.LUMINANCE, rtol=1e-6)
+    np.testing.assert_allclose(volume.array[0], colours @ LUMINANCE, rtol=1e-6)
     assert "luminance" in volume.metadata[io.WARNING_KEY]
 
 
@@ -188,7 +189,7 @@ def test_stacks(tmp_path, options):
 def test_a_stack_in_colour(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.stack([STACK, STACK, 2 * STACK], axis=-1), photometric="rgb")
     volume = io.read(tmp_path / "a.tif")
-    np.testing.assert_allclose(volume.array, STACK * (1 + raster.LUMINANCE[2]), rtol=1e-6)
+    np.testing.assert_allclose(volume.array, STACK * (1 + LUMINANCE[2]), rtol=1e-6)
 
 
 def test_tiles_of_bytes(tmp_path):

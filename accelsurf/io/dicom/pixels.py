@@ -1,0 +1,161 @@
+"""The values of slices: plain ones by pydicom, compressed ones by ITK, scaled slice by slice."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.io import itk
+from accelsurf.io.dicom.frames import Frame
+from accelsurf.io.dicom.library import library, quiet, read_dataset
+from accelsurf.io.grey import to_grey
+
+_SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
+_COLOURS = 3
+
+
+def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
+    """The type of a volume's values: whole numbers where slices are scaled by 1 and whole offsets, else float32.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+    """
+    if any(frame.pixel[3] == _COLOURS or frame.slope != 1.0 or frame.intercept % 1.0 for frame in frames):
+        return np.dtype(np.float32)
+    lows, highs = [], []
+    for frame in frames:
+        bits, allocated, signed = frame.pixel[:3]
+        if allocated > 32 or not 1 <= bits <= 32:
+            return np.dtype(np.float32)
+        low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
+        lows.append(low + frame.intercept)
+        highs.append(high + frame.intercept)
+    for name in ("uint8", "int8", "uint16", "int16", "uint32", "int32"):
+        if np.iinfo(name).min <= min(lows) and max(highs) <= np.iinfo(name).max:
+            return np.dtype(name)
+    return np.dtype(np.float32)
+
+
+def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
+    """Read slices in their order.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        All of one size.
+
+    Returns
+    -------
+    ndarray, shape (n, rows, columns), and str
+        The values, and what a person should know about them.
+
+    Raises
+    ------
+    InputError
+        When a file is damaged, or its values are of a kind that is no image in grey.
+    """
+    dtype = value_type(frames)
+    out = np.empty((len(frames), frames[0].rows, frames[0].columns), dtype)
+    notes: dict[str, None] = {}
+    by_file: dict[Path, list[int]] = {}
+    for place, frame in enumerate(frames):
+        by_file.setdefault(frame.path, []).append(place)
+    for path, places in by_file.items():
+        dataset = read_dataset(path)
+        for place in places:
+            frame = frames[place]
+            stored, note = _grey(_stored(path, dataset, frame), frame)
+            if note:
+                notes[note] = None
+            if stored.shape != out.shape[1:]:
+                raise InputError(f"{path.name}: {stored.shape} pixels, {out.shape[1:]} announced", "copy it again")
+            if frame.slope == 1.0 and frame.intercept == 0.0:
+                out[place] = stored
+            else:
+                out[place] = stored * frame.slope + frame.intercept
+    return _narrowed(out), "; ".join(notes)
+
+
+def _narrowed(values: NDArray[Any]) -> NDArray[Any]:
+    """The same values in 16 bits where they fit: a CT of 16 bits with an offset rarely needs more."""
+    if values.dtype.kind in "iu" and values.dtype.itemsize == 4:
+        low, high = int(values.min()), int(values.max())
+        for name in ("int16", "uint16"):
+            if np.iinfo(name).min <= low and high <= np.iinfo(name).max:
+                return values.astype(name)
+    return values
+
+
+def _grey(stored: NDArray[Any], frame: Frame) -> tuple[NDArray[Any], str]:
+    kind = frame.pixel[4]
+    if kind == "PALETTE COLOR":
+        raise InputError(f"{frame.path.name}: a picture in the colours of a palette given, values expected",
+                         "give the scan that it was made of")
+    if stored.ndim == 3:
+        return to_grey(stored.astype(np.uint8) if stored.dtype.itemsize == 1 else stored)
+    inverse = "MONOCHROME1: larger values were meant to be shown darker"
+    return stored, inverse if kind == "MONOCHROME1" else ""
+
+
+def _stored(path: Path, dataset: Any, frame: Frame) -> NDArray[Any]:
+    """The stored values of a slice, before they are scaled."""
+    pydicom = library()
+    meta = getattr(dataset, "file_meta", None)
+    syntax = None if meta is None else meta.get("TransferSyntaxUID")
+    try:
+        with quiet():
+            if syntax is None:
+                meta = pydicom.dataset.FileMetaDataset() if meta is None else meta
+                implicit, little = dataset.original_encoding
+                uid = pydicom.uid
+                meta.TransferSyntaxUID = syntax = (
+                    uid.ImplicitVRLittleEndian if implicit
+                    else uid.ExplicitVRLittleEndian if little else uid.ExplicitVRBigEndian
+                )
+                dataset.file_meta = meta
+            if syntax.is_compressed and syntax != pydicom.uid.RLELossless and not _deflated(syntax):
+                array = _by_itk(dataset, frame)
+            else:
+                array = pydicom.pixels.pixel_array(dataset, index=frame.number if frame.frames > 1 else None)
+    except (InputError, OSError, MemoryError):
+        raise
+    except Exception as error:  # pydicom and its decoders raise errors of many kinds about damaged files
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise InputError(f"{path.name}: its pixels cannot be read ({reason})", "copy it again") from error
+    if frame.corner is not None:
+        top, left = frame.corner
+        array = array[top : top + frame.rows, left : left + frame.columns]
+    return np.asarray(array)
+
+
+def _deflated(syntax: Any) -> bool:
+    return str(syntax) == "1.2.840.10008.1.2.1.99"
+
+
+def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
+    """A compressed slice, unpacked by ITK from a file that has it alone, without scales and places."""
+    pydicom = library()
+    packed = pydicom.encaps.get_frame(dataset.PixelData, frame.number, number_of_frames=frame.frames)
+    alone = pydicom.Dataset()
+    for name in (
+        "Rows", "Columns", "BitsAllocated", "BitsStored", "HighBit", "PixelRepresentation", "SamplesPerPixel",
+        "PhotometricInterpretation", "PlanarConfiguration",
+    ):
+        if name in dataset:
+            setattr(alone, name, dataset[name].value)
+    alone.SOPClassUID, alone.SOPInstanceUID = _SECONDARY_CAPTURE, "1.2.3"
+    alone.PixelData = pydicom.encaps.encapsulate([packed])
+    alone["PixelData"].is_undefined_length = True
+    alone.file_meta = pydicom.dataset.FileMetaDataset()
+    alone.file_meta.TransferSyntaxUID = dataset.file_meta.TransferSyntaxUID
+    with tempfile.TemporaryDirectory(prefix="accelsurf-dicom-") as folder:
+        path = Path(folder, "slice.dcm")
+        alone.save_as(path, enforce_file_format=True)
+        return itk.array_of(path, "GDCMImageIO")[0]

@@ -1,0 +1,227 @@
+"""DICOM as a format of images: the choice of a series, its grid, its values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from accelsurf.errors import GeometryError, InputError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.io.dicom import pixels
+from accelsurf.io.dicom.frames import frames_of
+from accelsurf.io.dicom.library import library
+from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
+from accelsurf.io.dicom.slices import Slices, ordered
+from accelsurf.io.dicom.sources import SourceFiles, files_of, holds_dicom, is_dicom
+from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, counted, shown
+from accelsurf.io.memory import available_memory, check_memory
+from accelsurf.io.metadata import UNIT_KEY, WARNING_KEY
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+
+#: Of `Volume.metadata`: the UID of the series that was read.
+SERIES_KEY = "dicom_series"
+#: Series that a message lists.
+_LISTED = 6
+
+__all__ = ["SERIES_KEY", "DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse", "read"]
+
+
+@dataclass(frozen=True, eq=False)
+class DicomHeader:
+    """A series that was chosen.
+
+    Attributes
+    ----------
+    files : SourceFiles
+        Unpacked files live as long as it does.
+    slices : Slices
+        In their order.
+    grid : RegularGrid or None
+        What they are put on where they lie on no grid.
+    notes : tuple of str
+        What a person should know.
+    """
+
+    files: SourceFiles
+    slices: Slices
+    grid: RegularGrid | None
+    notes: tuple[str, ...]
+
+    @property
+    def geometry(self) -> Geometry:
+        """The grid of the volume."""
+        return self.slices.geometry if self.grid is None else self.grid.geometry
+
+    @property
+    def values(self) -> int:
+        """How many voxels it has."""
+        return math.prod(self.geometry.shape)
+
+
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader:
+    """Choose a series, and prove that its slices lie on a grid.
+
+    Raises
+    ------
+    InputError
+        When there is no image, or there are several and none was chosen.
+    GeometryError
+        When the slices lie on no grid and are not to be put on one.
+    """
+    library()
+    files = files_of(path, available_memory())
+    alone = path.is_file() and not files.unpacked
+    if alone and len(frames_of(path)) > 1:
+        files = SourceFiles(files.root, (path,))
+    contents = contents_of(files)
+    volume = _volume_of(contents, options, path if alone else None)
+    slices = ordered(volume, files.root, options.spacing)
+    notes = [*([] if alone else _skipped(contents)), *([slices.note] if slices.note else [])]
+    grid = None
+    if slices.faults and options.resample:
+        grid = regular_grid(slices)
+        notes.append(grid.text)
+    header = DicomHeader(files, slices, grid, tuple(notes))
+    assert header.geometry is not None  # raises where there is none
+    return header
+
+
+def _volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> DicomVolume:
+    """The volume that is meant."""
+    volumes = contents.volumes
+    if not volumes:
+        others = counted(contents.skipped)
+        damaged = f"{len(contents.damaged)} damaged, as {contents.damaged[0]}" if contents.damaged else ""
+        raise InputError(
+            f"no image of a volume is in it, but {', '.join(part for part in (others, damaged) if part)}",
+            "give the folder of a CT, MR or PET series",
+        )
+    if options.series is not None:
+        return _by_name(volumes, options.series)
+    if file is not None:
+        own = [one for one in volumes if any(frame.path == file for frame in one.frames)]
+        if not own:
+            raise InputError("this file has no image of a volume", "give the folder of a CT, MR or PET series")
+        of_file = [one for one in own if all(frame.path == file for frame in one.frames)]
+        volumes = tuple(of_file or own)
+    if len(volumes) > 1:
+        raise InputError(
+            f"{len(volumes)} volumes are in it: {_short_list(contents, volumes)}",
+            "say which by --series NUMBER; accelsurf info FOLDER lists them",
+        )
+    return volumes[0]
+
+
+def _by_name(volumes: tuple[DicomVolume, ...], asked: str) -> DicomVolume:
+    """A volume by its number in the list, or by the UID of its series."""
+    if asked.isdigit() and 1 <= int(asked) <= len(volumes):
+        return volumes[int(asked) - 1]
+    found = [one for one in volumes if one.uid == asked]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        numbers = ", ".join(str(n) for n, one in enumerate(volumes, 1) if one.uid == asked)
+        raise InputError(
+            f"series {asked[:80]} has {len(found)} volumes, numbers {numbers}", "give --series with one of the numbers"
+        )
+    raise InputError(
+        f"series {asked[:80]} is not in it, which has 1 to {len(volumes)}", "accelsurf info FOLDER lists them"
+    )
+
+
+def _short_list(contents: Contents, volumes: tuple[DicomVolume, ...]) -> str:
+    numbered = [(n, one) for n, one in enumerate(contents.volumes, 1) if one in volumes]
+    parts = [f"{n} {_title(one)}, {len(one.frames)} slices" for n, one in numbered[:_LISTED]]
+    return "; ".join(parts) + (f"; {len(numbered) - _LISTED} more" if len(numbered) > _LISTED else "")
+
+
+def _title(volume: DicomVolume) -> str:
+    phase = ", ".join(f"{name} {value}" for name, value in volume.phase.items())
+    words = f"{volume.label('modality')} {volume.label('description')}".strip() or "without a name"
+    return f"{words} ({phase})" if phase else words
+
+
+def _skipped(contents: Contents) -> list[str]:
+    notes = []
+    if contents.skipped:
+        notes.append(f"left out: {counted(contents.skipped)}")
+    if contents.damaged:
+        more = f" and {len(contents.damaged) - 1} more" if len(contents.damaged) > 1 else ""
+        notes.append(f"cannot be read: {contents.damaged[0]}{more}")
+    return notes
+
+
+def read(path: Path, header: DicomHeader, available: int) -> Volume:
+    """Read the values of the series.
+
+    Raises
+    ------
+    InputError
+        When it is larger than the memory, or its values are damaged.
+    """
+    frames = header.slices.frames
+    dtype = pixels.value_type(frames)
+    check_memory(header.geometry.size, dtype.itemsize + (8 if header.grid is not None else 0), available)
+    values, note = pixels.read_values(frames)
+    if header.grid is not None:
+        values = resampled(values, header.grid)
+    notes = [*header.notes, *([note] if note else [])]
+    metadata = {SERIES_KEY: frames[0].uids[1]}
+    if notes:
+        metadata[WARNING_KEY] = "; ".join(notes)
+    if frames[0].labels["unit"]:
+        metadata[UNIT_KEY] = frames[0].labels["unit"]
+    return Volume(values, header.geometry, metadata, path)
+
+
+def is_anatomical(metadata: Mapping[str, str]) -> bool:
+    """Whether the axes of the world are a patient's."""
+    return SERIES_KEY in metadata
+
+
+def listing(path: Path) -> list[dict[str, Any]]:
+    """What volumes a folder, archive or file holds; lengths in mm, in the order (x, y, z).
+
+    Raises
+    ------
+    InputError
+        When there is no DICOM.
+    """
+    library()
+    files = files_of(path, available_memory())
+    contents = contents_of(files)
+    entries = [_entry(number, one, files) for number, one in enumerate(contents.volumes, 1)]
+    if not entries:
+        _volume_of(contents, AS_IT_IS, None)  # says what there is
+    entries[0]["left_out"] = _skipped(contents)
+    return entries
+
+
+def _entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "number": number, "uid": volume.uid, "modality": volume.label("modality"),
+        "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
+        "files": len({frame.path for frame in volume.frames}), "first_file": shown(volume.frames[0].path, files.root),
+        "size": None, "spacing": None, "orientation": None, "unit": volume.label("unit") or None, "warnings": [],
+    }
+    try:
+        slices = ordered(volume, files.root)
+    except GeometryError as error:
+        return {**entry, "warnings": [error.message]}
+    first = slices.frames[0]
+    entry["size"] = [first.columns, first.rows, len(slices.frames)]
+    entry["spacing"] = [round(part, 6) for part in reversed(slices.spacing)]
+    entry["orientation"] = orientation_words(slices)
+    entry["warnings"] = [fault.text for fault in slices.faults] + ([slices.note] if slices.note else [])
+    return entry
+
+
+def orientation_words(slices: Slices) -> str:
+    """Which plane of the patient the slices are: axial, coronal or sagittal, or oblique near one."""
+    normal = abs(slices.axes[:, 2])
+    name = ("sagittal", "coronal", "axial")[int(normal.argmax())]
+    return name if normal.max() > 0.999 else f"oblique, near {name}"
