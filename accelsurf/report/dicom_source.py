@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from accelsurf import __version__
-from accelsurf.errors import InputError, UsageError
-from accelsurf.io import dicom
+from accelsurf.errors import UsageError
 from accelsurf.io.dicom.source_images import SourceImages, read
+from accelsurf.io.files import naming
+from accelsurf.io.formats import dicom
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_checkpoint import digest_of
 from accelsurf.settings.catalogue import entry
@@ -23,13 +24,18 @@ def source_of(result: Result) -> SourceImages:
     Raises
     ------
     UsageError
-        When the image was not read from DICOM files, or a package is missing.
+        When the image was not read from DICOM files.
     InputError
-        When the slices cannot be read any more, or have no identifiers.
+        When the slices cannot be read any more, have no identifiers, or a package is missing.
     """
-    if result.volume.source is None:
-        raise UsageError("the image was read from no file: DICOM outputs refer to DICOM slices", "give a DICOM series")
-    return read(dicom.source_files(result.volume.source, result.config.reading))
+    path = result.volume.source
+    if path is None or dicom.SERIES_KEY not in result.volume.metadata:
+        raise UsageError(
+            "the image was not read from DICOM, whose slices DICOM outputs refer to", "give a DICOM series as the image"
+        )
+    with naming(path):
+        header = dicom.parse(path, result.config.reading)
+        return read(header.slices.frames)
 
 
 def objects_of(result: Result) -> list[SegmentedObject]:

@@ -7,6 +7,8 @@ import pydicom
 from pydicom.dataset import FileMetaDataset
 
 from accelsurf.grid.geometry import Geometry
+from accelsurf.io.dicom.frames import frames_of
+from accelsurf.io.dicom.source_images import SourceImages, read
 
 CT, ENHANCED_MR = "1.2.840.10008.5.1.4.1.1.2", "1.2.840.10008.5.1.4.1.1.4.1"
 STUDY, SERIES, FRAME = "1.2.3.4", "1.2.3.4.5", "1.2.3.4.6"
@@ -81,3 +83,8 @@ def write_frames(path: Path, geometry: Geometry, order=None) -> list[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     dataset.save_as(path, enforce_file_format=True)
     return [path]
+
+
+def source_of(paths) -> SourceImages:
+    """What objects refer to, of files in the order of z."""
+    return read([frame for path in paths for frame in frames_of(path)])

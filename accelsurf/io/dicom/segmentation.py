@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.dicom.source_images import SourceFrame, SourceImages, pixel_for_pixel
-from accelsurf.io.dicom.writing_tools import derived_uid, file_bytes, fix, library, quiet, short_text
+from accelsurf.io.dicom.frames import Frame
+from accelsurf.io.dicom.library import library, quiet
+from accelsurf.io.dicom.source_images import SourceImages, pixel_for_pixel
+from accelsurf.io.dicom.writing_tools import derived_uid, file_bytes, fix, short_text
 from accelsurf.settings.labels import LabelEntry
 
 #: Largest number of a segment.
@@ -77,9 +79,9 @@ def segmentation_bytes(
     Raises
     ------
     UsageError
-        Without a segment, with an id beyond 65535 as a label map, or when a package is missing.
+        Without a segment, or with an id beyond 65535 as a label map.
     InputError
-        When the grid's slices are not parallel to those of the source.
+        When the grid's slices are not parallel to those of the source, or a package is missing.
     """
     if not segments:
         raise UsageError("a DICOM Segmentation needs an object, none is left", "start closer to the objects")
@@ -150,28 +152,26 @@ def _clean_slice(source: SourceImages, planes: dict[str, Any]) -> Any:
     dataset.SOPClassUID, dataset.SOPInstanceUID = _SINGLE_FRAME, source.instances[0][1]
     dataset.StudyInstanceUID, dataset.SeriesInstanceUID = source.study_uid, source.series_uid
     dataset.FrameOfReferenceUID, dataset.Modality = source.frame_of_reference, source.modality
-    dataset.Rows, dataset.Columns = source.frames[0].shape
+    dataset.Rows, dataset.Columns = source.frames[0].rows, source.frames[0].columns
     for item in (planes["plane_positions"][0][0], planes["plane_orientation"][0], planes["pixel_measures"][0]):
         dataset.update(item)
     return dataset
 
 
-def _planes(highdicom: Any, geometry: Geometry, aligned: Sequence[SourceFrame | None]) -> dict[str, Any]:
+def _planes(highdicom: Any, geometry: Geometry, aligned: Sequence[Frame | None]) -> dict[str, Any]:
     """Where the frames are: as the source writes it where its pixels are the voxels, else as the grid says."""
     frames = [frame for frame in aligned if frame is not None]
     same = len(frames) == len(aligned)
-    orientation = frames[0].orientation if same else geometry.direction[:, :2].T
-    spacing = frames[0].spacing if same else geometry.spacing[1:]
-    corners = [geometry.index_to_world((k, 0, 0)) for k in range(geometry.shape[0])]
-    positions = [frame.position for frame in frames] if same else corners
+    orientation = (frames[0].orientation if same else geometry.direction[:, :2].T.ravel().tolist()) or ()
+    spacing = (frames[0].spacing if same else geometry.spacing[1:]) or ()
+    corners = [tuple(geometry.index_to_world((k, 0, 0)).tolist()) for k in range(geometry.shape[0])]
+    positions = [frame.position or () for frame in frames] if same else corners
     height = geometry.spacing[0]
     return {
-        "plane_positions": [
-            highdicom.PlanePositionSequence("PATIENT", [float(value) for value in place]) for place in positions
-        ],
-        "plane_orientation": highdicom.PlaneOrientationSequence("PATIENT", [float(v) for v in orientation.ravel()]),
+        "plane_positions": [highdicom.PlanePositionSequence("PATIENT", place) for place in positions],
+        "plane_orientation": highdicom.PlaneOrientationSequence("PATIENT", orientation),
         "pixel_measures": highdicom.PixelMeasuresSequence(
-            pixel_spacing=[float(h) for h in spacing], slice_thickness=height, spacing_between_slices=height
+            pixel_spacing=spacing, slice_thickness=height, spacing_between_slices=height
         ),
     }
 
@@ -198,7 +198,7 @@ def _description(highdicom: Any, entry: LabelEntry, number: int, algorithm: Algo
 
 
 def _refer(
-    dataset: Any, geometry: Geometry, source: SourceImages, by_slice: Sequence[Sequence[SourceFrame]]
+    dataset: Any, geometry: Geometry, source: SourceImages, by_slice: Sequence[Sequence[Frame]]
 ) -> None:
     """References to the objects of the source: all of them, and those of each frame's plane."""
     pydicom = library("pydicom")
@@ -221,11 +221,11 @@ def _refer(
         group.DerivationImageSequence = [item] if by_slice[k] else []
 
 
-def _source_item(pydicom: Any, frame: SourceFrame, geometry: Geometry, k: int) -> Any:
+def _source_item(pydicom: Any, frame: Frame, geometry: Geometry, k: int) -> Any:
     item = pydicom.Dataset()
-    item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = frame.sop_class, frame.sop_instance
-    if frame.number is not None:
-        item.ReferencedFrameNumber = frame.number
+    item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = frame.labels["class"], frame.uids[2]
+    if frame.frames > 1:
+        item.ReferencedFrameNumber = frame.number + 1
     item.PurposeOfReferenceCodeSequence = [_coded(pydicom, _SOURCE)]
     item.SpatialLocationsPreserved = "YES" if pixel_for_pixel(frame, geometry, k) else "NO"
     return item

@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.dicom.source_images import SourceFrame, SourceImages
-from accelsurf.io.dicom.writing_tools import SH, derived_uid, file_bytes, library, quiet, short_text
+from accelsurf.io.dicom.frames import Frame
+from accelsurf.io.dicom.library import library, quiet
+from accelsurf.io.dicom.source_images import SourceImages
+from accelsurf.io.dicom.writing_tools import SH, derived_uid, file_bytes, short_text
 from accelsurf.settings.labels import LabelEntry
 
 Floats = NDArray[np.float64]
 
 _STRUCTURE_SET, _IMPLICIT = "1.2.840.10008.5.1.4.1.1.481.3", "1.2.840.10008.1.2"
+#: Largest number of a region.
+MAX_NUMBER = 2**31 - 1
 _STUDY = "1.2.840.10008.3.1.2.3.1"
 #: Of the software that wrote the file: a UUID that was made for it.
 _IMPLEMENTATION = derived_uid("accelsurf", "DICOM")
@@ -66,12 +70,17 @@ def structure_set_bytes(
     Raises
     ------
     UsageError
-        Without a region, or when a package is missing.
+        Without a region, or with an id that no region can have.
     InputError
-        When the grid's slices are not parallel to those of the source.
+        When the grid's slices are not parallel to those of the source, or a package is missing.
     """
     if not regions:
         raise UsageError("an RT Structure Set needs an object, none is left", "start closer to the objects")
+    largest = max(region.entry.id for region in regions)
+    if largest > MAX_NUMBER:
+        raise UsageError(
+            f"an RT Structure Set holds ids up to {MAX_NUMBER}, {largest} was given", "give the objects other ids"
+        )
     by_slice = source.in_planes(geometry)
     with quiet():
         dataset = _head(source, version, seed)
@@ -141,7 +150,7 @@ def _observation(entry: LabelEntry) -> Any:
     )
 
 
-def _contours(region: Region, by_slice: Sequence[Sequence[SourceFrame]]) -> Any:
+def _contours(region: Region, by_slice: Sequence[Sequence[Frame]]) -> Any:
     items = []
     for k in sorted(region.loops):
         for loop in region.loops[k]:
@@ -149,7 +158,7 @@ def _contours(region: Region, by_slice: Sequence[Sequence[SourceFrame]]) -> Any:
     return _item(ROIDisplayColor=list(region.entry.color), ReferencedROINumber=region.entry.id, ContourSequence=items)
 
 
-def _contour(loop: Floats, frames: Sequence[SourceFrame], number: int) -> Any:
+def _contour(loop: Floats, frames: Sequence[Frame], number: int) -> Any:
     item = _item(
         ContourGeometricType="CLOSED_PLANAR", NumberOfContourPoints=len(loop), ContourNumber=number
     )
@@ -162,10 +171,10 @@ def _contour(loop: Floats, frames: Sequence[SourceFrame], number: int) -> Any:
     return item
 
 
-def _image(frame: SourceFrame) -> Any:
-    item = _item(ReferencedSOPClassUID=frame.sop_class, ReferencedSOPInstanceUID=frame.sop_instance)
-    if frame.number is not None:
-        item.ReferencedFrameNumber = frame.number
+def _image(frame: Frame) -> Any:
+    item = _item(ReferencedSOPClassUID=frame.labels["class"], ReferencedSOPInstanceUID=frame.uids[2])
+    if frame.frames > 1:
+        item.ReferencedFrameNumber = frame.number + 1
     return item
 
 

@@ -1,4 +1,4 @@
-"""The libraries that write DICOM, without their messages, and identifiers and dates that do not change from run to run.
+"""Identifiers and dates of DICOM objects that do not change from run to run.
 
 pydicom and highdicom make identifiers at random and take dates from the clock. Here both follow from what is written:
 the same run gives the same bytes.
@@ -8,55 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import io
-import logging
 import uuid
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
-from accelsurf.errors import UsageError
+from accelsurf.io.dicom.library import quiet
 
 #: What the identifiers that highdicom draws at random begin with.
 RANDOM_PREFIX = "1.2.826.0.1.3680043.10.511.3."
 #: Characters that a text of a DICOM value of type LO may have, and SH.
 LO, SH = 64, 16
-_LOUD = ("pydicom", "highdicom")
-
-
-def library(name: str) -> ModuleType:
-    """A package of the extra "dicom", or a module of it.
-
-    Raises
-    ------
-    UsageError
-        When it is not installed.
-    """
-    try:
-        with quiet():
-            return import_module(name)
-    except ImportError as error:
-        raise UsageError(
-            f"DICOM outputs need the package {name.partition('.')[0]}", 'install it: pip install "accelsurf[dicom]"'
-        ) from error
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Keep warnings and log lines of pydicom and highdicom to themselves: what matters is raised or said by accelsurf."""
-    loggers = [logging.getLogger(name) for name in _LOUD]
-    levels = [logger.level for logger in loggers]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            for logger in loggers:
-                logger.setLevel(logging.CRITICAL + 1)
-            yield
-        finally:
-            for logger, level in zip(loggers, levels, strict=True):
-                logger.setLevel(level)
 
 
 def derived_uid(*parts: str) -> str:

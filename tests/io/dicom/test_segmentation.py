@@ -6,14 +6,13 @@ import highdicom
 import numpy as np
 import pydicom
 import pytest
-from tests.support.dicom_sources import FRAME, SERIES, STUDY, write_frames, write_slices
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.dicom import source_images
 from accelsurf.io.dicom.segmentation import Algorithm, segmentation_bytes
 from accelsurf.io.dicom.source_images import SourceImages
 from accelsurf.settings.labels import LabelEntry
+from tests.support.dicom_sources import FRAME, SERIES, STUDY, source_of, write_frames, write_slices
 
 SEGMENTS = [LabelEntry(3, "Leber rechts ä", (200, 60, 60)), LabelEntry(7, "tumour", (0, 255, 0))]
 
@@ -69,7 +68,7 @@ def test_same_voxels_at_the_same_places(tmp_path, name, as_labelmap):
     geometry = GRIDS[name]
     files = write_slices(tmp_path, geometry, order=list(reversed(range(geometry.shape[0]))))
     labels = labels_on(geometry)
-    content = written(labels, geometry, source_images.read(files), as_labelmap)
+    content = written(labels, geometry, source_of(files), as_labelmap)
     numbers = labels if as_labelmap else np.select([labels == 3, labels == 7], [1, 2])
     assert np.array_equal(world_points(content, geometry, as_labelmap), numbers)
 
@@ -79,7 +78,7 @@ def test_names_colours_patient_and_references(tmp_path, as_labelmap):
     geometry = GRIDS["axial"]
     order = [3, 0, 5, 1, 4, 2]
     labels = labels_on(geometry)
-    content = written(labels, geometry, source_images.read(write_slices(tmp_path, geometry, order)), as_labelmap)
+    content = written(labels, geometry, source_of(write_slices(tmp_path, geometry, order)), as_labelmap)
     found = highdicom.seg.segread(io.BytesIO(content))
     assert found.segment_numbers == ([3, 7] if as_labelmap else [1, 2])
     described = [found.get_segment_description(n) for n in found.segment_numbers]
@@ -108,7 +107,7 @@ def test_names_colours_patient_and_references(tmp_path, as_labelmap):
 
 def test_empty_frames_are_left_out(tmp_path):
     geometry = GRIDS["axial"]
-    source = source_images.read(write_slices(tmp_path, geometry))
+    source = source_of(write_slices(tmp_path, geometry))
     labels = labels_on(geometry)
     frames = sum(int((labels[k] == n).any()) for k in range(6) for n in (3, 7))
     assert pydicom.dcmread(io.BytesIO(written(labels, geometry, source))).NumberOfFrames == frames
@@ -120,7 +119,7 @@ def test_frames_of_one_file_are_named_by_number(tmp_path):
     geometry = GRIDS["oblique"]
     order = [3, 0, 5, 1, 4, 2]
     labels = labels_on(geometry)
-    content = written(labels, geometry, source_images.read(write_frames(tmp_path / "f.dcm", geometry, order)))
+    content = written(labels, geometry, source_of(write_frames(tmp_path / "f.dcm", geometry, order)))
     assert np.array_equal(world_points(content, geometry, False) == 1, labels == 3)
     found = pydicom.dcmread(io.BytesIO(content))
     for group in found.PerFrameFunctionalGroupsSequence:
@@ -131,7 +130,7 @@ def test_frames_of_one_file_are_named_by_number(tmp_path):
 
 
 def test_a_resampled_grid_has_places_of_its_own(tmp_path):
-    source = source_images.read(write_slices(tmp_path, Geometry((6, 20, 24), (3.0, 0.8, 0.7))))
+    source = source_of(write_slices(tmp_path, Geometry((6, 20, 24), (3.0, 0.8, 0.7))))
     # As --resample puts slices on a grid: same planes and others between them, other pixels.
     geometry = Geometry((11, 10, 12), (1.5, 1.6, 1.4), (0.2, 0.1, 0.0))
     labels = np.zeros(geometry.shape, np.uint16)
@@ -150,7 +149,7 @@ def test_a_resampled_grid_has_places_of_its_own(tmp_path):
 @pytest.mark.parametrize("as_labelmap", [False, True])
 def test_same_bytes_and_nothing_of_clock_or_chance(tmp_path, as_labelmap):
     geometry = GRIDS["axial"]
-    source = source_images.read(write_slices(tmp_path, geometry))
+    source = source_of(write_slices(tmp_path, geometry))
     labels = labels_on(geometry)
     content = written(labels, geometry, source, as_labelmap)
     assert written(labels, geometry, source, as_labelmap) == content
@@ -168,7 +167,7 @@ def test_same_bytes_and_nothing_of_clock_or_chance(tmp_path, as_labelmap):
 
 def test_refusals(tmp_path):
     geometry = GRIDS["odd"]
-    source = source_images.read(write_slices(tmp_path, geometry))
+    source = source_of(write_slices(tmp_path, geometry))
     labels = np.zeros(geometry.shape, np.uint32)
     with pytest.raises(UsageError, match="none is left"):
         written(labels, geometry, source, segments=[])
@@ -182,7 +181,7 @@ def test_refusals(tmp_path):
 def test_a_source_without_a_frame_of_reference(tmp_path):
     geometry = GRIDS["odd"]
     files = write_slices(tmp_path, geometry, FrameOfReferenceUID=None, PatientSex="X", PatientBirthDate=None)
-    source = source_images.read(files)
+    source = source_of(files)
     assert isinstance(source, SourceImages) and source.frame_of_reference.startswith("2.25.")
     labels = labels_on(geometry)
     assert np.array_equal(world_points(written(labels, geometry, source), geometry, False) == 1, labels == 3)

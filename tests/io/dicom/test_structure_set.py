@@ -5,14 +5,13 @@ import io
 import numpy as np
 import pydicom
 import pytest
-from tests.support.dicom_sources import FRAME, SERIES, STUDY, write_frames, write_slices
-from tests.support.even_odd import inside
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.dicom import source_images
 from accelsurf.io.dicom.structure_set import Region, structure_set_bytes
 from accelsurf.settings.labels import LabelEntry
+from tests.support.dicom_sources import FRAME, SERIES, STUDY, source_of, write_frames, write_slices
+from tests.support.even_odd import inside
 
 GRID = Geometry((4, 20, 24), (3.0, 0.8, 0.7), (10.0, -20.0, 30.5))
 LIVER, TUMOUR = LabelEntry(3, "Leber rechts ä", (200, 60, 60)), LabelEntry(7, "a\\b", (0, 255, 0))
@@ -38,7 +37,7 @@ def points_of(item):
 
 def test_contours_come_back_with_names_colours_and_references(tmp_path):
     order = [2, 0, 3, 1]
-    source = source_images.read(write_slices(tmp_path, GRID, order))
+    source = source_of(write_slices(tmp_path, GRID, order))
     loops = {1: [square(2, 15, 1), square(5.25, 9.75, 1)], 2: [square(3, 4, 2)]}
     found = read(written([Region(LIVER, loops), Region(TUMOUR, {0: [square(1, 2, 0)]})], source))
     assert [(roi.ROINumber, roi.ROIName) for roi in found.StructureSetROISequence] == [
@@ -68,14 +67,14 @@ def test_contours_come_back_with_names_colours_and_references(tmp_path):
 
 
 def test_frames_of_one_file_are_named_by_number(tmp_path):
-    source = source_images.read(write_frames(tmp_path / "f.dcm", GRID, [2, 0, 3, 1]))
+    source = source_of(write_frames(tmp_path / "f.dcm", GRID, [2, 0, 3, 1]))
     found = read(written([Region(LIVER, {k: [square(2, 5, k)] for k in range(4)})], source))
     images = [item.ContourImageSequence[0] for item in found.ROIContourSequence[0].ContourSequence]
     assert [image.ReferencedFrameNumber for image in images] == [3, 1, 4, 2]
 
 
 def test_a_plane_between_the_slices_names_none(tmp_path):
-    source = source_images.read(write_slices(tmp_path, GRID))
+    source = source_of(write_slices(tmp_path, GRID))
     fine = Geometry((7, 20, 24), (1.5, 0.8, 0.7), GRID.origin)
     found = read(written([Region(LIVER, {k: [square(2, 5, k, fine)] for k in range(7)})], source, fine))
     named = ["ContourImageSequence" in item for item in found.ROIContourSequence[0].ContourSequence]
@@ -83,7 +82,7 @@ def test_a_plane_between_the_slices_names_none(tmp_path):
 
 
 def test_a_contour_of_any_number_of_points(tmp_path):
-    source = source_images.read(write_slices(tmp_path, GRID))
+    source = source_of(write_slices(tmp_path, GRID))
     angle = np.linspace(0, 2 * np.pi, 9000, endpoint=False)
     loop = np.stack([12 + 8 * np.cos(angle), 8 * np.sin(angle) - 12, np.full(len(angle), 33.5)], axis=1)
     found = read(written([Region(LIVER, {1: [loop]})], source))
@@ -93,7 +92,7 @@ def test_a_contour_of_any_number_of_points(tmp_path):
 
 
 def test_same_bytes_and_nothing_of_clock_or_chance(tmp_path):
-    source = source_images.read(write_slices(tmp_path, GRID))
+    source = source_of(write_slices(tmp_path, GRID))
     regions = [Region(LIVER, {1: [square(2, 15, 1)]})]
     content = written(regions, source)
     assert written(regions, source) == content
@@ -108,7 +107,7 @@ def test_same_bytes_and_nothing_of_clock_or_chance(tmp_path):
 
 
 def test_refusals(tmp_path):
-    source = source_images.read(write_slices(tmp_path, GRID))
+    source = source_of(write_slices(tmp_path, GRID))
     with pytest.raises(UsageError, match="none is left"):
         written([], source)
     across = Geometry((4, 20, 24), (3.0, 0.8, 0.7), GRID.origin, np.eye(3)[:, [2, 0, 1]])
@@ -116,22 +115,20 @@ def test_refusals(tmp_path):
         written([Region(LIVER, {0: [square(1, 2, 0, across)]})], source, across)
 
 
-@pytest.mark.parametrize("keyword", ["SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "ImagePositionPatient"])
-def test_a_source_without_what_is_referred_to_is_refused_by_name(tmp_path, keyword):
-    files = write_slices(tmp_path, GRID, **{keyword: None if "Image" in keyword else ""})
+@pytest.mark.parametrize("keyword", ["SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID"])
+def test_a_source_without_identifiers_is_refused_by_name(tmp_path, keyword):
+    files = write_slices(tmp_path, GRID, **{keyword: ""})
     with pytest.raises(InputError, match=f"{files[0].name}: has no {keyword}"):
-        source_images.read(files)
+        source_of(files)
 
 
-def test_slices_of_two_series_are_refused(tmp_path):
-    files = write_slices(tmp_path / "a", GRID) + write_slices(tmp_path / "b", GRID, SeriesInstanceUID="1.2.9")
-    with pytest.raises(InputError, match="another series"):
-        source_images.read(files)
+def test_a_source_without_places_is_refused_by_name(tmp_path):
+    files = write_slices(tmp_path, GRID, ImagePositionPatient=None)
+    with pytest.raises(InputError, match=f"{files[0].name}: does not say where it lies"):
+        source_of(files)
 
 
-@pytest.mark.parametrize("content", [b"", b"x" * 300, b"\0" * 128 + b"DICM" + b"\x08\0\0\0" * 40])
-def test_a_file_that_is_no_slice(tmp_path, content):
-    path = tmp_path / "a.dcm"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="a.dcm"):
-        source_images.read([path])
+def test_an_id_that_no_region_can_have(tmp_path):
+    far = Region(LabelEntry(2**31, "far", (1, 2, 3)), {0: [square(1, 2, 0)]})
+    with pytest.raises(UsageError, match="2147483648"):
+        written([far], source_of(write_slices(tmp_path, GRID)))
