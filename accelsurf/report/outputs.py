@@ -175,12 +175,6 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
     if "objects" in names and result.has_ids:
         rows = describe_objects(result)
         yield "objects", names["objects"], lambda path: write_bytes(path, tables.objects_csv(rows).encode())
-    if "statistics" in names and _has_surface(result):
-        figures = statistics_files.rows_of(result, table_of(result.config))
-        text_csv = statistics_files.statistics_csv(figures, result)
-        text_json = statistics_files.statistics_json(figures, result)
-        yield "statistics", names["statistics"], lambda path: write_bytes(path, text_csv.encode())
-        yield "statistics", names["statistics-json"], lambda path: write_bytes(path, text_json.encode())
     if "trace" in names:
         if result.has_ids:
             text = tables.objects_trace_csv({one.id: one.history for one in result.objects})
@@ -189,6 +183,12 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
         yield "trace", names["trace"], lambda path: write_bytes(path, text.encode())
     if "preview" in names:
         yield "preview", names["preview"], lambda path: write_bytes(path, preview.preview_png(content))
+    if "statistics" in names and _has_surface(result):
+        figures = statistics_files.rows_of(result, table_of(result.config))
+        text_csv = statistics_files.statistics_csv(figures, result)
+        text_json = statistics_files.statistics_json(figures, result)
+        yield "statistics", names["statistics"], lambda path: write_bytes(path, text_csv.encode())
+        yield "statistics", names["statistics-json"], lambda path: write_bytes(path, text_json.encode())
 
 
 def outcome_title(name: str, result: Result) -> str:
