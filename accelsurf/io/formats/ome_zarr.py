@@ -19,7 +19,7 @@ from accelsurf.io.formats import itk_volumes
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array
-from accelsurf.io.headers import split_name
+from accelsurf.io.headers import check_within_store, split_name
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
 
@@ -75,6 +75,7 @@ def parse(path: Path) -> OmeHeader:
             raise InputError(
                 f"an OME-Zarr of {len(series)} images given, one expected", f"give one of them, as {path.name}/0"
             )
+        check_within_store(path, path / series[0])
         path = path / series[0]
         attributes = _attributes(path)
     ome = parse_attributes(attributes)
@@ -88,6 +89,8 @@ def parse(path: Path) -> OmeHeader:
 
 def _attributes(path: Path) -> dict[str, Any]:
     zarr = library()
+    for mark in MARKS:
+        check_within_store(path, path / mark)
     try:
         return dict(zarr.open_group(path, mode="r", use_consolidated=False).attrs)
     except (PermissionError, MemoryError):
@@ -131,7 +134,13 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
         if place and all(axis.kind != kind for axis in ome.axes):
             raise UsageError(f"{kind} {place} asked for, the image has one", "leave it out")
     voxels = ZarrVoxels(header.folder, ome.levels[opening.level].path, index, ome.space_axes, opening.cache_bytes)
-    grids = tuple(ome.geometry(i, open_array(header.folder, one.path).shape) for i, one in enumerate(ome.levels))
+    shapes = [open_array(header.folder, one.path).shape for one in ome.levels]
+    for i, shape in enumerate(shapes):
+        if len(shape) != len(ome.axes):
+            raise InputError(
+                f"level {i} of the OME-Zarr has {len(shape)} axes, its metadata name {len(ome.axes)}", "export it again"
+            )
+    grids = tuple(ome.geometry(i, shape) for i, shape in enumerate(shapes))
     layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"))
     return LazyVolume(voxels, grids[opening.level], dict(ome.metadata), path, layout)
 
