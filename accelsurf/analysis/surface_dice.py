@@ -12,8 +12,9 @@ surface distance (NSD):
 - Surface Dice is the area of all elements of both surfaces whose distance is at most the tolerance, over the area of
   all elements of both.
 
-The triangles are those of scikit-image's table ("lorensen"). Where more than three edges are cut, tables of marching
-cubes differ in the diagonal of the polygon, and with it by some percent in the area of that one element.
+The triangles are those of scikit-image's table ("lorensen"), of the kind, object or not, that has fewer of the eight
+voxels. For cubic voxels each kind of neighbourhood has the area that surface-distance gives it. Where five or six edges
+are cut and voxels are no cubes, tables may differ in the diagonal of the polygon, and so in the area of that element.
 """
 
 from __future__ import annotations
@@ -119,7 +120,8 @@ def _sizes(spacing: tuple[float, ...]) -> Floats:
     corners = 2 ** len(spacing)
     sizes = np.zeros(2**corners)
     for code in range(1, len(sizes) - 1):
-        values = np.array([code >> bit & 1 for bit in range(corners)], np.float32)
+        fewer = code if code.bit_count() <= corners // 2 else len(sizes) - 1 - code
+        values = np.array([fewer >> bit & 1 for bit in range(corners)], np.float32)
         sizes[code] = _MEASURES[len(spacing)](values.reshape((2,) * len(spacing)).T, spacing)
     sizes.setflags(write=False)
     return sizes
