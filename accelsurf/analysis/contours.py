@@ -22,6 +22,7 @@ from skimage.measure import find_contours
 from accelsurf.analysis.surface_mesh import NODE_MARGIN, polydata, writer_for
 from accelsurf.analysis.vertex_placement import balanced, on_edges
 from accelsurf.errors import EmptyResultError, InputError
+from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
 
@@ -119,12 +120,62 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     axis = geometry.slice_axis
     if axis is None or psi.shape != geometry.shape:
         raise InputError(f"psi of shape {psi.shape} on a grid of {geometry.shape} given, one slice expected")
-    plane = np.squeeze(psi, axis).astype(np.float64)
-    if not np.isfinite(plane).all():
+    if not np.isfinite(psi).all():
         raise InputError("psi has NaN or infinite values, finite distances expected")
-    if not (plane < 0).any():
+    if not (psi < 0).any():
         raise EmptyResultError("no pixel is inside: there is no contour", hint="the object vanished; start larger")
-    margin = NODE_MARGIN * min(geometry.steps)
+    return Contours(tuple(geometry.index_to_world(zyx) for zyx in _loops(psi, geometry.spacing, axis, 0)))
+
+
+def in_slices(psi: NDArray[np.float32], geometry: Geometry) -> dict[int, Contours]:
+    """The contours in which the slices across z cut the surface of a volume: where psi is 0 in each slice's plane.
+
+    Parameters
+    ----------
+    psi : ndarray, shape (nz, ny, nx)
+        Level-set function in mm, negative inside.
+    geometry : Geometry
+        Its grid.
+
+    Returns
+    -------
+    dict of int to Contours
+        By the index of the slice; slices without a voxel of the object are left out.
+
+    Raises
+    ------
+    InputError
+        When psi is not of the grid's shape or not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> psi = np.ones((3, 4, 5), dtype=np.float32)
+    >>> psi[1] = -1.0
+    >>> {k: found.area for k, found in in_slices(psi, Geometry((3, 4, 5), (7.0, 2.0, 1.0))).items()}
+    {1: 40.0}
+    """
+    if psi.shape != geometry.shape:
+        raise InputError(f"psi of shape {psi.shape} on a grid of {geometry.shape} given")
+    if not np.isfinite(psi).all():
+        raise InputError("psi has NaN or infinite values, finite distances expected")
+    inside = psi < 0
+    # The placement of vertices looks at two further nodes on either side.
+    box = bounding_box(inside, 4)
+    if box is None:
+        return {}
+    part, first = psi[box], np.array([side.start for side in box])
+    found = {}
+    for k in np.flatnonzero(inside[box].any(axis=(1, 2))):
+        loops = _loops(part, geometry.spacing, 0, int(k))
+        found[int(k) + int(first[0])] = Contours(tuple(geometry.index_to_world(zyx + first) for zyx in loops))
+    return found
+
+
+def _loops(psi: NDArray[np.float32], spacing: tuple[float, float, float], axis: int, k: int) -> list[Floats]:
+    """Index positions (n, 3) of the closed contours in slice ``k`` across ``axis``."""
+    plane = psi.take(k, axis).astype(np.float64)
+    margin = NODE_MARGIN * min(step for a, step in enumerate(spacing) if a != axis)
     near = np.abs(plane) < margin
     plane[near] = np.where(plane[near] < 0, -margin, margin)
     # Two layers around the image, both at its outer edge: the inner one continues psi, the outer one is all outside.
@@ -136,15 +187,16 @@ def extract(psi: NDArray[np.float32], geometry: Geometry) -> Contours:
     places = [np.concatenate([[-0.5, -0.5], np.arange(n), [n - 0.5, n - 0.5]]) for n in plane.shape]
     # "high": pixels that touch at a corner only are two objects, as they are where components are counted.
     found = find_contours(block, 0.0, fully_connected="high", positive_orientation="low")
+    across = axis if psi.shape[axis] > 1 else None
     loops = []
     for nodes in found:
         rows, columns = (np.interp(nodes[:-1, a], np.arange(len(places[a])), places[a]) for a in (0, 1))
-        zyx = on_edges(np.insert(np.stack([rows, columns], axis=1), axis, 0.0, axis=1), psi, geometry.spacing, margin)
+        zyx = on_edges(np.insert(np.stack([rows, columns], axis=1), axis, float(k), axis=1), psi, spacing, margin)
         zyx = zyx[(zyx != np.roll(zyx, -1, axis=0)).any(axis=1)]
         numbers = np.arange(len(zyx))
-        zyx = balanced(zyx, np.stack([numbers, np.roll(numbers, -1)], axis=1), psi, geometry.spacing)
-        loops.append(geometry.index_to_world(zyx))
-    return Contours(tuple(loops))
+        sides = np.stack([numbers, np.roll(numbers, -1)], axis=1)
+        loops.append(balanced(zyx, sides, psi, spacing, across))
+    return loops
 
 
 def vtp_bytes(loops: tuple[Floats, ...], space: str) -> bytes:

@@ -31,6 +31,8 @@ MAX_GAP = 0.5
 #: |grad psi| by centred differences from which on there is one normal: less is a ridge of psi, as inside an edge of the
 #: object.
 MIN_SLOPE = 0.8
+#: Part of a unit normal within a slice from which on it says how the slice's contour is curved.
+MIN_IN_PLANE = 0.2
 #: Cosine between the normals at the ends of an edge up to which there is a curvature: a surface of radius 1 voxel, or
 #: an edge of the object, turns by more.
 MIN_COSINE = 0.5
@@ -111,7 +113,11 @@ def _on_cap(zyx: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def balanced(
-    zyx: Floats, faces: NDArray[np.integer], psi: NDArray[np.float32], spacing: tuple[float, float, float]
+    zyx: Floats,
+    faces: NDArray[np.integer],
+    psi: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    across: int | None = None,
 ) -> Floats:
     """Move vertices along the normals so that they enclose the volume (area) of the surface (curve) that they lie on.
 
@@ -125,6 +131,8 @@ def balanced(
         Level-set function, mm: its gradient gives the normals.
     spacing : (hz, hy, hx)
         mm.
+    across : int, optional
+        Axis along which the vertices do not move: that of the slice which a contour lies in.
 
     Returns
     -------
@@ -134,6 +142,8 @@ def balanced(
     h = np.array(spacing)
     on_cap = _on_cap(zyx, psi.shape)
     normals, known = _normals(zyx, on_cap, psi, h)
+    if across is not None:
+        normals, known = _within(normals, known, across)
     # The surface meets the outer faces at a right angle, as psi is continued there: its rim moves on the face.
     normals[on_cap] = 0.0
     corners, corner_normals = (zyx * h)[faces], normals[faces]
@@ -144,8 +154,9 @@ def balanced(
     # Around an edge or a corner of the object no curvature says where the surface is.
     cosine = (corner_normals * np.roll(corner_normals, -1, axis=1)).sum(axis=2).min(axis=1)
     smooth = known[faces].all(axis=1) & (cosine > MIN_COSINE)
-    # The thickness of a single slice does not count.
-    most = MAX_GAP * min((step for step, n in zip(spacing, psi.shape, strict=True) if n > 1), default=h.min())
+    # The thickness of a slice does not count.
+    moving = (step for a, (step, n) in enumerate(zip(spacing, psi.shape, strict=True)) if n > 1 and a != across)
+    most = MAX_GAP * min(moving, default=h.min())
     gap = np.clip(np.where(smooth, gap, 0.0), -most, most)
     # Caps are flat, and have no share in the rim's displacement.
     size[on_cap[faces].all(axis=1).any(axis=1)] = 0.0
@@ -156,6 +167,14 @@ def balanced(
         distance = _per_vertex(faces, size * gap, len(zyx)) / around
         gap = distance[faces].mean(axis=1)
     return np.asarray(zyx + distance[:, None] * normals / h)
+
+
+def _within(normals: Floats, known: NDArray[np.bool_], across: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Normals of the curve in which a slice cuts the surface; where the slice all but touches it they say nothing."""
+    inside = normals.copy()
+    inside[:, across] = 0.0
+    length = np.linalg.norm(inside, axis=1)
+    return inside / np.maximum(length, MIN_IN_PLANE)[:, None], known & (length >= MIN_IN_PLANE)
 
 
 def _per_vertex(faces: NDArray[np.integer], values: Floats, n: int) -> Floats:

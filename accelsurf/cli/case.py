@@ -20,7 +20,7 @@ from accelsurf.cli.place import Place
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, output_folder, output_names, result_sets
+from accelsurf.report import document, label_files, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.settings.run_config import RunConfig
 
@@ -267,6 +267,7 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
         log.warnings.append(note)
     labels = place.label_format(config)
     output_names.check(config, labels, volume.geometry)
+    label_files.check(config, volume)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
 

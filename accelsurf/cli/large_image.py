@@ -115,7 +115,8 @@ def for_windows(place: Place, config: RunConfig) -> RunConfig:
             f"format: {config.format} was given, and the image is read in parts, expected {' or '.join(STORES)}",
             "leave it out, or let the image be read into memory (more --max-memory)",
         )
-    for name, given in (("save_sdf", config.save_sdf), ("keep_state", config.keep_state == "yes")):
+    whole = (("save_sdf", config.save_sdf), ("keep_state", config.keep_state == "yes"), ("also", bool(config.also)))
+    for name, given in whole:
         if given:
             raise UsageError(
                 f"{name.replace('_', '-')}: it was given, and the image is read in parts", "leave it out, or give --roi"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,9 @@ def array_of(path: Path, itk_name: str) -> NDArray[Any]:
         return np.asarray(sitk.GetArrayFromImage(execute(open_reader(path, itk_name))))
 
 
-def save(volume: Volume, path: Path, itk_name: str, compress: bool) -> None:
+def save(
+    volume: Volume, path: Path, itk_name: str, compress: bool, keys: Mapping[str, str] | None = None
+) -> None:
     """Write a volume in one format.
 
     Parameters
@@ -61,11 +63,15 @@ def save(volume: Volume, path: Path, itk_name: str, compress: bool) -> None:
         The format, as ITK names the class that writes it.
     compress : bool
         Whether the voxels are packed.
+    keys : mapping of str to str, optional
+        Further entries of the header.
     """
     image = sitk.GetImageFromArray(volume.array)
     image.SetSpacing(volume.geometry.spacing_xyz)
     image.SetOrigin(volume.geometry.origin)
     image.SetDirection(volume.geometry.direction.ravel().tolist())
+    for key, value in (keys or {}).items():
+        image.SetMetaData(key, value)
     writer = sitk.ImageFileWriter()
     writer.SetImageIO(itk_name)
     writer.SetFileName(str(path))

@@ -3,5 +3,9 @@
 WARNING_KEY = "warning"
 """A warning about the file that was read; absent when there is none."""
 
+LABELS_KEY = "labels"
+"""Names and colours of a label map, from `accelsurf.settings.labels.LabelTable.to_json`; absent where none are known.
+"""
+
 UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""

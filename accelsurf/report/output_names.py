@@ -17,6 +17,7 @@ from accelsurf.settings.file_formats import (
     image_format,
     mesh_formats,
 )
+from accelsurf.settings.label_outputs import ending_of
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
         files["objects"] = "objects.csv"
     if keeps_state(config):
         files |= {"state": "state.npz", "config": "run.toml"}
+    files |= {f"also-{name}": ending_of(name) for name in config.also if name != labels}
     files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_RESTS + 1)}
     return files | {"trace": "trace.csv", "preview": "preview.png"}
 

@@ -14,10 +14,15 @@ from numpy.typing import NDArray
 from accelsurf import io
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
+from accelsurf.io.metadata import LABELS_KEY
 from accelsurf.report import object_files, preview, tables
 from accelsurf.report.document import describe_objects
+from accelsurf.report.label_names import is_named, table_of
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.segmentation.state_file import state_bytes
+from accelsurf.settings.label_outputs import LABEL_OUTPUTS
+from accelsurf.settings.labels import LabelTable
+from accelsurf.settings.registry import load
 from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
@@ -65,7 +70,8 @@ def write_result(
     began = time.perf_counter()
     meshes = list(_mesh_writers(result, names))
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
-    writers = [*_label_writer(result, names), *_rest_writers(result, names), *meshes, *_distance_writer(result, names)]
+    writers = [*_label_writer(result, names), *_also_writers(result, names), *_rest_writers(result, names), *meshes]
+    writers += _distance_writer(result, names)
     writers += [*_table_writers(result, names, content), *_state_writers(result, names, image)]
     for kind, name, write in writers:
         began = time.perf_counter()
@@ -87,12 +93,29 @@ def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
 def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
     """Write labels on the image's grid; of a result in a window they are 0 beyond it."""
     volume, window = result.labels_volume().with_array(labels), result.window
+    if is_named(result.config):
+        table = table_of(result.config)
+        named = LabelTable({one.id: table[one.id] for one in result.objects})
+        volume.metadata[LABELS_KEY] = named.to_json()
     if window is None:
         io.write_labels(volume, path)
         return
     own = volume.array.astype(io.label_type(int(volume.array.max())))
     with io.LabelStore(path, window.geometry, own.dtype, volume.metadata) as store:
         store.write(window.box, own)
+
+
+def _also_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """The writers of further files of the objects."""
+    if not _has_surface(result):
+        return
+    table = table_of(result.config)
+    for kind in (kind for kind in names if kind.startswith("also-")):
+        name = kind.partition("-")[2]
+        if name in LABEL_OUTPUTS:
+            yield name, names[kind], functools.partial(load(LABEL_OUTPUTS[name].write), result, table)
+        else:
+            yield "labels", names[kind], functools.partial(_write_labels, result, result.labels)
 
 
 def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Iterator
+import json
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+from accelsurf.errors import UsageError
 
 Color = tuple[int, int, int]
-_GOLDEN = 0.618033988749895
+_GOLDEN = 0.6180339887498949
+_GIVEN = re.compile(r"(?:([0-9]{1,9})=)?(.+)", re.DOTALL)
+_HEX = re.compile(r"#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})")
+_NUMBERS = re.compile(r"([0-9]{1,3}),([0-9]{1,3}),([0-9]{1,3})")
+#: Of a name; DICOM takes 64.
+MAX_NAME = 64
 
 
 @dataclass(frozen=True)
@@ -46,13 +56,114 @@ class LabelTable:
         --------
         >>> table = LabelTable({1: LabelEntry(1, "liver", (200, 60, 60))})
         >>> table[1].name, table[7].name
-        ('liver', 'label 7')
+        ('liver', 'object 7')
         """
         known = self.entries.get(label)
-        return LabelEntry(label, f"label {label}", default_color(label)) if known is None else known
+        return LabelEntry(label, f"object {label}", default_color(label)) if known is None else known
 
     def __iter__(self) -> Iterator[LabelEntry]:
         return iter(self.entries[label] for label in sorted(self.entries))
+
+    def with_settings(self, names: Sequence[str], colors: Sequence[str]) -> LabelTable:
+        """The same with names and colours as settings give them: ``1=liver``, ``1=#c83c3c``.
+
+        Examples
+        --------
+        >>> LabelTable().with_settings(["liver"], ["1=#c83c3c"])[1]
+        LabelEntry(id=1, name='liver', color=(200, 60, 60))
+        """
+        entries = dict(self.entries)
+        for text in names:
+            label, name = named(text)
+            entries[label] = LabelEntry(label, name, LabelTable(entries)[label].color)
+        for text in colors:
+            label, color = colored(text)
+            entries[label] = LabelEntry(label, LabelTable(entries)[label].name, color)
+        return LabelTable(entries)
+
+    def to_json(self) -> str:
+        """As text, for the metadata of a label map.
+
+        Examples
+        --------
+        >>> LabelTable.from_json(LabelTable({3: LabelEntry(3, "a", (1, 2, 3))}).to_json())[3].name
+        'a'
+        """
+        return json.dumps([[one.id, one.name, *one.color] for one in self])
+
+    @classmethod
+    def from_json(cls, text: str) -> LabelTable:
+        """The table of such a text."""
+        return cls({row[0]: LabelEntry(row[0], row[1], (row[2], row[3], row[4])) for row in json.loads(text)})
+
+
+def named(text: str) -> tuple[int, str]:
+    """A label and its name, as ``ID=NAME``; without an id it is 1.
+
+    Raises
+    ------
+    UsageError
+        When it is written in another way.
+
+    Examples
+    --------
+    >>> named("2=left kidney"), named("liver")
+    ((2, 'left kidney'), (1, 'liver'))
+    """
+    label, name = _parted("name", text)
+    name = " ".join(name.split())
+    if not name or len(name) > MAX_NAME or not name.isprintable():
+        raise UsageError(f"name: {text[:80]} was given, expected ID=NAME of at most {MAX_NAME} letters", "as 1=liver")
+    return label, name
+
+
+def colored(text: str) -> tuple[int, Color]:
+    """A label and its colour, as ``ID=#rrggbb`` or ``ID=R,G,B``; without an id it is 1.
+
+    Raises
+    ------
+    UsageError
+        When it is written in another way.
+
+    Examples
+    --------
+    >>> colored("2=#ff8000"), colored("10,20,30")
+    ((2, (255, 128, 0)), (1, (10, 20, 30)))
+    """
+    label, color = _parted("color", text)
+    if (found := _HEX.fullmatch(color)) is not None:
+        red, green, blue = (int(part, 16) for part in found.groups())
+    elif (found := _NUMBERS.fullmatch(color)) is not None and max(map(int, found.groups())) <= 255:
+        red, green, blue = map(int, found.groups())
+    else:
+        raise UsageError(f"color: {text[:80]} was given, expected ID=#rrggbb or ID=R,G,B of 0 to 255", "as 1=#c83c3c")
+    return label, (red, green, blue)
+
+
+def _parted(key: str, text: str) -> tuple[int, str]:
+    found = _GIVEN.fullmatch(text.strip())
+    label = int(found.group(1) or 1) if found else 0
+    if found is None or not 1 <= label <= 2**32 - 1:
+        raise UsageError(f"{key}: {text[:80]} was given, expected ID={key.upper()} with an id above 0", f"as 1={key}")
+    return label, found.group(2).strip()
+
+
+def checked_names(value: Any) -> Any:
+    """Check names of labels as settings give them."""
+    value = (value,) if isinstance(value, str) else value
+    for text in value if isinstance(value, (list, tuple)) else ():
+        if isinstance(text, str):
+            named(text)
+    return value
+
+
+def checked_colors(value: Any) -> Any:
+    """Check colours of labels as settings give them."""
+    value = (value,) if isinstance(value, str) else value
+    for text in value if isinstance(value, (list, tuple)) else ():
+        if isinstance(text, str):
+            colored(text)
+    return value
 
 
 def default_color(label: int) -> Color:

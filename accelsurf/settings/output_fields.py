@@ -11,6 +11,8 @@ from accelsurf.settings.file_formats import MESH_FORMATS, label_formats, label_h
 from accelsurf.settings.image_fields import ImageFields
 from accelsurf.settings.intervals import INTERVAL
 from accelsurf.settings.known_names import OneOf
+from accelsurf.settings.label_outputs import also_help, also_names
+from accelsurf.settings.labels import checked_colors, checked_names
 from accelsurf.settings.written_values import checked_interval, split_commas
 
 FILES = SettingGroup.FILES
@@ -52,4 +54,25 @@ class OutputFields(ImageFields):
         "How often the state of the run is written while it goes on: 50 (steps), 30s, 5min. A killed run goes on from "
         "it with --resume, and ends with the same bytes; it is removed when the run has ended.",
         entry=SettingEntry(FILES, metavar="STEPS|TIME", fixed=True),
+    )
+    name: Annotated[tuple[str, ...], BeforeValidator(checked_names)] = setting(
+        (),
+        "Name of an object in files: ID=NAME, or NAME where there is one object.",
+        entry=SettingEntry(FILES, metavar="ID=NAME", repeated=True, fixed=True),
+    )
+    color: Annotated[tuple[str, ...], BeforeValidator(checked_colors)] = setting(
+        (),
+        "Colour of an object in files: ID=#rrggbb or ID=R,G,B.",
+        entry=SettingEntry(FILES, metavar="ID=COLOUR", repeated=True, fixed=True),
+    )
+    label_table: str | None = setting(
+        None,
+        "Names and colours of objects: a file of ITK-SNAP (.txt), 3D Slicer (.ctbl, .seg.nrrd) or BIDS (.tsv), or a "
+        ".csv with columns id, name and color.",
+        entry=SettingEntry(FILES, metavar="FILE", fixed=True),
+    )
+    also: Annotated[tuple[Annotated[str, OneOf(also_names)], ...], BeforeValidator(split_commas)] = setting(
+        (),
+        "Further files of the objects, separated by commas: {}.",
+        entry=SettingEntry(FILES, metavar="NAMES", fixed=True, listed=also_help),
     )

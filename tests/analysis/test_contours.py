@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import pyvista
 
-from accelsurf.analysis.contours import Contours, extract
+from accelsurf.analysis.contours import Contours, extract, in_slices
 from accelsurf.analysis.surface_mesh import extract as extract_surface
 from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
@@ -151,3 +151,65 @@ def test_files_are_whole_or_not_there(ring, tmp_path):
 def test_measures_far_from_the_origin():
     square = np.array([[0.0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]]) + 1e7
     assert Contours((square,)).area == pytest.approx(1.0, abs=1e-9)
+
+
+# ------------------------------------------------------------------------------------------ contours of a volume's slices
+
+
+def ball(geometry, centre, radius):
+    """Signed distance (mm) to a ball around a world position."""
+    places = geometry.index_to_world(np.moveaxis(np.indices(geometry.shape), 0, -1))
+    return (np.linalg.norm(places - centre, axis=-1) - radius).astype(np.float32)
+
+
+@pytest.mark.parametrize("oblique", [False, True])
+def test_slices_of_a_ball(oblique):
+    turned, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
+    geometry = Geometry((20, 40, 44), (2.0, 0.8, 0.7), (100.0, -50.0, 30.0), turned if oblique else np.eye(3))
+    centre = geometry.index_to_world((9.3, 19.6, 21.2))
+    found = in_slices(ball(geometry, centre, 12.0), geometry)
+    heights = (np.arange(20) - 9.3) * 2.0
+    assert sorted(found) == np.flatnonzero(np.abs(heights) < 12.0).tolist()
+    for k, contours in found.items():
+        radius = np.sqrt(12.0**2 - heights[k] ** 2)
+        (loop,) = contours.loops
+        assert np.abs(geometry.world_to_index(loop)[:, 0] - k).max() < 1e-9
+        centre_here = geometry.index_to_world((k, 19.6, 21.2))
+        # psi of the ball along a slice: no further from the circle than a thirtieth of a pixel.
+        assert np.abs(np.linalg.norm(loop - centre_here, axis=1) - radius).max() < 0.02
+        assert contours.area == pytest.approx(np.pi * radius**2, rel=3e-4)
+
+
+def test_slices_with_a_hole_and_an_island_in_it():
+    geometry = Geometry((5, 60, 60), (2.0, 0.5, 0.5))
+    place = geometry.index_to_world(np.moveaxis(np.indices(geometry.shape), 0, -1))
+    distance = np.hypot(place[..., 0] - 15, place[..., 1] - 14)
+    psi = np.minimum(np.maximum(distance - 12, 7 - distance), distance - 3)
+    psi = np.maximum(psi, np.abs(place[..., 2] - 4) - 3).astype(np.float32)
+    found = in_slices(psi, geometry)
+    assert sorted(found) == [1, 2, 3]
+    assert len(found[2].loops) == 3
+    assert found[2].area == pytest.approx(np.pi * (144 - 49 + 9), rel=3e-3)
+
+
+def test_slices_of_an_object_that_the_border_cuts():
+    geometry = Geometry((6, 20, 30), (3.0, 0.8, 0.7))
+    found = in_slices(ball(geometry, (0.0, 0.0, 0.0), 9.5), geometry)
+    assert sorted(found) == [0, 1, 2, 3]
+    # A quarter of the disc, and the half pixels up to the border.
+    assert found[0].area == pytest.approx(np.pi * 9.5**2 / 4 + 9.5 * (0.4 + 0.35) + 0.4 * 0.35, rel=2e-3)
+    index = geometry.world_to_index(np.concatenate(found[0].loops))
+    assert index[:, 1:].min() == pytest.approx(-0.5)
+
+
+def test_slices_agree_with_the_image_of_one_slice():
+    volume = Geometry((1, 40, 50), (7.0, 1.0, 0.5))
+    (loop,) = in_slices(disc(), volume)[0].loops
+    assert np.abs(loop - extract(disc(), GRID).loops[0]).max() < 1e-9
+
+
+def test_slices_of_an_empty_volume_and_of_another_grid():
+    geometry = Geometry((3, 4, 5), (1.0, 1.0, 1.0))
+    assert in_slices(np.ones((3, 4, 5), np.float32), geometry) == {}
+    with pytest.raises(InputError, match="shape"):
+        in_slices(np.ones((3, 5, 4), np.float32), geometry)

@@ -1,19 +1,24 @@
-"""The package pydicom, which is an extra, and reading one file with it."""
+"""The packages pydicom and highdicom, which are an extra, and reading one file."""
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from accelsurf.errors import InputError
 
+#: Those that send lines to stderr where nobody asked for logs.
+_LOGGERS = ("pydicom", "highdicom")
 
-def library() -> ModuleType:
-    """The package pydicom.
+
+def library(name: str = "pydicom") -> ModuleType:
+    """One of the packages, or a module of it.
 
     Raises
     ------
@@ -21,18 +26,29 @@ def library() -> ModuleType:
         When it is not installed.
     """
     try:
-        import pydicom
+        with quiet():
+            return import_module(name)
     except ImportError as error:
-        raise InputError("DICOM needs the package pydicom", 'install it: pip install "accelsurf[dicom]"') from error
-    return pydicom
+        package = name.partition(".")[0]
+        raise InputError(f"DICOM needs the package {package}", 'install it: pip install "accelsurf[dicom]"') from error
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Without the package's warnings about values that break the standard: what matters is checked here, and told."""
+    """Without the packages' warnings and log lines about values that break the standard: what matters is checked here,
+    and told.
+    """
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    levels = [logger.level for logger in loggers]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        yield
+        try:
+            for logger in loggers:
+                logger.setLevel(logging.CRITICAL + 1)
+            yield
+        finally:
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
 
 
 def read_dataset(path: Path, tags: list[str] | None = None) -> Any:

@@ -1,7 +1,7 @@
 """Slices that lie on no regular grid, put on one: linear interpolation, within each slice and between neighbours.
 
-The grid has the axes and the pixels of the slices. Along the normal its step is the (lower) median distance of the slices, changed
-so that the first and the last slice lie on it. Where slices are tilted or shifted it is made wider, so that no
+The grid has the axes and the pixels of the slices. Along the normal its step is the (lower) median of their distances,
+changed so that the first and the last slice lie on it. Where slices are tilted or shifted it is made wider, so that no
 part of a slice is lost; what lies beyond a slice has the smallest value of all.
 """
 

@@ -21,7 +21,8 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import MAX_SPACING_RATIO
 from accelsurf.io.formats.ome_metadata import VERSIONS, attributes_of
 from accelsurf.io.formats.zarr_voxels import library
-from accelsurf.settings.labels import default_color
+from accelsurf.io.metadata import LABELS_KEY
+from accelsurf.settings.labels import LabelTable
 
 #: Voxels of a chunk along each axis; of one slice, along the two others.
 CHUNK, SLICE_CHUNK = 64, 512
@@ -129,6 +130,7 @@ class ZarrPyramid:
         self._levels = planned_levels(geometry, labels)
         described = [(str(i), level.spacing, level.offset) for i, level in enumerate(self._levels)]
         method = "nearest" if labels else "mean"
+        self._table = LabelTable.from_json(metadata.get(LABELS_KEY, "[]"))
         self._attributes = attributes_of(geometry, described, metadata, name, method)
         self._group = zarr.create_group(folder, zarr_format=3, attributes=self._attributes)
         self._arrays = [
@@ -181,7 +183,11 @@ class ZarrPyramid:
         values = sorted(self._values - {0})[:MAX_COLORS]
         said: dict[str, Any] = {"version": VERSIONS[-1]}
         if values:
-            said["colors"] = [{"label-value": value, "rgba": [*default_color(value), 255]} for value in values]
+            said["colors"] = [{"label-value": value, "rgba": [*self._table[value].color, 255]} for value in values]
+            names = [{"label-value": value, "name": self._table[value].name} for value in values
+                     if value in self._table.entries]
+            if names:
+                said["properties"] = names
         if self._source is not None:
             said["source"] = {"image": self._source}
         return said

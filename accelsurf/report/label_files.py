@@ -1,0 +1,67 @@
+"""Files of the objects that carry names and colours: of 3D Slicer, ITK-SNAP and BIDS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from accelsurf.errors import UsageError
+from accelsurf.io import label_tables
+from accelsurf.io.files import write_bytes
+from accelsurf.io.formats import seg_nrrd as slicer
+from accelsurf.settings.label_outputs import LABEL_OUTPUTS
+from accelsurf.settings.labels import LabelEntry, LabelTable
+from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.grid.volume import Volume
+    from accelsurf.segmentation.result import Result
+
+
+def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:
+    """What is known of each object, in order of their ids."""
+    return [table[one.id] for one in result.objects]
+
+
+def check(config: RunConfig, volume: Volume) -> None:
+    """Refuse what cannot be made of an image, before anything is computed.
+
+    Raises
+    ------
+    UsageError
+        When it needs DICOM and the image is none; InputError when a table of labels cannot be read, or a package lacks.
+    """
+    from accelsurf.io.dicom.output import check_library
+    from accelsurf.io.formats.dicom import SERIES_KEY
+    from accelsurf.report.label_names import table_of
+
+    table_of(config)
+    for name in config.also:
+        if name not in LABEL_OUTPUTS or not LABEL_OUTPUTS[name].needs_dicom:
+            continue
+        if SERIES_KEY not in volume.metadata:
+            raise UsageError(
+                f"also: {name} was given, and the image is no DICOM", "leave it out, or give the DICOM of the image"
+            )
+        check_library()
+
+
+def seg_nrrd(result: Result, table: LabelTable, path: Path) -> None:
+    """Write a segmentation of 3D Slicer."""
+    slicer.write(result.labels_volume(), entries_of(result, table), path)
+
+
+def itk_snap(result: Result, table: LabelTable, path: Path) -> None:
+    """Write label descriptions of ITK-SNAP."""
+    write_bytes(path, label_tables.itk_snap_text(entries_of(result, table)).encode())
+
+
+def color_table(result: Result, table: LabelTable, path: Path) -> None:
+    """Write a colour table of 3D Slicer."""
+    write_bytes(path, label_tables.color_table_text(entries_of(result, table)).encode())
+
+
+def bids_table(result: Result, table: LabelTable, path: Path) -> None:
+    """Write a table of labels as BIDS has it."""
+    write_bytes(path, label_tables.bids_text(entries_of(result, table)).encode())
+
