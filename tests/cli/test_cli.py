@@ -65,6 +65,7 @@ def done(scans, tmp_path_factory):
 
 def test_segment_writes_every_output_and_nothing_else(done):
     names = ("seg.nii.gz", "sdf.nii.gz", "surface.ply", "surface.stl", "report.json", "trace.csv", "preview.png")
+    names += ("statistics.csv", "statistics.json")
     assert sorted(path.name for path in done.iterdir()) == sorted(f"ball_{name}" for name in names)
 
 
@@ -350,6 +351,7 @@ def test_overwrite_takes_away_what_the_earlier_run_wrote_and_nothing_else(scans,
     (tmp_path / "ball_surface.obj").write_text("changed by hand")
     assert run(*words, "--mesh", "stl") == 0
     names = {"seg.nii.gz", "surface.stl", "report.json", "trace.csv", "preview.png", "notes.txt", "surface.obj"}
+    names |= {"statistics.csv", "statistics.json"}
     assert {path.name for path in tmp_path.iterdir()} == {f"ball_{name}" for name in names}
     assert (tmp_path / "ball_surface.obj").read_text() == "changed by hand"
 

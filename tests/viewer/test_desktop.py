@@ -175,6 +175,7 @@ def test_run_pause_step_back_slide_save(person, scan, tmp_path):
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == [
         "run.toml", "scan_preview.png", "scan_report.json", "scan_seg.nii.gz", "scan_surface.ply", "scan_trace.csv",
+        "scan_statistics.csv", "scan_statistics.json",
         "scan_view.png",
     ]
     person.leave()

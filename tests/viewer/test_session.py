@@ -70,6 +70,7 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
         status = session.status
     assert [path.name for path in paths] == [
         "run.toml", "scan_seg.nii.gz", "scan_surface.ply", "scan_trace.csv", "scan_preview.png", "scan_report.json",
+        "scan_statistics.csv", "scan_statistics.json",
     ]
     assert [edit.step for edit in status.edits] == [7, 7, 9, 21]
     code = command(
