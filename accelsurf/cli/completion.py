@@ -48,17 +48,19 @@ def install_completion(
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{error.filename}: {error.strerror}", "name another file with -o") from None
-    script = app.generate_completion(shell=shell).encode()
-    if path.is_file() and path.read_bytes() == script:
+    script = app.generate_completion(shell=shell)
+    # Where there is nothing to offer, as behind --mask, bash shall offer names of files.
+    script = script.replace("\ncomplete -F ", "\ncomplete -o default -F ")
+    if path.is_file() and path.read_bytes() == script.encode():
         print(f"script   {path} (as it was)")
     else:
-        write_bytes(path, script)
+        write_bytes(path, script.encode())
         print(f"script   {path}")
     if output is not None:
         print(f"to load  source {path}")
     else:
         _load_at_startup(path, shell)
-        print("in use   in every new shell")
+        print("in use   in every new shell" + (", after compinit" if shell == "zsh" else ""))
     return 0
 
 

@@ -37,8 +37,9 @@ def evaluate(
     labels: Annotated[str | None, Parameter(name="--labels", metavar="IDS")] = None,
     tolerance: Annotated[str | None, Parameter(name="--tolerance", metavar="MM")] = None,
     pairs: Annotated[Path | None, Parameter(name="--pairs", metavar="TABLE")] = None,
+    names: Annotated[Path | None, Parameter(name=("--label-table", "--names"), metavar="TABLE")] = None,
     as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
-    table: Annotated[str | None, Parameter(name="--csv", metavar="FILE", group=FILES)] = None,
+    table: Annotated[str | None, Parameter(name="--csv", metavar="FILE", group=FILES, allow_leading_hyphen=True)] = None,
     overwrite: Overwrite = False,
 ) -> int:
     """Measure how well label maps agree: overlap, volume, and surface distances in mm.
@@ -60,6 +61,8 @@ def evaluate(
         Surface Dice (NSD): the part of both surfaces that lies so near the other one, in mm; several with commas.
     pairs
         A table of many pairs: CSV with the columns pred, ref and, if wanted, case.
+    names
+        Names of labels: a table as --label-table of segment takes it (ITK-SNAP, 3D Slicer, BIDS, CSV, .seg.nrrd).
     as_json
         Print JSON.
     table
@@ -68,23 +71,40 @@ def evaluate(
         Replace a table that exists.
     """
     asked = Asked(_labels(labels), _tolerances(tolerance))
-    if as_json and table == "-":
-        raise UsageError("--json, --csv -: both would be printed", "name a file for the table")
-    if table not in (None, "-") and Path(str(table)).exists() and not overwrite:
-        raise OutputError(f"{table}: exists already", "choose another name, or add --overwrite")
+    _check_table(table, as_json, overwrite)
+    known = _names(names)
     found = _pairs(pred, ref, pairs)
     if isinstance(found, list):
         results = [_try(pair, asked) for pair in found]
     else:
         results = [_result(found, asked)]
-    _put(results, as_json, table, many=isinstance(found, list))
+    _put(results, known, as_json, table, many=isinstance(found, list))
     return SOME_FAILED if any(one.failure for one in results) else 0
+
+
+def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
+    """Refuse a table that cannot be written, before anything is read."""
+    if table is None:
+        return
+    if table == "-":
+        if as_json:
+            raise UsageError("--json, --csv -: both would be printed", "name a file for the table")
+    elif table.startswith("-"):
+        raise UsageError(f"--csv: {table} was given, expected the name of a file", "as in --csv table.csv, or --csv -")
+    elif Path(table).exists() and not overwrite:
+        raise OutputError(f"{table}: exists already", "choose another name, or add --overwrite")
 
 
 def _labels(text: str | None) -> IdRanges | None:
     if text is None:
         return None
     return () if text == "all" else parse_ids(text, "--labels", "--labels 1,3-5, or --labels all")
+
+
+def _names(path: Path | None) -> LabelTable:
+    from accelsurf.io import label_tables
+
+    return LabelTable() if path is None else label_tables.read(path)
 
 
 def _tolerances(text: str | None) -> tuple[float, ...]:
@@ -157,13 +177,12 @@ def _written(side: LabelFile | None) -> str:
     return str(side.path.absolute()) + (f"@{ids}" if ids else "")
 
 
-def _put(results: list[CaseResult], as_json: bool, table: str | None, many: bool) -> None:
+def _put(results: list[CaseResult], names: LabelTable, as_json: bool, table: str | None, many: bool) -> None:
     """Print and write what was found."""
     from accelsurf.io.files import write_bytes
     from accelsurf.report.document import to_json
     from accelsurf.report.evaluation import document, table_csv
 
-    names = LabelTable()
     if table is not None:
         text = table_csv(results, names)
         if table == "-":

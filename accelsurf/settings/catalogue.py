@@ -96,7 +96,8 @@ def _enumerated(schema: Any) -> list[Any]:
     if not isinstance(schema, dict):
         return []
     own = [*schema.get("enum", ()), *([schema["const"]] if "const" in schema else ())]
-    return own + [value for key, part in schema.items() if key not in ("enum", "const", "default") for value in _enumerated(part)]
+    parts = (part for key, part in schema.items() if key not in ("enum", "const", "default"))
+    return own + [value for part in parts for value in _enumerated(part)]
 
 
 def energy_settings() -> tuple[str, ...]:
