@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from accelsurf.report import object_files, output_names, result_sets
+from accelsurf.report import layouts, object_files, output_names, result_sets
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -42,6 +42,17 @@ class Place:
 
         return cls(source, folder, split_name(source)[0], overwrite)
 
+    def laid_out(self, config: RunConfig) -> Place:
+        """The same where the settings want the files of an image.
+
+        Raises
+        ------
+        UsageError
+            When the image is not named as the layout asks for.
+        """
+        name, folder = layouts.place_of(config.layout, self.source, self.name, self.folder)
+        return replace(self, name=name, folder=folder)
+
     @property
     def report_path(self) -> Path:
         """Where the report goes."""
@@ -68,7 +79,7 @@ class Place:
     def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
         """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
         names = output_names.names(config, self.label_format(config), is_2d)
-        return {kind: f"{self.name}_{name}" for kind, name in names.items()}
+        return {kind: layouts.joined(self.name, name) for kind, name in names.items()}
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
         """Every possible output by kind, the report last; of several objects those that exist already."""

@@ -63,11 +63,13 @@ def segment(
     from accelsurf.cli.case import report_failure
     from accelsurf.cli.large_image import computed
     from accelsurf.cli.place import Place
+    from accelsurf.report import layouts
 
     display, work = display or Display(), work or ObjectOptions()
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
+        whole, place = place.folder, place.laid_out(run)
         if (image := work.image(place, run, parts)) is not None:
             _refuse_switches(strict, profile)
             from accelsurf.cli.object_work import run_objects
@@ -76,7 +78,9 @@ def segment(
     except AccelsurfError as error:
         report_failure(place, error)
         raise
-    return _run(place, run, compute, resume, display, (strict, profile))
+    code = _run(place, run, compute, resume, display, (strict, profile))
+    layouts.complete(run.layout, whole)
+    return code
 
 
 def _run(

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import UsageError
+from accelsurf.report.layouts import label_ending
 from accelsurf.settings.budgets import MAX_RESTS
 from accelsurf.settings.file_formats import (
     DEFAULT_IMAGE_FORMAT,
@@ -58,7 +59,9 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     >>> [name for kind, name in names(RunConfig(), "png", True).items() if kind.startswith("contour")]
     ['contour.vtp', 'contour.csv']
     """
-    files = {"labels": f"seg.{labels}"}
+    files = {"labels": label_ending(config.layout, labels)}
+    if config.layout == "bids":
+        files |= {"sidecar": "dseg.json", "also-tsv": ending_of("tsv")}
     if is_2d is not True:
         wanted = automatic_mesh_formats("surface") if config.mesh == "auto" else config.mesh
         files |= {f"surface-{kind}": f"surface.{kind}" for kind in wanted if kind in mesh_formats("surface")}

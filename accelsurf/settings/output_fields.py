@@ -16,6 +16,8 @@ from accelsurf.settings.labels import checked_colors, checked_names
 from accelsurf.settings.written_values import all_split, checked_interval, split_commas
 
 FILES = SettingGroup.FILES
+#: How files are named and laid out.
+Layout = Literal["plain", "bids", "nnunet"]
 
 
 class OutputFields(ImageFields):
@@ -75,4 +77,9 @@ class OutputFields(ImageFields):
         (),
         "Further files of the objects, separated by commas: {}.",
         entry=SettingEntry(FILES, metavar="NAMES", repeated=True, fixed=True, listed=also_help),
+    )
+    layout: Layout = setting(
+        "plain",
+        "How files are named and laid out: plain, bids (derivatives, with sidecars), or nnunet (CASE.nii.gz).",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
     )

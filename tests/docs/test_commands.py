@@ -24,7 +24,7 @@ ON_SCANS = ROOT / "docs" / "tutorial" / "by-clicks.md"
 FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 #: What the tutorial shows of the output: size of a surface, rows of a comparison without their seconds, measures.
-SUMMARY = re.compile(r"^volume (\S+) mm3, area (\S+) mm2", re.MULTILINE)
+SUMMARY = re.compile(r"^volume (\S+) mm3(?: \([^)]*\))?, area (\S+) mm2", re.MULTILINE)
 TABLE = re.compile(r"^(gradient|constant-density) +(\d+) +\S+ +(\S+) +(0\.\d+)", re.MULTILINE)
 METRIC = re.compile(r"^(dice|\w+_mm3?) +([\d.]+)$", re.MULTILINE)
 
