@@ -26,6 +26,8 @@ class Place:
         Whether the run goes on from the checkpoint of an earlier one.
     has_checkpoint : bool
         Whether it may have one: a correction has none.
+    whole : Path or None
+        The folder of the outputs of all images, where a layout puts ``folder`` into it.
     """
 
     source: Path
@@ -34,6 +36,7 @@ class Place:
     overwrite: bool = False
     resume: bool = False
     has_checkpoint: bool = True
+    whole: Path | None = None
 
     @classmethod
     def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
@@ -51,7 +54,7 @@ class Place:
             When the image is not named as the layout asks for.
         """
         name, folder = layouts.place_of(config.layout, self.source, self.name, self.folder)
-        return replace(self, name=name, folder=folder)
+        return replace(self, name=name, folder=folder, whole=self.folder)
 
     @property
     def report_path(self) -> Path:

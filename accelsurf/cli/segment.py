@@ -63,13 +63,12 @@ def segment(
     from accelsurf.cli.case import report_failure
     from accelsurf.cli.large_image import computed
     from accelsurf.cli.place import Place
-    from accelsurf.report import layouts
 
     display, work = display or Display(), work or ObjectOptions()
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
-        whole, place = place.folder, place.laid_out(run)
+        place = place.laid_out(run)
         if (image := work.image(place, run, parts)) is not None:
             _refuse_switches(strict, profile)
             from accelsurf.cli.object_work import run_objects
@@ -78,9 +77,7 @@ def segment(
     except AccelsurfError as error:
         report_failure(place, error)
         raise
-    code = _run(place, run, compute, resume, display, (strict, profile))
-    layouts.complete(run.layout, whole)
-    return code
+    return _run(place, run, compute, resume, display, (strict, profile))
 
 
 def _run(
@@ -89,6 +86,7 @@ def _run(
     """Run a case, or go on with it; ``switches``: strict, profile."""
     from accelsurf.cli.case import run_case
     from accelsurf.cli.progress import Watcher
+    from accelsurf.report import layouts
 
     strict, profile = switches
     if resume:
@@ -97,6 +95,7 @@ def _run(
             return code
         place = taken_up(place, run)
     done = run_case(place, run, Watcher(display), strict, compute)
+    layouts.complete(run.layout, place.whole or place.folder)
     return _summed_up(place.name, done, display.quiet, profile)
 
 

@@ -15,6 +15,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 from tests.support.batch_jobs import InlinePool
+from tests.support.dicom_series import Series, save
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial" / "first-scan.md")
@@ -110,7 +111,7 @@ def test_every_script_of_the_page_exists_and_has_help(page):
 
 def folder_of_a_reader():
     """Make what the how-to pages take for granted: scans, labels, a picture, tables, a first result."""
-    for name in ("scan", "ct", "t2", "cells"):
+    for name in ("scan", "ct", "t2", "cells", "sub-01_T1w", "LIV_001_0000"):
         scan_in_place_of(Path(f"{name}.nii.gz"))
     labels = np.zeros(grid().shape, np.uint8)
     labels[20:28, 20:28, 8:14], labels[20:28, 20:28, 32:40] = 2, 6
@@ -124,10 +125,23 @@ def folder_of_a_reader():
     z, y, x = np.indices((96, 96, 96)) - 47.5
     store = Geometry((96, 96, 96), (1.0, 1.0, 1.0), origin=(-47.5, -47.5, -47.5))
     io.write(Volume((100.0 * (x**2 + y**2 + z**2 < 30**2)).astype(np.float32), store), "ct.ome.zarr")
+    study_of_a_reader(Path("study"))
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
     first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
     assert cli.execute(first.split()) == 0
     Path("out/run.toml").write_text("max_steps = 2\n")
+
+
+def study_of_a_reader(folder):
+    """A folder of DICOM with two series; the second is a ball around the world's origin."""
+    Series(uid="1.2.1", changes={"SeriesNumber": 1}).stacked(4).write(folder / "thick")
+    ball = Series(rows=40, columns=40, spacing=(2.0, 2.0), uid="1.2.2", changes={"SeriesNumber": 2})
+    ball.stacked(40, 2.0, (-39.0, -39.0, -39.0))
+    for number, position in enumerate(ball.positions):
+        one = ball.dataset(number)
+        far = np.linalg.norm(ball.points(position), axis=-1)
+        one.PixelData = np.where(far < 24, 300, 0).astype(np.int16).tobytes()
+        save(one, folder / "thin" / f"{number:03d}.dcm")
 
 
 PLANE = Geometry((1, 160, 200), (1.0, 1.0, 1.0))
