@@ -119,6 +119,10 @@ def folder_of_a_reader():
         io.write(Volume(labels, grid()), name)
     y, x = np.indices((160, 200))
     io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
+    for folder in ("predicted", "reference"):
+        Path(folder).mkdir()
+        for name in ("anna", "bert"):
+            io.write(Volume(labels, grid()), f"{folder}/{name}.nii.gz")
     for path in (Path("scans/anna.nii.gz"), Path("scans/bert.nii.gz")):
         path.parent.mkdir(exist_ok=True)
         scan_in_place_of(path)
