@@ -180,13 +180,12 @@ def _of_nifti(path: Path) -> Iterable[LabelEntry]:
 
     try:
         found = [one for one in nibabel.load(path).header.extensions if one.get_code() == _CARET]  # type: ignore[attr-defined]
-        text = found[0].get_content() if found else ""
+        text = found[0].content if found else b""
     except Exception as error:  # nibabel raises errors of many kinds about damaged files
         raise InputError("the header is damaged", "save it again") from error
-    text = text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
     if not found:
         raise InputError("no label table is in the header of this NIfTI", "give one with names, or a table")
-    for number, match in enumerate(_CARET_LABEL.finditer(text), 1):
+    for number, match in enumerate(_CARET_LABEL.finditer(text.decode("utf-8", "replace")), 1):
         keys = dict(_ATTRIBUTE.findall(match.group(1)))
         if keys.get("Key") == "0":
             continue
