@@ -79,7 +79,8 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
 
 def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
     """What a header claims."""
-    unknown = [name for name in options.given if name not in form.options]
+    # The first of one is harmless to ask for, and the level that fits.
+    unknown = [n for n in options.given if n not in form.options and getattr(options, n) not in (0, "auto")]
     if unknown:
         name, value = unknown[0].replace("_", "-"), getattr(options, unknown[0])
         raise UsageError(f"{name}: {value} was given, and a {form.suffixes[0]} has no such choice", "leave it out")
@@ -143,7 +144,7 @@ def options_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
     Examples
     --------
     >>> options_of("cells.ome.zarr")
-    ('level', 'channel_index', 'time_index')
+    ('level', 'channel_index', 'time_index', 'channels_from_time')
     """
     form = image_format(split_name(path)[1])
     return () if form is None else form.options
@@ -152,6 +153,22 @@ def options_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
 def is_outside_data_allowed() -> bool:
     """Whether a header may name a data file in another folder now; for processes that go on with this work."""
     return _OUTSIDE_DATA.get()
+
+
+def check_data_file(path: Path, data: Path) -> None:
+    """Refuse a further file that a header names where it is missing, or lies in another folder than its header.
+
+    Raises
+    ------
+    InputError
+        With what to do.
+    """
+    if not _OUTSIDE_DATA.get():
+        _check_data_folder(path, data)
+    if not data.is_file():
+        raise InputError(
+            f"the header names the file {data.name}, which is missing", f"copy {data.name} into the same folder"
+        )
 
 
 def _check_data_folder(path: Path, data: Path) -> None:

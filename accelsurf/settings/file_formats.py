@@ -99,6 +99,8 @@ class ImageFormat:
 
 
 _FORMATS = "accelsurf.io.formats"
+#: Options of formats that may hold several channels and time points.
+_PARTS = ("channel_index", "time_index", "channels_from_time")
 
 IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     "image format",
@@ -109,6 +111,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti:read_compressed_header",
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write_compressed",
+        _PARTS,
         read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
     ),
@@ -119,6 +122,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti:read_plain_header",
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write",
+        _PARTS,
         read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
         open=f"{_FORMATS}.nifti_volumes:open_lazily",
@@ -131,6 +135,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
         f"{_FORMATS}.itk_volumes:read",
         f"{_FORMATS}.itk_volumes:write_nrrd",
+        _PARTS,
         read_channels=f"{_FORMATS}.itk_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nrrd_metaimage:is_anatomical",
         open=f"{_FORMATS}.itk_volumes:open_lazily",
@@ -143,6 +148,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
             f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
             f"{_FORMATS}.itk_volumes:read",
             f"{_FORMATS}.itk_volumes:write_metaimage",
+            _PARTS,
             read_channels=f"{_FORMATS}.itk_volumes:read_channels",
             open=f"{_FORMATS}.itk_volumes:open_lazily",
         )
@@ -158,7 +164,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.ome_zarr:parse",
         f"{_FORMATS}.ome_zarr:read",
         f"{_FORMATS}.ome_zarr:write",
-        ("level", "channel_index", "time_index"),
+        ("level", *_PARTS),
         read_channels=f"{_FORMATS}.ome_zarr:read_channels",
         write_labels=f"{_FORMATS}.ome_zarr:write_labels",
         open=f"{_FORMATS}.ome_zarr:open_lazily",
@@ -181,12 +187,15 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     ),
     ImageFormat(
         "tif",
-        "TIFF, grey or colour, a page for each slice; written grey and compressed",
+        "TIFF, OME-TIFF, ImageJ hyperstacks, BigTIFF; written grey and compressed, a page for each slice",
         (".tif", ".tiff"),
-        f"{_FORMATS}.tiff:parse",
-        f"{_FORMATS}.tiff_pages:read",
-        f"{_FORMATS}.tiff:write",
-        open=f"{_FORMATS}.tiff_pages:open_lazily",
+        f"{_FORMATS}.tiff_image:parse",
+        f"{_FORMATS}.tiff_image:read",
+        f"{_FORMATS}.tiff_file:write",
+        ("level", *_PARTS, "spacing"),
+        read_channels=f"{_FORMATS}.tiff_image:read_channels",
+        open=f"{_FORMATS}.tiff_image:open_lazily",
+        has_levels=True,
         types=_TIFF_TYPES,
         keeps="spacing",
         white_labels=True,

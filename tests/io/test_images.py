@@ -231,9 +231,9 @@ def test_other_sorts_of_images_are_named_with_the_way_out(tmp_path, suffix, capf
     image = sitk.GetImageFromArray(np.arange(60, dtype=np.float32).reshape(3, 4, 5))
     byte = sitk.Cast(image, sitk.sitkUInt8)
     cases = [
-        (sitk.JoinSeries([image, image]), "4D image", "time point or channel"),
-        (sitk.Compose(image, image), "vector", "channel"),
-        (sitk.Compose(byte, byte, byte), "vector", "channel"),
+        (sitk.JoinSeries([image, image]), "sequence of 2 time points", "--time-index 0 to 1"),
+        (sitk.Compose(image, image), "vector|2 channels", "channel"),
+        (sitk.Compose(byte, byte, byte), "vector|3 channels", "channel"),
         (image[:, :, 0], "2D image", "slice"),
     ]
     if suffix != ".mha":  # a complex MetaImage is a vector of two to every reader
