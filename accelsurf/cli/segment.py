@@ -61,13 +61,16 @@ def segment(
         print(run_config(settings, config).to_toml(), end="")
         return 0
     from accelsurf.cli.case import report_failure
-    from accelsurf.cli.large_image import computed
+    from accelsurf.cli.large_image import computed, with_level
     from accelsurf.cli.place import Place
 
     display, work = display or Display(), work or ObjectOptions()
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
-        run, parts = run_config(settings, config), parts or ImageParts()
+        parts = parts or ImageParts()
+        run = with_level(place.source, asked := run_config(settings, config), parts)
+        if asked.level == "auto" and not display.quiet:
+            print(f"{place.name}: level {run.level} is read, the finest that fits into the memory")
         if (image := work.image(place, run, parts)) is not None:
             _refuse_switches(strict, profile)
             from accelsurf.cli.object_work import run_objects

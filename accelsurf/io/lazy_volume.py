@@ -18,7 +18,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io import headers
+from accelsurf.io import headers, selection
 from accelsurf.io.files import naming
 from accelsurf.settings.reading import Level, ReadOptions
 from accelsurf.settings.registry import load
@@ -265,7 +265,7 @@ def open_volume(
         form, header = headers.parse(path, opening.options)
         if form.open is None:
             raise InputError(
-                f"a {form.suffixes[0]} is packed or held as a whole, an image that is read box by box expected",
+                f"{headers.kind_of(form)} is packed or held as a whole, an image that is read box by box expected",
                 "convert it to OME-Zarr, or save it uncompressed as .nii, .nrrd or .mha",
             )
         volume: LazyVolume = load(form.open)(path, header, opening)
@@ -279,6 +279,21 @@ def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:
     return open_volume(
         path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index, spacing=asked.spacing
     )
+
+
+def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[LazyVolume]:
+    """Open the channels of an image, or the one that was asked for, with those options that the format has.
+
+    Raises
+    ------
+    InputError
+        As `open_volume`, and for a sequence of which no time point was named.
+    """
+    path = Path(path)
+    asked = options.among(headers.options_of(path))
+    with naming(path):
+        places = selection.selected(*headers.counts(path, asked), asked)
+    return [open_with(path, replace(asked, channels_from_time=False, time_index=t, channel_index=c)) for t, c in places]
 
 
 def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:

@@ -201,7 +201,10 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
     header.grid.check_forms()
     metadata = {METADATA_KEY: header.grid.fields}
     encoding: Encoding = "deflate" if compressed else "raw"
-    return NiftiFile(path, 0, encoding, ITK_NAME, header.claimed_bytes, None, metadata, nifti=header, asked=options)
+    return NiftiFile(
+        path, 0, encoding, ITK_NAME, header.claimed_bytes, None, metadata, channels=header.channels,
+        time_points=header.time_points, seconds=header.seconds, asked=options, nifti=header,
+    )
 
 
 read_plain_header = partial(read_header, compressed=False)

@@ -60,6 +60,16 @@ class OmeHeader:
         array = open_array(self.folder, self.ome.levels[min(level, len(self.ome.levels) - 1)].path)
         return len(places) * math.prod(int(array.shape[axis]) for axis in self.ome.space_axes)
 
+    @property
+    def channels(self) -> int:
+        """How many there are."""
+        return self.count("channel")
+
+    @property
+    def time_points(self) -> int:
+        """How many there are."""
+        return self.count("time")
+
     def count(self, kind: str) -> int:
         """How many channels ("channel") or time points ("time") there are."""
         return math.prod(n for n, axis in zip(self.shape, self.ome.axes, strict=True) if axis.kind == kind)

@@ -48,7 +48,7 @@ class RawHeader:
     order : str
         Byte order of the voxels: "<", ">", or empty where the header does not say.
     channels, time_points : int
-        How many of them there are; one of the two is 1.
+        How many of them there are.
     seconds : float or None
         From one time point to the next.
     is_interleaved : bool

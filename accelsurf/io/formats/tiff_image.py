@@ -89,6 +89,11 @@ class TiffImage:
         return self.stack.channels * self.samples
 
     @property
+    def time_points(self) -> int:
+        """How many there are."""
+        return self.stack.time_points
+
+    @property
     def values(self) -> int:
         """How many values are read, those of all channels together."""
         places = selection.selected(self.channels, self.stack.time_points, self.options)
