@@ -38,7 +38,7 @@ def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     """Read the voxels; a fourth axis of one is dropped."""
     with _quiet():
         image = reader.Execute()
-    return image[:, :, :, 0] if image.GetDimension() == 4 else image
+    return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
 
 
 def save(volume: Volume, path: Path, itk_name: str, compress: bool) -> None:

@@ -173,7 +173,7 @@ def _presets() -> str:
 
 
 def _file_formats() -> str:
-    kept = {"all": "the whole grid", "spacing": "the spacing", "pixel": "the size of a pixel"}
+    kept = {"all": "the whole grid", "spacing": "the spacing", "pixel": "the size of a pixel", "none": "nothing"}
     images = [
         (f"`{name}`", form.help, _code(form.suffixes), _values(form), kept[form.keeps], _channels(form), _boxes(form))
         for name, form in IMAGE_FORMATS.items()

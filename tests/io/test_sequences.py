@@ -134,7 +134,8 @@ def test_units_of_a_time_axis_of_nrrd_are_seconds(tmp_path):
     text = NRRD.replace("space: left-posterior-superior\nspace origin: (5,6,7)\nspace directions: {directions}\n", "")
     more = 'spacings: 1 2 3 500\nunits: "mm" "mm" "mm" "ms"\n'
     path = tmp_path / "a.nrrd"
-    path.write_bytes(text.format(sizes="6 5 4 3", kinds="domain domain domain time", more=more).encode() + FULL.tobytes())
+    head = text.format(sizes="6 5 4 3", kinds="domain domain domain time", more=more)
+    path.write_bytes(head.encode() + FULL.tobytes())
     volume = io.read(path, options=ReadOptions(time_index=1))
     np.testing.assert_array_equal(volume.array, FULL[1])
     assert volume.geometry.spacing == (3.0, 2.0, 1.0) and float(volume.metadata[FRAME_KEY]) == pytest.approx(0.5)

@@ -158,8 +158,8 @@ SizeT="2" PhysicalSizeX="1" PhysicalSizeY="1">{data}</Pixels></Image></OME>"""
 def ome_of_files(folder, name=lambda t, z: f"t{t}z{z}.ome.tif", head=""):
     """A file for each time point and slice, with the channels as its pages; the first has the XML."""
     data = "".join(
-        f'<TiffData IFD="{c}" FirstT="{t}" FirstC="{c}" FirstZ="{z}"><UUID FileName="{name(t, z)}">urn:uuid:{t}{z}</UUID>'
-        "</TiffData>"
+        f'<TiffData IFD="{c}" FirstT="{t}" FirstC="{c}" FirstZ="{z}">'
+        f'<UUID FileName="{name(t, z)}">urn:uuid:{t}{z}</UUID></TiffData>'
         for t in range(2) for c in range(3) for z in range(4)
     )  # fmt: skip
     for t in range(2):
