@@ -108,7 +108,7 @@ def opened(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage:
     return LargeImage.of([one for path in paths for one in open_channels(path, config.reading)], parts.allowed_bytes)
 
 
-def with_level(source: Path, config: RunConfig, parts: ImageParts) -> RunConfig:
+def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) -> RunConfig:
     """The settings with the number of a level in place of auto: the finest whose run fits into the memory, and say it.
 
     Raises
@@ -131,7 +131,11 @@ def with_level(source: Path, config: RunConfig, parts: ImageParts) -> RunConfig:
         n for n, grid in enumerate(grids)
         if run_bytes(count * math.prod(grid.shape), uses_model) <= parts.allowed_bytes
     )
-    return config.replace(level=next(within, len(grids) - 1))
+    level = next(within, len(grids) - 1)
+    if not quiet:
+        size = " x ".join(map(str, grids[level].size))
+        print(f"level {level} of 0 to {len(grids) - 1} is read, the finest that fits into the memory: {size} voxels")
+    return config.replace(level=level)
 
 
 def for_windows(place: Place, config: RunConfig) -> RunConfig:

@@ -68,9 +68,7 @@ def segment(
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
         parts = parts or ImageParts()
-        run = with_level(place.source, asked := run_config(settings, config), parts)
-        if asked.level == "auto" and not display.quiet:
-            print(f"{place.name}: level {run.level} is read, the finest that fits into the memory")
+        run = with_level(place.source, run_config(settings, config), parts, display.quiet)
         if (image := work.image(place, run, parts)) is not None:
             _refuse_switches(strict, profile)
             from accelsurf.cli.object_work import run_objects

@@ -33,19 +33,23 @@ def selected(channels: int, time_points: int, options: ReadOptions) -> list[tupl
     """
     if options.channels_from_time and options.time_index is not None:
         raise UsageError("channels-from-time and time-index exclude each other", "leave one of them out")
-    times = _places("time", "time points", time_points, options.time_index)
-    if len(times) > 1 and not options.channels_from_time:
+    check_index("time", "time points", time_points, options.time_index)
+    check_index("channel", "channels", channels, options.channel_index)
+    several_times = options.time_index is None and time_points > 1
+    if several_times and not options.channels_from_time:
         raise InputError(
             f"a sequence of {time_points} time points given, one image expected",
             f"say which: --time-index 0 to {time_points - 1}, or take them for channels: --channels-from-time",
         )
-    which = _places("channel", "channels", channels, options.channel_index)
-    if len(times) > 1 and len(which) > 1:
+    several_channels = options.channel_index is None and channels > 1
+    if several_times and several_channels:
         raise InputError(
             f"{channels} channels at {time_points} time points given, which cannot all be channels of one image",
             f"say which channel: --channel-index 0 to {channels - 1}",
         )
-    check_channels(len(times) * len(which))
+    check_channels((time_points if several_times else 1) * (channels if several_channels else 1))
+    times = range(time_points) if several_times else [options.time_index or 0]
+    which = range(channels) if several_channels else [options.channel_index or 0]
     return [(t, c) for t in times for c in which]
 
 
@@ -78,10 +82,12 @@ def check_channels(count: int) -> None:
         )
 
 
-def _places(name: str, plural: str, n: int, asked: int | None) -> list[int]:
-    """The indices along an axis."""
-    if asked is None:
-        return list(range(n))
-    if not 0 <= asked < n:
+def check_index(name: str, plural: str, n: int, asked: int | None) -> None:
+    """Refuse an index beyond an axis.
+
+    Raises
+    ------
+    UsageError
+    """
+    if asked is not None and not 0 <= asked < n:
         raise UsageError(f"{name} {asked} asked for, the image has {n} {plural}", f"give 0 to {n - 1}")
-    return [asked]

@@ -40,7 +40,8 @@ def test_empty_file(tmp_path, suffix):
 )
 def test_not_an_image(tmp_path, suffix, content):
     (tmp_path / f"a{suffix}").write_bytes(content)
-    refuse(tmp_path / f"a{suffix}", "not an? (NIfTI|NRRD|MetaImage|PNG|TIFF)|gzip-compressed|has only|folder of an")
+    words = "not an? (NIfTI|NRRD|MetaImage|PNG|TIFF|NumPy)|gzip-compressed|has only|folder of an"
+    refuse(tmp_path / f"a{suffix}", words)
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha", ".mhd"])

@@ -143,7 +143,8 @@ def test_units_of_a_time_axis_of_nrrd_are_seconds(tmp_path):
 
 def test_commands_refuse_a_sequence_and_take_a_time_point(tmp_path, capsys):
     path = nifti(tmp_path / "a.nii.gz", units=("mm", "sec"), step=2.0)
-    for words in (["segment", "-o", str(tmp_path / "out"), "--start", "ball:2,2,2,2vox"], ["look", "-o", str(tmp_path)]):
+    run = ["segment", "-o", str(tmp_path / "out"), "--start", "ball:2,2,2,2vox"]
+    for words in (run, ["look", "-o", str(tmp_path)]):
         assert cli.execute([words[0], str(path), *words[1:]]) == 3
         assert "sequence of 3 time points given" in capsys.readouterr().err
     assert cli.execute(["look", str(path), "-o", str(tmp_path), "--time-index", "1"]) == 0

@@ -94,6 +94,8 @@ def parse_archive(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
         As `parse`, and when there are several arrays and none was named.
     """
     path, name = split_member(path)
+    if not zipfile.is_zipfile(path):
+        raise InputError("this is not a NumPy archive, or it is cut short", "is it the right file, and whole?")
     with _damage_named(), zipfile.ZipFile(path) as archive:
         arrays = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         listed = ", ".join(sorted(arrays)[:10])
@@ -161,7 +163,7 @@ def _fields(file: BinaryIO) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
     """
     start = file.read(8)
     if start[:6] != _MAGIC or len(start) < 8:
-        raise InputError("this is not an array of numpy: it does not start as one", "is it the right file?")
+        raise InputError("this is not a NumPy array: it does not start as one", "is it the right file?")
     width, code = (2, "<H") if start[6] == 1 else (4, "<I")
     try:
         (length,) = struct.unpack(code, file.read(width))

@@ -277,6 +277,8 @@ def _page_bytes(page: Page, width: int, height: int, bits: int) -> int:
     if TILES not in page:
         return height * ((width * bits + 7) // 8)
     wide, high = int(page[TILE_WIDTH][0]), int(page[TILE_HEIGHT][0])
+    if min(wide, high) < 1:
+        raise ValueError
     return -(-width // wide) * -(-height // high) * high * ((wide * bits + 7) // 8)
 
 

@@ -166,7 +166,7 @@ def _level_sizes(file: BinaryIO, form: TiffForm, first: Page) -> list[tuple[int,
     """Rows and columns of the levels, by the directories below that of the first page."""
     sizes = [(int(first[HEIGHT][0]), int(first[WIDTH][0]))]
     below = first.get(SUB_PAGES, ())
-    if len(below) > _MAX_LEVELS:
+    if len(below) > _MAX_LEVELS or min(sizes[0]) < 1:
         raise ValueError
     for at in below:
         page = read_directory(file, form, int(at))[0]
