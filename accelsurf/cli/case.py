@@ -22,6 +22,7 @@ from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, label_files, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
+from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -269,7 +270,9 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
     output_names.check(config, labels, volume.geometry)
     label_files.check(config, volume)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
-        log.warnings.append(f"{labels} keeps the size of a pixel but not where the image lies in the world")
+        keeps_size = IMAGE_FORMATS[labels].keeps != "none"
+        what = "the size of a pixel but not" if keeps_size else "neither the size of a voxel nor"
+        log.warnings.append(f"{labels} keeps {what} where the image lies in the world")
 
 
 def evolve(

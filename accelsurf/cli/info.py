@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
@@ -112,23 +113,34 @@ def _facts_of(path: Path, asked: ReadOptions) -> dict[str, Any]:
     """What an image is; lengths in mm, all in the order (x, y, z)."""
     from accelsurf import io
     from accelsurf.errors import InputError
-    from accelsurf.io.headers import split_name
+    from accelsurf.io import headers
+    from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY
 
+    first = replace(
+        asked, time_index=asked.time_index or 0, channel_index=asked.channel_index or 0, channels_from_time=False
+    )
     try:
-        moment, channel = asked.time_index or 0, asked.channel_index or 0
-        lazy, by_boxes = io.open_volume(path, level=asked.level, channel_index=channel, time_index=moment), True
+        lazy, by_boxes = io.open_volume(
+            path, level=asked.level, channel_index=first.channel_index, time_index=first.time_index,
+            spacing=asked.spacing,
+        ), True
+        channels, time_points = lazy.layout.channels, lazy.layout.time_points
     except InputError:  # packed as a whole, or damaged: reading says which
-        lazy, by_boxes = io.LazyVolume.of_array(io.read(path, options=asked)), False
+        lazy, by_boxes = io.LazyVolume.of_array(io.read(path, options=first)), False
+        channels, time_points = headers.counts(path, first)
     geometry, layout = lazy.geometry, lazy.layout
+    seconds = lazy.metadata.get(FRAME_KEY)
     return {
-        "format": split_name(path)[1].removeprefix("."),
+        "format": headers.parse(path, first)[0].name,
         **_grid(geometry),
         "origin": list(geometry.origin),
         "direction": geometry.direction.tolist(),
         "type": str(lazy.dtype),
         "megabytes": round(math.prod(geometry.shape) * lazy.dtype.itemsize / 1e6, 3),
-        "channels": layout.channels,
-        "time_points": layout.time_points,
+        "channels": channels,
+        "time_points": time_points,
+        "seconds_per_time_point": None if seconds is None else float(seconds),
+        "unit_of_the_file": lazy.metadata.get(UNIT_KEY),
         "chunks": None if layout.chunk_shape is None else list(layout.chunk_shape[::-1]),
         "read_by_boxes": by_boxes,
         "warning": lazy.metadata.get(io.WARNING_KEY),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -81,7 +81,7 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
     from accelsurf.settings.file_formats import image_format
 
     form = image_format(split_name(source)[1])
-    if not ((form is not None and form.has_levels and config.reading.given) or is_store(source)):
+    if not ((form is not None and form.folder_marks and config.reading.given) or is_store(source)):
         if parts.max_memory is None and (form is None or form.open is None):
             return None  # it is read as a whole or not at all
         try:
@@ -101,11 +101,41 @@ def opened(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage:
     InputError
         When it cannot be.
     """
-    from accelsurf.io.lazy_volume import open_with
+    from accelsurf.io.lazy_volume import open_channels
     from accelsurf.segmentation.windowed import LargeImage
 
-    channels = [open_with(path, config.reading) for path in (source, *map(Path, config.channel))]
-    return LargeImage.of(channels, parts.allowed_bytes)
+    paths = (source, *map(Path, config.channel))
+    return LargeImage.of([one for path in paths for one in open_channels(path, config.reading)], parts.allowed_bytes)
+
+
+def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) -> RunConfig:
+    """The settings with the number of a level in place of auto: the finest whose run fits into the memory, and say it.
+
+    Raises
+    ------
+    InputError
+        When the image cannot be opened.
+    """
+    from accelsurf.io.headers import options_of
+    from accelsurf.io.lazy_volume import open_channels
+    from accelsurf.segmentation.memory_need import run_bytes
+
+    if config.level != "auto":
+        return config
+    if "level" not in options_of(source):
+        return config.replace(level=0)
+    finest = open_channels(source, replace(config.reading, level=0))
+    grids, count = finest[0].layout.levels, len(finest) + len(config.channel)
+    uses_model = energy_expression.uses_model(config.energy)
+    within = (
+        n for n, grid in enumerate(grids)
+        if run_bytes(count * math.prod(grid.shape), uses_model) <= parts.allowed_bytes
+    )
+    level = next(within, len(grids) - 1)
+    if not quiet:
+        size = " x ".join(map(str, grids[level].size))
+        print(f"level {level} of 0 to {len(grids) - 1} is read, the finest that fits into the memory: {size} voxels")
+    return config.replace(level=level)
 
 
 def for_windows(place: Place, config: RunConfig) -> RunConfig:

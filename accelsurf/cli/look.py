@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,30 +91,27 @@ def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Vol
     """
     import math
 
-    from accelsurf import io
     from accelsurf.grid.boxes import whole_box
     from accelsurf.grid.volume import Volume
     from accelsurf.io import channels
     from accelsurf.io.headers import is_store
+    from accelsurf.io.lazy_volume import open_channels
 
     if level is None and not is_store(source):
         volumes = channels.read(source, asked)
         return volumes, volumes[0].geometry
-    moment = asked.time_index or 0
-    first = io.open_volume(source, level=level or 0, channel_index=asked.channel_index or 0, time_index=moment)
-    grids = first.layout.levels
+    opened = open_channels(source, replace(asked, level=level or 0))
+    layout = opened[0].layout
     shown = level
     if shown is None:
-        small = (n for n, grid in enumerate(grids) if math.prod(grid.shape) <= MAX_VOXELS)
-        shown = next(small, len(grids) - 1)
-    if len(grids) > 1 or first.layout.time_points > 1:
-        print(f"level    {shown} of 0 to {len(grids) - 1}, time point {moment} of {first.layout.time_points}")
-    out = []
-    for channel in range(first.layout.channels) if asked.channel_index is None else (asked.channel_index,):
-        one = io.open_volume(source, level=shown, channel_index=channel, time_index=moment)
-        values = one.read(whole_box(one.geometry.shape))
-        out.append(Volume(values, one.geometry, dict(one.metadata), one.source))
-    return out, grids[level or 0]
+        small = (n for n, grid in enumerate(layout.levels) if math.prod(grid.shape) <= MAX_VOXELS)
+        shown = next(small, len(layout.levels) - 1)
+        opened = open_channels(source, replace(asked, level=shown))
+    if len(layout.levels) > 1 or asked.time_index is not None:
+        moment = f", time point {asked.time_index} of {layout.time_points}" if asked.time_index is not None else ""
+        print(f"level    {shown} of 0 to {len(layout.levels) - 1}{moment}")
+    found = [Volume(one.read(whole_box(one.shape)), one.geometry, dict(one.metadata), one.source) for one in opened]
+    return found, layout.levels[level or 0]
 
 
 def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:

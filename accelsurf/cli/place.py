@@ -42,8 +42,10 @@ class Place:
     def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
         """The place of an image whose outputs have its name, without suffix."""
         from accelsurf.io import split_name
+        from accelsurf.io.headers import is_pattern
 
-        return cls(source, folder, split_name(source)[0], overwrite)
+        named = source.absolute().parent if is_pattern(source) else source
+        return cls(source, folder, split_name(named)[0], overwrite)
 
     def laid_out(self, config: RunConfig) -> Place:
         """The same where the settings want the files of an image.

@@ -61,13 +61,14 @@ def segment(
         print(run_config(settings, config).to_toml(), end="")
         return 0
     from accelsurf.cli.case import report_failure
-    from accelsurf.cli.large_image import computed
+    from accelsurf.cli.large_image import computed, with_level
     from accelsurf.cli.place import Place
 
     display, work = display or Display(), work or ObjectOptions()
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
-        run, parts = run_config(settings, config), parts or ImageParts()
+        parts = parts or ImageParts()
+        run = with_level(place.source, run_config(settings, config), parts, display.quiet)
         place = place.laid_out(run)
         if (image := work.image(place, run, parts)) is not None:
             _refuse_switches(strict, profile)

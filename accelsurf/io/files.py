@@ -6,8 +6,9 @@ import errno
 import hashlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
@@ -139,7 +140,8 @@ def incomplete(draft: Path, reason: str) -> str:
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a file's bytes, hexadecimal, read piece by piece; of a folder, of the names and bytes of its files.
+    """SHA-256 of a file's bytes, hexadecimal, read piece by piece; of a folder or of a pattern, of
+    the names and bytes of the files.
 
     Raises
     ------
@@ -150,13 +152,31 @@ def sha256(path: str | os.PathLike[str]) -> str:
     with naming(path):
         if path.is_dir():
             return _folder_sha256(path)
+        if not path.exists():
+            path, found = _files_named(path)
+            if found:
+                return _files_sha256(path, found)
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _folder_sha256(folder: Path) -> str:
+    names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    return _files_sha256(folder, sorted(names))
+
+
+def _files_named(path: Path) -> tuple[Path, list[str]]:
+    """The folder and the names of the files that a pattern names; or the file whose part was named, and none."""
+    if ".npz@" in path.name.lower():
+        return path.with_name(path.name[: path.name.lower().index(".npz@") + 4]), []
+    names = os.listdir(path.parent) if path.parent.is_dir() else []
+    found = sorted(name for name in names if fnmatchcase(name, path.name))
+    return (path.parent if found else path), found
+
+
+def _files_sha256(folder: Path, names: Sequence[str]) -> str:
     total = hashlib.sha256()
-    for name in sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()):
+    for name in names:
         with (folder / name).open("rb") as file:
             total.update(hashlib.file_digest(file, "sha256").digest() + os.fsencode(name) + b"\0")
     return total.hexdigest()

@@ -56,6 +56,8 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
         describe a grid.
     """
     form = format_of(path)
+    if not path.exists():
+        return form, _header(form, path, options)
     header = _header(form, path, options)
     if path.is_dir():
         return form, header
@@ -65,17 +67,68 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
     return form, header
 
 
+def kind_of(form: ImageFormat) -> str:
+    """What messages call an image of a format.
+
+    Examples
+    --------
+    >>> kind_of(IMAGE_FORMATS["nii"]), kind_of(IMAGE_FORMATS["slices"])
+    ('a .nii', 'a folder of slices')
+    """
+    return f"a {form.suffixes[0]}" if form.suffixes else f"a folder of {form.name}"
+
+
+def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
+    """How many channels and time points an image has, by its header alone.
+
+    Raises
+    ------
+    InputError
+        As `parse`.
+    """
+    _, header = parse(path, options)
+    return int(getattr(header, "channels", 1)), int(getattr(header, "time_points", 1))
+
+
+def is_pattern(path: Path) -> bool:
+    """Whether a path names files by a pattern, and no file itself.
+
+    Examples
+    --------
+    >>> is_pattern(Path("slices/a*.tif")), is_pattern(Path("scan.nii"))
+    (True, False)
+    """
+    return any(sign in path.name for sign in "*?") and not path.exists()
+
+
+def _absent_form(path: Path) -> ImageFormat:
+    """The format where no file has the path itself: slices by a pattern, or an array in an archive.
+
+    Raises
+    ------
+    InputError
+        When it is neither.
+    """
+    if is_pattern(path):
+        return IMAGE_FORMATS["slices"]
+    archive = path.name.lower().partition(".npz@")
+    if archive[2] and path.with_name(path.name[: len(archive[0]) + 4]).is_file():
+        return IMAGE_FORMATS["npz"]
+    raise InputError("there is no such file", hint="check the path")
+
+
 def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
     """What a header claims."""
-    unknown = [name for name in options.given if name not in form.options]
+    # The first of one is harmless to ask for, and the level that fits.
+    unknown = [n for n in options.given if n not in form.options and getattr(options, n) not in (0, "auto")]
     if unknown:
         name, value = unknown[0].replace("_", "-"), getattr(options, unknown[0])
-        raise UsageError(f"{name}: {value} was given, and a {form.suffixes[0]} has no such choice", "leave it out")
+        raise UsageError(f"{name}: {value} was given, and {kind_of(form)} has no such choice", "leave it out")
     return load(form.parse)(path, options) if form.options else load(form.parse)(path)
 
 
 def format_of(path: Path) -> ImageFormat:
-    """The format of a file or folder that is there: by its name, else by what is in it.
+    """The format of a file or folder, of slices by a pattern or an array in an archive: by name, else by content.
 
     Raises
     ------
@@ -84,9 +137,12 @@ def format_of(path: Path) -> ImageFormat:
     """
     check_name(path)
     if path.is_dir():
-        return _format_of_folder(path)
+        form = _folder_format(path)
+        if form is None:
+            raise InputError("this is a folder, an image file expected", "give an image file, or a folder of DICOM")
+        return form
     if not path.exists():
-        raise InputError("there is no such file", hint="check the path")
+        return _absent_form(path)
     form = image_format(split_name(path)[1])
     if form is None and path.is_file():
         form = next((one for one in IMAGE_FORMATS.values() if one.is_file and load(one.is_file)(path)), None)
@@ -102,8 +158,10 @@ def format_of(path: Path) -> ImageFormat:
     return form
 
 
-def _format_of_folder(path: Path) -> ImageFormat:
-    """As `format_of`, of a folder: one whose name says that it is an image, or in which the files of such one are."""
+def _folder_format(path: Path) -> ImageFormat | None:
+    """The format of a folder; None where it is none, or holds no image."""
+    if not path.is_dir():
+        return None
     named = image_format(split_name(path)[1])
     for form in IMAGE_FORMATS.values():
         if form.folder_marks and (form is named or any((path / mark).is_file() for mark in form.folder_marks)):
@@ -111,7 +169,7 @@ def _format_of_folder(path: Path) -> ImageFormat:
     for form in IMAGE_FORMATS.values():
         if form.is_folder is not None and load(form.is_folder)(path):
             return form
-    raise InputError("this is a folder, an image file expected", hint="give an image file, or a folder of DICOM")
+    return None
 
 
 def is_stored(path: Path) -> bool:
@@ -158,15 +216,34 @@ def options_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
     Examples
     --------
     >>> options_of("cells.ome.zarr")
-    ('level', 'channel_index', 'time_index')
+    ('level', 'channel_index', 'time_index', 'channels_from_time')
     """
-    form = image_format(split_name(path)[1])
+    path = Path(path)
+    if is_pattern(path):
+        return IMAGE_FORMATS["slices"].options
+    form = image_format(split_name(path)[1]) or _folder_format(path)
     return () if form is None else form.options
 
 
 def is_outside_data_allowed() -> bool:
     """Whether a header may name a data file in another folder now; for processes that go on with this work."""
     return _OUTSIDE_DATA.get()
+
+
+def check_data_file(path: Path, data: Path) -> None:
+    """Refuse a further file that a header names where it is missing, or lies in another folder than its header.
+
+    Raises
+    ------
+    InputError
+        With what to do.
+    """
+    if not _OUTSIDE_DATA.get():
+        _check_data_folder(path, data)
+    if not data.is_file():
+        raise InputError(
+            f"the header names the file {data.name}, which is missing", f"copy {data.name} into the same folder"
+        )
 
 
 def _check_data_folder(path: Path, data: Path) -> None:

@@ -171,6 +171,8 @@ def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
     form = image_format(suffix)
     if form is None or form.keeps == "all":
         return geometry
+    if form.keeps == "none":
+        return Geometry(geometry.shape, (1.0, 1.0, 1.0))
     depth = 1.0 if form.keeps == "pixel" else geometry.spacing[0]
     return Geometry(geometry.shape, (depth, *geometry.spacing[1:]))
 

@@ -39,7 +39,7 @@ def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     """Read the voxels; a fourth axis of one is dropped."""
     with _quiet():
         image = reader.Execute()
-    return image[:, :, :, 0] if image.GetDimension() == 4 else image
+    return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
 
 
 def array_of(path: Path, itk_name: str) -> NDArray[Any]:
@@ -94,8 +94,16 @@ def geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:
     return Geometry(image.GetSize()[2::-1], image.GetSpacing()[2::-1], image.GetOrigin()[:3], direction)
 
 
-def check_kind(reader: sitk.ImageFileReader) -> None:
+def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: bool = False) -> None:
     """Refuse by name what is not a 3D image of real numbers (NIfTI was refused from its raw header already).
+
+    Parameters
+    ----------
+    reader : sitk.ImageFileReader
+    count : int
+        How many components or volumes are expected.
+    is_interleaved : bool
+        Whether they are components.
 
     Raises
     ------
@@ -107,18 +115,18 @@ def check_kind(reader: sitk.ImageFileReader) -> None:
     pixel = sitk.GetPixelIDValueAsString(reader.GetPixelIDValue())
     if "complex" in pixel:
         raise InputError("a complex image given, one real number per voxel expected", hint="take the magnitude first")
-    if components > 1:
+    if components > 1 and components != (count if is_interleaved else 1):
         kind = "colour (RGB) or vector" if components in (3, 4) and "unsigned" in pixel else "vector"
         raise InputError(
             f"a {kind} image ({text}, {components} components per voxel) given, one number per voxel expected",
-            hint="extract one channel, or the magnitude, first",
+            hint="say which channel (--channel-index N), or extract one, or the magnitude, first",
         )
     if len(size) < 3:
         raise InputError(
             f"a {len(size)}D image ({text}) given, 3D expected",
             hint="add a slice axis of size 1, or use Volume.from_array in Python",
         )
-    if len(size) > 4 or (len(size) == 4 and size[3] > 1):
+    if len(size) > 4 or (len(size) == 4 and size[3] != (1 if is_interleaved else count)):
         raise InputError(
             f"a {len(size)}D image ({text}) given, 3D expected", hint="extract one time point or channel first"
         )

@@ -18,7 +18,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io import headers
+from accelsurf.io import headers, selection
 from accelsurf.io.files import naming
 from accelsurf.settings.reading import Level, ReadOptions
 from accelsurf.settings.registry import load
@@ -50,6 +50,12 @@ class Opening:
     channel_index: int | None = None
     time_index: int | None = None
     cache_bytes: int = CACHE_BYTES
+    spacing: tuple[float, float, float] | None = None
+
+    @property
+    def options(self) -> ReadOptions:
+        """The same as options of reading."""
+        return ReadOptions(self.level, self.channel_index, self.time_index, spacing=self.spacing)
 
 
 @dataclass(frozen=True)
@@ -224,6 +230,7 @@ def open_volume(
     channel_index: int | None = None,
     time_index: int | None = None,
     cache_bytes: int = CACHE_BYTES,
+    spacing: tuple[float, float, float] | None = None,
     outside_data: bool = False,
 ) -> LazyVolume:
     """Open an image without reading its voxels.
@@ -231,7 +238,7 @@ def open_volume(
     Parameters
     ----------
     path : path-like
-        An OME-Zarr, a TIFF stack in grey, or an uncompressed NIfTI, NRRD or MetaImage.
+        An OME-Zarr, a TIFF in grey, slices, an .npy, or an uncompressed NIfTI, NRRD or MetaImage.
     level : int or "auto", optional
         Of an image that is stored as a pyramid: 0 is the finest, "auto" the finest whose run fits into the memory.
     channel_index, time_index : int, optional
@@ -239,6 +246,8 @@ def open_volume(
     cache_bytes : int, optional
         Bytes of unpacked chunks or pages that are held at most; those that were used last stay. Voxels that lie in a
         file as they are need none: the operating system has a cache of files.
+    spacing : tuple of float, optional
+        Size of a voxel (x, y, z), mm, of a picture, a stack or an array that does not say it.
     outside_data : bool, optional
         As for `accelsurf.io.read`.
 
@@ -252,18 +261,12 @@ def open_volume(
     """
     path = Path(path)
     with naming(path), headers.outside_data_allowed(outside_data):
-        form, header = headers.parse(path)
+        opening = Opening(level, channel_index, time_index, cache_bytes, spacing)
+        form, header = headers.parse(path, opening.options)
         if form.open is None:
             raise InputError(
-                f"a {form.suffixes[0]} is packed or held as a whole, an image that is read box by box expected",
+                f"{headers.kind_of(form)} is packed or held as a whole, an image that is read box by box expected",
                 "convert it to OME-Zarr, or save it uncompressed as .nii, .nrrd or .mha",
-            )
-        opening = Opening(level, channel_index, time_index, cache_bytes)
-        if not form.has_levels and (level, channel_index or 0, time_index or 0) != (0, 0, 0):
-            raise UsageError(
-                f"level {level}, channel {channel_index or 0}, time point {time_index or 0} asked for: "
-                f"a {form.suffixes[0]} has one of each",
-                "leave them out",
             )
         volume: LazyVolume = load(form.open)(path, header, opening)
     volume._opened = path.absolute(), opening, headers.is_outside_data_allowed() or outside_data
@@ -273,12 +276,29 @@ def open_volume(
 def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:
     """As `open_volume`, with those options of an image that the format of the file has."""
     asked = options.among(headers.options_of(path))
-    return open_volume(path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index)
+    return open_volume(
+        path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index, spacing=asked.spacing
+    )
+
+
+def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[LazyVolume]:
+    """Open the channels of an image, or the one that was asked for, with those options that the format has.
+
+    Raises
+    ------
+    InputError
+        As `open_volume`, and for a sequence of which no time point was named.
+    """
+    path = Path(path)
+    asked = options.among(headers.options_of(path))
+    with naming(path):
+        places = selection.selected(*headers.counts(path, asked), asked)
+    return [open_with(path, replace(asked, channels_from_time=False, time_index=t, channel_index=c)) for t, c in places]
 
 
 def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
     """A volume that was opened, once more."""
     return open_volume(
         path, level=opening.level, channel_index=opening.channel_index, time_index=opening.time_index,
-        cache_bytes=opening.cache_bytes, outside_data=outside_data,
+        cache_bytes=opening.cache_bytes, spacing=opening.spacing, outside_data=outside_data,
     )

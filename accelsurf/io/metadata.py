@@ -1,5 +1,7 @@
 """Keys of `Volume.metadata` that do not belong to one format."""
 
+from collections.abc import Mapping
+
 WARNING_KEY = "warning"
 """A warning about the file that was read; absent when there is none."""
 
@@ -12,3 +14,20 @@ DICOM_KEY = "dicom_series"
 
 VALUE_UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""
+
+UNIT_KEY = "spatial_unit"
+"""The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
+FRAME_KEY = "frame_seconds"
+"""Seconds from one time point of a sequence to the next; absent where the file does not say them."""
+
+
+def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
+    """The metadata with further warnings.
+
+    Examples
+    --------
+    >>> with_warnings({"warning": "a"}, "b", "")
+    {'warning': 'a; b'}
+    """
+    said = "; ".join(note for note in (metadata.get(WARNING_KEY, ""), *notes) if note)
+    return {**metadata, WARNING_KEY: said} if said else dict(metadata)

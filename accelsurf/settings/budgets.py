@@ -93,6 +93,11 @@ TIFF_TAGS = Budget("the entries of a TIFF's pages", 1, "bytes", "save it as a pl
 TIFF_STRIPS = Budget(
     "the strips of a TIFF together", 4, "bytes", "save it as a plain stack, without shared strips", "byte of the file"
 )
+TIFF_PLANES = Budget("the pages that an OME-TIFF or an ImageJ stack announces", 1 << 22, "pages", "is it damaged?")
+NPZ = Budget(
+    "an array of an .npz, unpacked", 1032, "bytes", "the file is damaged: save it again", "packed byte (and 1024)"
+)
+SLICES = Budget("the files of a folder of slices", 1 << 16, "files", "make one stack of them, as OME-Zarr")
 ZARR_CHUNK = Budget("a chunk of a Zarr, unpacked", 1 << 30, "bytes", "store it in smaller chunks")
 MESH_FILE = Budget(
     "a mesh in memory while it is read", 1, "bytes", "simplify the mesh first", "byte of free memory"
@@ -121,6 +126,6 @@ STATE_UNPACKED = Budget(
 #: All of them, in the order of the reference page.
 BUDGETS = (
     CONFIG, EXPRESSION, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW, PACKBITS, TIFF_TAGS,
-    TIFF_STRIPS, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING,
+    TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING,
     STATE_FILE, STATE_UNPACKED,
 )

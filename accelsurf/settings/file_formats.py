@@ -15,7 +15,7 @@ from accelsurf.settings.registry import Registry
 
 Function = str | Callable[..., Any]
 #: What of the grid a file keeps: all of it, the spacing, or the size of a pixel.
-GridFidelity = Literal["all", "spacing", "pixel"]
+GridFidelity = Literal["all", "spacing", "pixel", "none"]
 #: What a mesh file describes: the surface in a volume, or the contours in an image of one slice.
 Shape = Literal["surface", "contour"]
 #: Types of values that a TIFF can hold here.
@@ -33,7 +33,8 @@ class ImageFormat:
     help : str
         What it is, in a few words.
     suffixes : tuple of str
-        Endings of its files, in lower case, with the dot. No ending of one format ends with that of another.
+        Endings of its files, in lower case, with the dot; of a folder with any name none. No
+        ending of one format ends with that of another.
     parse : str or callable
         Of a Path, and where the format has ``options`` of `accelsurf.settings.reading.ReadOptions`, returns what the
         header claims, of any type; raises InputError or GeometryError.
@@ -71,9 +72,9 @@ class ImageFormat:
         The numpy types of values that it holds; empty: all of integers and floats of 4 and 8 bytes.
     only_2d : bool
         Whether it holds one slice only.
-    keeps : {"all", "spacing", "pixel"}
-        What of the grid is read back: all of it, the spacing, or the size of a pixel; the rest is the world's origin,
-        the world's axes, and slices of 1 mm.
+    keeps : {"all", "spacing", "pixel", "none"}
+        What of the grid is read back: all of it, the spacing, the size of a pixel, or no length; the rest is the
+        world's origin, the world's axes, and lengths of 1 mm.
     white_labels : bool
         Whether a label map of 0 and 1 is written as 0 and 255, which is black and white in every viewer.
     distances : str or None
@@ -105,6 +106,8 @@ class ImageFormat:
 
 
 _FORMATS = "accelsurf.io.formats"
+#: Options of formats that may hold several channels and time points.
+_PARTS = ("channel_index", "time_index", "channels_from_time")
 
 IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     "image format",
@@ -115,6 +118,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti:read_compressed_header",
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write_compressed",
+        _PARTS,
         read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
     ),
@@ -125,6 +129,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti:read_plain_header",
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write",
+        _PARTS,
         read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
         open=f"{_FORMATS}.nifti_volumes:open_lazily",
@@ -137,6 +142,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
         f"{_FORMATS}.itk_volumes:read",
         f"{_FORMATS}.itk_volumes:write_nrrd",
+        _PARTS,
         read_channels=f"{_FORMATS}.itk_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nrrd_metaimage:is_anatomical",
         open=f"{_FORMATS}.itk_volumes:open_lazily",
@@ -149,6 +155,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
             f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
             f"{_FORMATS}.itk_volumes:read",
             f"{_FORMATS}.itk_volumes:write_metaimage",
+            _PARTS,
             read_channels=f"{_FORMATS}.itk_volumes:read_channels",
             open=f"{_FORMATS}.itk_volumes:open_lazily",
         )
@@ -164,7 +171,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.ome_zarr:parse",
         f"{_FORMATS}.ome_zarr:read",
         f"{_FORMATS}.ome_zarr:write",
-        ("level", "channel_index", "time_index"),
+        ("level", *_PARTS),
         read_channels=f"{_FORMATS}.ome_zarr:read_channels",
         write_labels=f"{_FORMATS}.ome_zarr:write_labels",
         open=f"{_FORMATS}.ome_zarr:open_lazily",
@@ -179,6 +186,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.png:parse",
         f"{_FORMATS}.raster:read",
         f"{_FORMATS}.png:write",
+        ("spacing",),
         types=("uint8", "uint16"),
         only_2d=True,
         keeps="pixel",
@@ -187,12 +195,15 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     ),
     ImageFormat(
         "tif",
-        "TIFF, grey or colour, a page for each slice; written grey and compressed",
+        "TIFF, OME-TIFF, ImageJ hyperstacks, BigTIFF; written grey and compressed, a page for each slice",
         (".tif", ".tiff"),
-        f"{_FORMATS}.tiff:parse",
-        f"{_FORMATS}.tiff_pages:read",
-        f"{_FORMATS}.tiff:write",
-        open=f"{_FORMATS}.tiff_pages:open_lazily",
+        f"{_FORMATS}.tiff_image:parse",
+        f"{_FORMATS}.tiff_image:read",
+        f"{_FORMATS}.tiff_file:write",
+        ("level", *_PARTS, "spacing"),
+        read_channels=f"{_FORMATS}.tiff_image:read_channels",
+        open=f"{_FORMATS}.tiff_image:open_lazily",
+        has_levels=True,
         types=_TIFF_TYPES,
         keeps="spacing",
         white_labels=True,
@@ -208,6 +219,38 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         is_folder=f"{_FORMATS}.dicom:holds_dicom",
         is_file=f"{_FORMATS}.dicom:is_dicom",
         listing=f"{_FORMATS}.dicom:listing",
+    ),
+    ImageFormat(
+        "slices",
+        "a folder of slices in TIFF or PNG, or a pattern of such files",
+        (),
+        f"{_FORMATS}.slices:parse",
+        f"{_FORMATS}.slices:read",
+        None,
+        ("spacing",),
+        open=f"{_FORMATS}.slices:open_lazily",
+        is_folder=f"{_FORMATS}.slices:is_slices",
+    ),
+    ImageFormat(
+        "npy",
+        "an array of numpy (z, y, x), without its grid",
+        (".npy",),
+        f"{_FORMATS}.numpy_arrays:parse",
+        f"{_FORMATS}.numpy_arrays:read",
+        f"{_FORMATS}.numpy_arrays:write",
+        ("spacing",),
+        open=f"{_FORMATS}.numpy_arrays:open_lazily",
+        keeps="none",
+    ),
+    ImageFormat(
+        "npz",
+        "an array in an archive of numpy, named as FILE.npz@NAME where it has several",
+        (".npz",),
+        f"{_FORMATS}.numpy_arrays:parse_archive",
+        f"{_FORMATS}.numpy_arrays:read",
+        None,
+        ("spacing",),
+        keeps="none",
     ),
 )
 #: The format of a label map where neither the settings nor the input give one.
@@ -328,9 +371,10 @@ def input_help() -> str:
     Examples
     --------
     >>> input_help()
-    '.nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .png, .tif or .dcm'
+    '.nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .npy or .npz'
     """
-    *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values())  # .tiff is known where .tif is
+    # .tiff is known where .tif is.
+    *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values() if form.suffixes)
     return f"{', '.join(others)} or {last}"
 
 
@@ -345,7 +389,7 @@ def label_help() -> str:
     Examples
     --------
     >>> label_help()
-    'nii.gz, nii, nrrd, mha, mhd, ome.zarr, tif, or for one slice png'
+    'nii.gz, nii, nrrd, mha, mhd, ome.zarr, tif, npy, or for one slice png'
     """
     volumes = [name for name in label_formats() if not IMAGE_FORMATS[name].only_2d]
     slices = [name for name in label_formats() if IMAGE_FORMATS[name].only_2d]

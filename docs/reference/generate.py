@@ -173,7 +173,7 @@ def _presets() -> str:
 
 
 def _file_formats() -> str:
-    kept = {"all": "the whole grid", "spacing": "the spacing", "pixel": "the size of a pixel"}
+    kept = {"all": "the whole grid", "spacing": "the spacing", "pixel": "the size of a pixel", "none": "nothing"}
     images = [
         (f"`{name}`", form.help, _code(form.suffixes), _values(form), kept[form.keeps], _channels(form), _boxes(form))
         for name, form in IMAGE_FORMATS.items()
@@ -184,13 +184,14 @@ def _file_formats() -> str:
         "",
         "## Images, label maps, distances",
         "",
-        "All are read and written; the ending of a file's name says which it is. `--format NAME` is the format of the",
-        f"label map: unless given that of the input, or `{DEFAULT_IMAGE_FORMAT}`. What is not kept of the grid is the",
-        "world's origin, the world's axes and slices of 1 mm when the file is read.",
+        "The ending of a file's name says which it is. `--format NAME` is the format of the label map, of those that",
+        f"are written: unless given that of the input, or `{DEFAULT_IMAGE_FORMAT}`. What is not kept of the grid is",
+        "the world's origin, the world's axes and voxels of 1 mm when the file is read; `--spacing` says another size.",
         "",
         *_table(("Format", "What it is", "Endings", "Values", "Keeps", "Channels", "By boxes"), images),
         "By boxes: `accelsurf.io.open_volume` reads parts of an image that is larger than the memory. NRRD and",
-        "MetaImage must then be saved uncompressed, TIFF in grey. OME-Zarr is a folder and needs",
+        "MetaImage must then be saved uncompressed, TIFF in grey. TIFF in tiles of 16 bits, of 64-bit numbers, or in",
+        'packings beyond deflate, LZW and PackBits needs `pip install "accelsurf[tiff]"`. OME-Zarr is a folder, for',
         '`pip install "accelsurf[zarr]"`; `accelsurf info IMAGE` shows its levels and chunks. A chunk that is absent',
         "has the fill value, as Zarr has it; a damaged one is an error with exit code 3. OME-Zarr has no direction of",
         "the axes: accelsurf writes it into an attribute of its own, which other programs do not read.",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
 from accelsurf import cli, io
 from accelsurf.batch import pool
@@ -130,6 +131,7 @@ def folder_of_a_reader():
     store = Geometry((96, 96, 96), (1.0, 1.0, 1.0), origin=(-47.5, -47.5, -47.5))
     io.write(Volume((100.0 * (x**2 + y**2 + z**2 < 30**2)).astype(np.float32), store), "ct.ome.zarr")
     study_of_a_reader(Path("study"))
+    of_a_microscope()
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
     first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
     assert cli.execute(first.split()) == 0
@@ -146,6 +148,22 @@ def study_of_a_reader(folder):
         far = np.linalg.norm(ball.points(position), axis=-1)
         one.PixelData = np.where(far < 24, 300, 0).astype(np.int16).tobytes()
         save(one, folder / "thin" / f"{number:03d}.dcm")
+
+
+def of_a_microscope():
+    """A sequence of two channels, slices in a folder, and an array."""
+    z, y, x = np.indices((40, 40, 40)) - 19.5
+    ball = np.where(x**2 + y**2 + z**2 < 12**2, 200, 20).astype(np.uint8)
+    sizes = {f"PhysicalSize{axis}": 1.0 for axis in "XYZ"}
+    tifffile.imwrite(
+        "cells.ome.tif", np.stack([[ball, 255 - ball]] * 2), photometric="minisblack",
+        metadata={"axes": "TCZYX", "TimeIncrement": 2.0, **sizes},
+    )
+    Path("slices").mkdir(exist_ok=True)
+    ball = np.pad(ball, 4, mode="edge")
+    for number, page in enumerate(ball):
+        tifffile.imwrite(f"slices/z{number}.tif", page, photometric="minisblack")
+    np.save("stack.npy", ball)
 
 
 PLANE = Geometry((1, 160, 200), (1.0, 1.0, 1.0))

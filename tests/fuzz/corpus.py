@@ -79,7 +79,7 @@ def _images(folder: Path):
     turned *= np.sign(np.linalg.det(turned))
     grids = [Geometry(SHAPE, (1.0, 1.0, 1.0)), Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25), turned)]
     for suffix in files.written_suffixes():
-        if suffix in (".tiff", ".ome.zarr", ".zarr"):
+        if suffix in (".tiff", ".ome.zarr", ".zarr", ".npy", ".npz"):
             continue
         for grid in grids:
             for dtype in ("uint8", "int16", "float32") if suffix not in (".png",) else ("uint8", "uint16"):
@@ -107,6 +107,8 @@ def _images(folder: Path):
     yield Input("image", ".mha", "mixed", meta.format("False", "LOCAL").encode() + text)
     yield Input("image", ".mhd", "text", meta.format("True", DATA_FILE).encode())
     yield from _tiffs()
+    yield from _hyperstacks()
+    yield from _arrays()
     yield from _zarrs(folder)
     import nibabel
 
@@ -153,6 +155,41 @@ def _tiffs():
         stream = io.BytesIO()
         Image.fromarray(VALUES[0].astype(np.uint8)).save(stream, "TIFF", compression=compression)
         yield Input("image", ".tif", "binary", stream.getvalue())
+
+
+def _hyperstacks():
+    """TIFF of several channels, with levels, and in kinds that tifffile unpacks."""
+    import tifffile
+
+    full = np.resize(VALUES.astype("uint16"), (2, 3, 4, 5, 6))
+    for options in (
+        {"ome": True, "metadata": {"axes": "TCZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5}},
+        {"imagej": True, "metadata": {"axes": "TZCYX"}},
+        {"metadata": {"axes": "TCZYX"}},
+    ):
+        stream = io.BytesIO()
+        values = full.transpose(0, 2, 1, 3, 4) if "imagej" in options else full
+        tifffile.imwrite(stream, values, photometric="minisblack", **options)
+        yield Input("sequence", ".tif", "mixed", stream.getvalue())
+    for dtype, options in (("u2", {"tile": (16, 16)}), ("f8", {}), ("u2", {"tile": (16, 16), "compression": "zlib"})):
+        stream = io.BytesIO()
+        tifffile.imwrite(stream, np.resize(VALUES, (2, 20, 30)).astype(dtype), photometric="minisblack", **options)
+        yield Input("sequence", ".tif", "binary", stream.getvalue())
+    stream = io.BytesIO()
+    with tifffile.TiffWriter(stream) as out:
+        out.write(np.zeros((32, 32), np.uint8), subifds=1, photometric="minisblack", metadata=None)
+        out.write(np.ones((16, 16), np.uint8), subfiletype=1, photometric="minisblack", metadata=None)
+    yield Input("sequence", ".tif", "binary", stream.getvalue())
+
+
+def _arrays():
+    for values in (VALUES, np.asfortranarray(VALUES.astype(">f8"))):
+        stream = io.BytesIO()
+        np.save(stream, values)
+        yield Input("sequence", ".npy", "mixed", stream.getvalue())
+        stream = io.BytesIO()
+        np.savez_compressed(stream, image=values)
+        yield Input("sequence", ".npz", "binary", stream.getvalue())
 
 
 def _zarrs(folder: Path):

@@ -19,6 +19,7 @@ from accelsurf.initialization import object_starts, starts
 from accelsurf.io import channels, meshes
 from accelsurf.report import result_sets
 from accelsurf.settings import edits, energy_expression
+from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import independent
 from tests.fuzz.corpus import DATA_FILE, VALUES, ZARR_VOLUME, Input
@@ -153,6 +154,23 @@ def _channels(one: Input, path: Path) -> None:
     channels.read(path)
 
 
+def _sequence(one: Input, path: Path) -> None:
+    """Each of the ways in which a file of several channels, time points and levels is asked for."""
+    every = [ReadOptions(), ReadOptions(spacing=(1.0, 2.0, 3.0))]
+    if path.suffix == ".tif":
+        every += [ReadOptions(time_index=1), ReadOptions(level=1)]
+        every += [ReadOptions(channels_from_time=True, channel_index=0)]
+    for asked in every:
+        try:
+            found = channels.read(path, asked)
+        except AccelsurfError as error:
+            if (verdict := _of_refusal(error)).is_fault:
+                raise Wrong(f"{verdict.outcome}: {verdict.text}") from error
+            continue
+        if any(volume.array.shape != found[0].geometry.shape for volume in found):
+            raise Wrong(f"shapes {[volume.array.shape for volume in found]}")
+
+
 def _mesh(one: Input, path: Path) -> None:
     points, triangles = meshes.read(path)
     if not np.isfinite(points).all() or triangles.min() < 0 or triangles.max() >= len(points):
@@ -252,7 +270,7 @@ def _sleep(one: Input, path: Path) -> None:
 
 
 _JUDGES = {
-    **{"crash": _crash, "sleep": _sleep, "zarr": _zarr},
+    **{"crash": _crash, "sleep": _sleep, "zarr": _zarr, "sequence": _sequence},
     **{"image": _image, "channels": _channels, "mesh": _mesh, "energy": _energy, "start": _start, "edit": _edit},
     **{"toml": _toml, "argv": _argv, "table": _table, "run": _run, "checkpoint": _checkpoint, "report": _report},
 }

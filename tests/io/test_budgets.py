@@ -78,7 +78,7 @@ def bombs(folder):
     from accelsurf.grid.volume import Volume
     from accelsurf.initialization import object_starts, starts
     from accelsurf.io import meshes
-    from accelsurf.io.formats import png, tiff
+    from accelsurf.io.formats import png, tiff_file
     from accelsurf.settings import energy_expression
     from accelsurf.settings.run_config import RunConfig
     from accelsurf.viewer.frontends.movie_file import run_of_folder
@@ -123,7 +123,7 @@ def bombs(folder):
         return io.read(made("a.tif", b"".join(out)))
 
     def shared_strips():
-        content = bytearray(tiff.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
+        content = bytearray(tiff_file.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
         body = zlib.compress(bytes(1 << 22), 1)
         strips = 20_000
         offsets, lengths = len(content), len(content) + 4 * strips
@@ -138,7 +138,7 @@ def bombs(folder):
         return io.read(made("a.tif", bytes(content)))
 
     def described(text):
-        values = tiff.encode(small.array.astype(np.uint16), (1.0, 1.0, 1.0))
+        values = tiff_file.encode(small.array.astype(np.uint16), (1.0, 1.0, 1.0))
         at, old = values.index(b"ImageJ"), values.index(struct.pack("<HH", 270, 2))
         content = bytearray(values) + text.encode()
         struct.pack_into("<II", content, old + 4, len(text), len(values))
@@ -148,7 +148,7 @@ def bombs(folder):
         return energy_expression.parse("")
 
     def claims(compression):
-        content = bytearray(tiff.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
+        content = bytearray(tiff_file.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
         for place in range(len(content) - 12):
             tag, kind, count = struct.unpack_from("<HHI", content, place)
             if (tag, kind, count) in ((256, 4, 1), (257, 4, 1)):

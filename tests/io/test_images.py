@@ -210,7 +210,7 @@ def test_folder_instead_of_a_file(tmp_path):
 @pytest.mark.parametrize("name", ["a.jpg", "a.gz", "a", ".nii", "a.nii.bz2"])
 def test_unknown_suffix(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
-    known = ".nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .zip"
+    known = ".nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .zip, .npy, .npz"
     refuse(tmp_path / name, re.escape(f"unknown file type, one of {known} expected"))
 
 
@@ -231,9 +231,9 @@ def test_other_sorts_of_images_are_named_with_the_way_out(tmp_path, suffix, capf
     image = sitk.GetImageFromArray(np.arange(60, dtype=np.float32).reshape(3, 4, 5))
     byte = sitk.Cast(image, sitk.sitkUInt8)
     cases = [
-        (sitk.JoinSeries([image, image]), "4D image", "time point or channel"),
-        (sitk.Compose(image, image), "vector", "channel"),
-        (sitk.Compose(byte, byte, byte), "vector", "channel"),
+        (sitk.JoinSeries([image, image]), "sequence of 2 time points", "--time-index 0 to 1"),
+        (sitk.Compose(image, image), "vector|2 channels", "channel"),
+        (sitk.Compose(byte, byte, byte), "vector|3 channels", "channel"),
         (image[:, :, 0], "2D image", "slice"),
     ]
     if suffix != ".mha":  # a complex MetaImage is a vector of two to every reader

@@ -124,7 +124,7 @@ def test_a_compressed_file_is_refused_with_what_to_do(tmp_path):
 def test_a_file_without_levels_has_no_second_one(tmp_path):
     path = tmp_path / "scan.nii"
     io.write(Volume.from_array(values("f4")), path)
-    with pytest.raises(UsageError, match="level 1"):
+    with pytest.raises(UsageError, match="level: 1 was given, and a .nii has no such choice"):
         io.open_volume(path, level=1)
 
 

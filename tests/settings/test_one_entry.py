@@ -168,7 +168,7 @@ def test_what_it_does_not_take_is_refused_in_the_usual_words(toys):
         RunConfig(energy="area")
     with pytest.raises(UsageError, match="sobolev, momentum or toy-flow"):
         RunConfig(flow="toy-flo")
-    with pytest.raises(UsageError, match="png, tif or toy"):
+    with pytest.raises(UsageError, match="png, tif, npy or toy"):
         RunConfig(format="toi")
     with pytest.raises(UsageError, match="vtp, csv, toymesh"):
         RunConfig(mesh="toimesh")
@@ -186,7 +186,8 @@ def test_help_schema_and_messages(toys):
     properties = RunConfig.json_schema()["properties"]
     assert properties["flow"]["enum"][-1] == "toy-flow" and "toy that wants" in properties["energy"]["description"]
     assert expected("flow").endswith("or toy-flow")
-    assert "ome.zarr, tif, toy, or for one slice png" in help_of("format") and "obj, vtp, toymesh;" in help_of("mesh")
+    assert "ome.zarr, tif, npy, toy, or for one slice png" in help_of("format")
+    assert "obj, vtp, toymesh;" in help_of("mesh")
     assert "fluorescence-nucleus, toy-scan." in properties["preset"]["description"]
     assert properties["format"]["anyOf"][0]["enum"][-1] == "toy"
 
@@ -257,7 +258,7 @@ def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
 def test_help_of_the_command():
     shown = program("segment", "--help")
     assert "toy: a toy that wants bright voxels" in shown and "toy-flow: a toy that descends" in shown
-    assert ".tif, .dcm or .toy" in shown and "toymesh" in shown and "toy-scan" in shown
+    assert ".tif, .dcm, .npy, .npz or .toy" in shown and "toymesh" in shown and "toy-scan" in shown
 
 
 def test_info(toys, capsys):

@@ -147,7 +147,7 @@ def test_odd_config_changes_every_field():
         ("mesh", "", "ply, stl, obj, vtp"),
         ("mesh_space", "xyz", "lps or ras"),
         ("save_sdf", "maybe", "true or false"),
-        ("format", "jpg", "nii.gz, nii, nrrd, mha, mhd, ome.zarr, png or tif"),
+        ("format", "jpg", "nii.gz, nii, nrrd, mha, mhd, ome.zarr, png, tif or npy"),
         ("seed", -1, "at least 0"),
         ("threads", 0, "at least 1"),
     ],

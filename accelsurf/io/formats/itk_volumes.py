@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import SimpleITK as sitk
@@ -15,11 +15,9 @@ from accelsurf.io import itk
 from accelsurf.io.formats.nrrd_metaimage import METAIMAGE_ITK_NAME, NRRD_ITK_NAME, NRRD_KEY, put_nrrd_space
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
-from accelsurf.io.lazy_volume import LazyVolume, Opening
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
-
-#: More volumes along the fourth axis than this are a time series, not channels.
-MAX_CHANNELS = 16
+from accelsurf.io.metadata import FRAME_KEY
 
 _HEADER_SAMPLE = 1 << 14  # bytes, more than any header written here has
 
@@ -42,12 +40,41 @@ def read(path: Path, header: RawHeader, available: int) -> Volume:
         When the file is no 3D image of real numbers, incomplete or larger than the memory; GeometryError when its
         header does not describe a grid of perpendicular axes.
     """
-    reader = itk.open_reader(path, header.itk_name)
-    itk.check_kind(reader)
-    check_memory(reader.GetSize(), itk.voxel_type(reader).itemsize, available)
+    numbers = header.selected()
+    if len(numbers) > 1:
+        itk.check_kind(itk.open_reader(path, header.itk_name))
+    return _read_some(path, header, numbers, available)[0]
+
+
+def read_channels(path: Path, header: RawHeader, available: int) -> list[Volume]:
+    """Read the components of an image of vectors, or volumes of a sequence; one volume of an ordinary image.
+
+    Raises
+    ------
+    InputError
+        As `read`, and for more than `accelsurf.io.selection.MAX_CHANNELS` components.
+    """
+    return _read_some(path, header, header.selected(), available)
+
+
+def _read_some(path: Path, header: RawHeader, numbers: Sequence[int], available: int) -> list[Volume]:
+    """Read some of the components or volumes."""
+    reader, count = itk.open_reader(path, header.itk_name), header.channels * header.time_points
+    itk.check_kind(reader, count, header.is_interleaved)
+    needed = itk.voxel_type(reader).itemsize + 4 * len(numbers) * (count > 1)
+    check_memory(reader.GetSize(), needed * (count if header.is_interleaved else 1), available)
     header.check_complete()
     image = itk.execute(reader)
-    return Volume(sitk.GetArrayFromImage(image), itk.geometry_of(image), header.metadata, path)
+    geometry = itk.geometry_of(image)
+    if count == 1:
+        return [Volume(sitk.GetArrayFromImage(image), geometry, header.metadata, path)]
+    metadata = {} if header.seconds is None else {FRAME_KEY: repr(header.seconds)}
+    if header.is_interleaved:
+        arrays = (sitk.GetArrayFromImage(sitk.VectorIndexSelectionCast(image, n)) for n in numbers)
+    else:
+        every = sitk.GetArrayViewFromImage(image)
+        arrays = (every[n].copy() for n in numbers)
+    return [Volume(array, geometry, dict(metadata), path) for array in arrays]
 
 
 def open_lazily(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
@@ -68,55 +95,25 @@ def open_lazily(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
         When the voxels are packed or are text, or as `read`.
     """
     reader = itk.open_reader(path, header.itk_name)
-    itk.check_kind(reader)
-    if header.position is None or not header.order:
+    numbers = header.selected()
+    itk.check_kind(reader, header.channels * header.time_points if len(numbers) == 1 else 1, header.is_interleaved)
+    if header.position is None or not header.order or header.is_interleaved:
         raise InputError(
-            "the voxels are packed, are text, or begin after lines to skip: a box of them cannot be read by itself",
+            "the voxels are packed, are text, have several values, or begin after lines to skip: a box of them cannot "
+            "be read by itself",
             "convert the image to OME-Zarr, or save it uncompressed",
         )
     geometry, stored = itk.geometry_of(reader), itk.voxel_type(reader).newbyteorder(header.order)
-    needed = math.prod(geometry.shape) * stored.itemsize
+    volume_bytes = math.prod(geometry.shape) * stored.itemsize
+    needed = volume_bytes * header.time_points
     if needed != header.claimed_bytes:
         raise InputError(
             f"the header announces {header.claimed_bytes} bytes of voxels, its grid has {needed}", "save it again"
         )
     position = header.position if header.position >= 0 else max(header.data.stat().st_size - needed, 0)
-    voxels = RawVoxels(RawLayout(header.data, position, stored, geometry.shape))
-    return LazyVolume(voxels, geometry, dict(header.metadata), path)
-
-
-def read_channels(path: Path, header: RawHeader, available: int) -> list[Volume]:
-    """Read the components of an image of vectors; one volume of an ordinary image.
-
-    Raises
-    ------
-    InputError
-        As `read`, and for more than `MAX_CHANNELS` components.
-    """
-    reader = itk.open_reader(path, header.itk_name)
-    count = reader.GetNumberOfComponents()
-    if count < 2 or reader.GetDimension() != 3 or "complex" in sitk.GetPixelIDValueAsString(reader.GetPixelIDValue()):
-        return [read(path, header, available)]
-    check_channels(count)
-    check_memory(reader.GetSize(), 4 * count, available)
-    header.check_complete()
-    image = itk.execute(reader)
-    parts = (sitk.VectorIndexSelectionCast(image, i) for i in range(count))
-    return [Volume(sitk.GetArrayFromImage(part), itk.geometry_of(part), {}, path) for part in parts]
-
-
-def check_channels(count: int) -> None:
-    """Refuse an image of too many channels.
-
-    Raises
-    ------
-    InputError
-        For more than `MAX_CHANNELS`.
-    """
-    if count > MAX_CHANNELS:
-        raise InputError(
-            f"{count} channels or time points, expected at most {MAX_CHANNELS}", "extract one of them first"
-        )
+    voxels = RawVoxels(RawLayout(header.data, position + numbers[0] * volume_bytes, stored, geometry.shape))
+    layout = StoreLayout((geometry,), None, 1, header.time_points)
+    return LazyVolume(voxels, geometry, dict(header.metadata), path, layout)
 
 
 def write_nrrd(volume: Volume, path: Path) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,9 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
+from accelsurf.io import selection
 from accelsurf.io.formats.deflate import GZIP_START, TRUNCATED_HINT, first_bytes, inflate
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 ITK_NAME = "NiftiImageIO"
 """The class of ITK that reads and writes the format."""
@@ -35,6 +38,10 @@ _BEGINNINGS = {
 _MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
 _QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
 _REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
+#: Intents of components: matrices, vectors, colours.
+_VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
+#: Seconds of the units of time; the other units of the fourth axis are of spectra.
+_SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
 _NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
 
 
@@ -56,6 +63,12 @@ class NiftiHeader:
         A stored value v stands for slope * v + intercept; 1 and 0 where the header gives none.
     grid : NiftiGrid
         The fields that place the grid.
+    is_vector : bool
+        Whether its intent says that its volumes are components.
+    seconds : float or None
+        From one time point to the next.
+    says_time : bool
+        Whether it gives the fourth axis a unit of time, or a step other than 1.
     """
 
     version: int
@@ -65,11 +78,32 @@ class NiftiHeader:
     slope: float
     intercept: float
     grid: NiftiGrid
+    is_vector: bool = False
+    seconds: float | None = None
+    says_time: bool = False
+
+    @property
+    def volumes(self) -> int:
+        """How many volumes follow one another."""
+        return math.prod(self.size[3:])
+
+    @property
+    def time_points(self) -> int:
+        """How many time points there are: volumes along the fourth axis, unless they are channels."""
+        if len(self.size) < 4 or (len(self.size) == 4 and (self.is_vector or self.are_channels_guessed)):
+            return 1
+        return self.size[3]
 
     @property
     def channels(self) -> int:
-        """How many volumes follow one another."""
-        return math.prod(self.size[3:])
+        """How many channels there are at a time point."""
+        return self.volumes // self.time_points
+
+    @property
+    def are_channels_guessed(self) -> bool:
+        """Whether a few volumes are taken for channels because nothing is said of time."""
+        guessed = len(self.size) == 4 and not self.is_vector and not self.says_time
+        return guessed and self.size[3] <= selection.MAX_CHANNELS
 
     @property
     def value_type(self) -> np.dtype[Any]:
@@ -105,17 +139,43 @@ class NiftiFile(RawHeader):
 
     @property
     def values(self) -> int:
-        """How many values the image has, those of all channels together."""
-        return math.prod(self.nifti.size)
+        """How many values are read, those of all channels together."""
+        return len(self.selected()) * math.prod(self.nifti.size[:3])
+
+    def selected(self) -> list[int]:
+        """Numbers of the volumes that are read as channels.
+
+        Raises
+        ------
+        InputError
+            As `accelsurf.io.selection.selected`.
+        """
+        header = self.nifti
+        places = selection.selected(header.channels, header.time_points, self.asked)
+        return [channel * header.time_points + time for time, channel in places]
+
+    def single(self) -> int:
+        """The number of the volume that is read.
+
+        Raises
+        ------
+        InputError
+            As `accelsurf.io.selection.single`.
+        """
+        header = self.nifti
+        time, channel = selection.single(header.channels, header.time_points, self.asked)
+        return channel * header.time_points + time
 
 
-def read_header(path: Path, compressed: bool) -> NiftiFile:
+def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool) -> NiftiFile:
     """Read the header of a file.
 
     Parameters
     ----------
     path : Path
         The file.
+    options : ReadOptions
+        Which channel and time point is read.
     compressed : bool
         Whether its suffix says so.
 
@@ -141,7 +201,10 @@ def read_header(path: Path, compressed: bool) -> NiftiFile:
     header.grid.check_forms()
     metadata = {METADATA_KEY: header.grid.fields}
     encoding: Encoding = "deflate" if compressed else "raw"
-    return NiftiFile(path, 0, encoding, ITK_NAME, header.claimed_bytes, None, metadata, nifti=header)
+    return NiftiFile(
+        path, 0, encoding, ITK_NAME, header.claimed_bytes, None, metadata, channels=header.channels,
+        time_points=header.time_points, seconds=header.seconds, asked=options, nifti=header,
+    )
 
 
 read_plain_header = partial(read_header, compressed=False)
@@ -151,7 +214,7 @@ read_compressed_header = partial(read_header, compressed=True)
 def parse(raw: bytes) -> NiftiHeader:
     """Read a header, in either byte order, and refuse one that no 3D image of real numbers can have.
 
-    Several volumes one after the other are accepted; see `check_single`.
+    Several volumes one after the other are accepted; see `NiftiFile.single`.
 
     Raises
     ------
@@ -205,13 +268,26 @@ def parse(raw: bytes) -> NiftiHeader:
         qform=tuple(number(key) for key in _QFORM),
         sform=tuple(np.concatenate([header[key] for key in ("srow_x", "srow_y", "srow_z")]).tolist()),
     )
-    return NiftiHeader(version, size, header.get_data_dtype(), offset, slope or 1.0, intercept, grid)
+    place = size, header.get_data_dtype(), offset
+    is_vector = int(header["intent_code"]) in _VECTORS
+    return NiftiHeader(version, *place, slope or 1.0, intercept, grid, is_vector, *_time_step(header))
+
+
+def _time_step(header: Any) -> tuple[float | None, bool]:
+    """Seconds from one volume to the next, and whether anything is said of time."""
+    step = float(header["pixdim"][4])
+    unit = _SECONDS.get(int(header["xyzt_units"]) & 0x38, 0.0)
+    seconds = step * unit if unit and math.isfinite(step) and step > 0 else None
+    return seconds, unit > 0 or step not in (0.0, 1.0)
 
 
 def _real_size(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
     """The size without trailing axes of one voxel; images of two axes or of other than real numbers are refused."""
     while len(size) > 3 and size[-1] == 1:
         size = size[:-1]
+    if len(size) > 5:
+        text = " x ".join(map(str, size))
+        raise InputError(f"a {len(size)}D image ({text}) given, 3D expected", "extract a part first")
     if len(size) < 3:
         raise InputError(
             f"a {len(size)}D image ({' x '.join(map(str, size))}) given, 3D expected",
@@ -227,57 +303,40 @@ def _real_size(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
     return size
 
 
-def check_single(header: NiftiHeader) -> None:
-    """Refuse a file of several volumes.
-
-    Raises
-    ------
-    InputError
-        With their number.
-    """
-    size = header.size
-    text = " x ".join(map(str, size))
-    if len(size) > 4:
-        raise InputError(
-            f"a vector image ({text}: {size[4]} components per voxel) given, one number per voxel expected",
-            hint="extract one channel, or the magnitude, first",
-        )
-    if len(size) == 4:
-        raise InputError(
-            f"a 4D image ({text}: {size[3]} volumes) given, 3D expected", hint="extract one time point or channel first"
-        )
-
-
-def read_channels(file: NiftiFile) -> list[NDArray[Any]]:
-    """Read the voxels of all volumes of a file that is complete, scaled as its header says.
+def read_volumes(file: NiftiFile, numbers: Sequence[int]) -> list[NDArray[Any]]:
+    """Read some of the volumes of a file that is complete, scaled as its header says.
 
     Parameters
     ----------
     file : NiftiFile
         Its header, after `RawHeader.check_complete`.
+    numbers : sequence of int
+        Which, in the order of the file.
 
     Returns
     -------
     list of ndarray (nz, ny, nx)
-        In the order of the file, of ``value_type``, as ITK would give them.
+        Of ``value_type``, as ITK would give them.
     """
     header = file.nifti
     nx, ny, nz = header.size[:3]
-    stored = _stored(file).reshape(header.channels, nz, ny, nx)
-    return [np.ascontiguousarray(header.values(channel)) for channel in stored]
+    first = min(numbers)
+    stored = _stored(file, first, max(numbers) - first + 1)
+    return [np.ascontiguousarray(header.values(stored[n - first].reshape(nz, ny, nx))) for n in numbers]
 
 
-def _stored(file: NiftiFile) -> NDArray[Any]:
-    """All voxels of a file as they are stored, flat."""
+def _stored(file: NiftiFile, first: int, count: int) -> NDArray[Any]:
+    """Some volumes of a file as they are stored, (count, voxels)."""
     header = file.nifti
-    voxels = np.empty(math.prod(header.size), header.voxel_type)
-    raw = memoryview(voxels.view(np.uint8).data)
+    voxels = np.empty((count, math.prod(header.size[:3])), header.voxel_type)
+    raw = memoryview(voxels.reshape(-1).view(np.uint8).data)
+    offset = header.data_offset + first * voxels[0].nbytes
     with file.data.open("rb") as stream:
         if file.encoding == "raw":
-            stream.seek(header.data_offset)
+            stream.seek(offset)
             at = stream.readinto(raw)
         else:
-            at, skip = 0, header.data_offset
+            at, skip = 0, offset
             for piece in inflate(stream, None, header.claimed_bytes):
                 some = memoryview(piece)[skip : skip + len(raw) - at]
                 raw[at : at + len(some)] = some

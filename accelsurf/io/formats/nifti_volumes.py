@@ -5,7 +5,7 @@ ITK turns NaN and infinity into 0 without a word, ignores small slopes, and read
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,15 @@ from accelsurf.io.formats.deflate import gzip_file
 from accelsurf.io.formats.nifti_boxes import NiftiBoxes
 from accelsurf.io.formats.nifti_labels import put_labels
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
-from accelsurf.io.lazy_volume import LazyVolume, Opening
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import LABELS_KEY, WARNING_KEY
+from accelsurf.io.metadata import FRAME_KEY, LABELS_KEY, UNIT_KEY, with_warnings
 from accelsurf.settings.labels import LabelTable
 
 #: Bytes before the voxels of a file that ITK writes.
 _MAX_HEADER_BYTES = 352
+#: The code of a unit of length in a header.
+_MICRON = 3
 
 
 def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
@@ -47,15 +49,14 @@ def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
         When the file holds several volumes, is incomplete or larger than the memory; GeometryError when its header
         contradicts itself.
     """
-    nifti.check_single(header.nifti)
-    if header.nifti.version == 2:
-        return _read_all(path, header, available)[0]
-    fields = header.nifti
+    fields, number = header.nifti, header.single()
+    if fields.version == 2 or fields.volumes > 1:
+        return _read_some(path, header, [number], available)[0]
     scaled = (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative
     check_memory(fields.size, fields.voxel_type.itemsize + (8 if scaled else 0), available)
     header.check_complete()
     geometry = itk.geometry_of(itk.open_reader(path, header.itk_name))
-    return Volume(nifti.read_channels(header)[0], geometry, _metadata(header, geometry), path)
+    return Volume(nifti.read_volumes(header, [0])[0], geometry, _metadata(header, geometry), path)
 
 
 def read_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
@@ -64,12 +65,11 @@ def read_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[V
     Raises
     ------
     InputError
-        As `read`, and for more than `accelsurf.io.formats.itk_volumes.MAX_CHANNELS` of them.
+        As `read`, and for more than `accelsurf.io.selection.MAX_CHANNELS` of them.
     """
-    if header.nifti.channels == 1 or len(header.nifti.size) > 5:
+    if header.nifti.volumes == 1:
         return [read(path, header, available)]
-    itk_volumes.check_channels(header.nifti.channels)
-    return _read_all(path, header, available)
+    return _read_some(path, header, header.selected(), available)
 
 
 def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
@@ -90,11 +90,13 @@ def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVo
         As `read`.
     """
     fields = header.nifti
-    nifti.check_single(fields)
-    nx, ny, nz = fields.size
-    voxels = RawVoxels(RawLayout(path, fields.data_offset, fields.voxel_type, (nz, ny, nx)), fields.values)
-    geometry = fields.grid.geometry() if fields.version == 2 else itk.geometry_of(itk.open_reader(path, nifti.ITK_NAME))
-    return LazyVolume(voxels, geometry, _metadata(header, geometry), path)
+    number, (nx, ny, nz) = header.single(), fields.size[:3]
+    offset = fields.data_offset + number * nx * ny * nz * fields.voxel_type.itemsize
+    voxels = RawVoxels(RawLayout(path, offset, fields.voxel_type, (nz, ny, nx)), fields.values)
+    by_itk = fields.version == 1 and fields.volumes == 1
+    geometry = itk.geometry_of(itk.open_reader(path, nifti.ITK_NAME)) if by_itk else fields.grid.geometry()
+    layout = StoreLayout((geometry,), None, fields.channels, fields.time_points)
+    return LazyVolume(voxels, geometry, _metadata(header, geometry), path, layout)
 
 
 def write(volume: Volume, path: Path) -> None:
@@ -122,19 +124,28 @@ def store(
     return NiftiBoxes(path, geometry, dtype, metadata)
 
 
-def _read_all(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
-    """Read the volumes of a file that ITK does not read: one of version 2, or several one after the other."""
+def _read_some(path: Path, header: nifti.NiftiFile, numbers: Sequence[int], available: int) -> list[Volume]:
+    """Read volumes of a file that ITK does not read: one of version 2, or several one after the other."""
     fields = header.nifti
     # The voxels as they are stored and as they are given are in memory at the same time.
-    voxel_bytes = fields.voxel_type.itemsize + fields.value_type.itemsize
-    check_memory(fields.size[:3], fields.channels * voxel_bytes, available)
+    span = max(numbers) - min(numbers) + 1
+    needed = span * fields.voxel_type.itemsize + len(numbers) * fields.value_type.itemsize
+    check_memory(fields.size[:3], needed, available)
     header.check_complete()
     geometry = fields.grid.geometry()
     metadata = _metadata(header, geometry)
-    return [Volume(array, geometry, dict(metadata), path) for array in nifti.read_channels(header)]
+    return [Volume(array, geometry, dict(metadata), path) for array in nifti.read_volumes(header, numbers)]
 
 
 def _metadata(header: nifti.NiftiFile, geometry: Geometry) -> dict[str, str]:
     """The metadata of a volume: fields of its header, and a warning when qform and sform disagree."""
-    warning = header.nifti.grid.check_agreement(geometry)
-    return header.metadata | ({WARNING_KEY: warning} if warning else {})
+    fields, notes = header.nifti, [header.nifti.grid.check_agreement(geometry)]
+    if fields.are_channels_guessed and header.asked.channel_index is None:
+        notes.append(
+            f"the {fields.volumes} volumes of the file are taken for channels: its header says nothing of time or "
+            "vectors; --channel-index N takes one of them"
+        )
+    said = with_warnings(header.metadata, *notes)
+    if fields.grid.units & 7 == _MICRON:
+        said[UNIT_KEY] = "um"
+    return said | {FRAME_KEY: repr(fields.seconds)} if fields.seconds and fields.time_points > 1 else said

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io.formats.raw_header import ByteOrder, Encoding, RawHeader
 from accelsurf.settings import budgets
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 NRRD_KEY = "nrrd_space"
 """Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
@@ -46,8 +47,15 @@ _META_BYTES = {
 }
 
 
+#: Seconds of a unit of time.
+_SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 _MAX_LENGTH = 1e12  # mm
 _MAX_FIELD = 1000
+
+_NOT_PACKED = (
+    "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
+    "save the image again, e.g. uncompressed",
+)
 
 # Lines whose length depends on NDims, which must come before them.
 _META_SIZED = frozenset(
@@ -58,7 +66,7 @@ _META_SIZED = frozenset(
 _META_FLAGS = ("BinaryData", "BinaryDataByteOrderMSB", "ElementByteOrderMSB", "CompressedData")
 
 
-def parse_nrrd(path: Path) -> RawHeader:
+def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     """Read the header of an NRRD.
 
     Raises
@@ -92,8 +100,9 @@ def parse_nrrd(path: Path) -> RawHeader:
             hint="copy or export the file again",
         ) from None
     _check_nrrd_axes(fields, len(sizes))
-    for key in ("space units", "units"):
-        _check_units(fields.get(key, "").replace('"', " ").split())
+    axis = _nrrd_fourth_axis(fields, lines, sizes)
+    lengths = [unit for unit in re.findall(r"\S+", fields.get("units", "").replace('"', " ")) if unit not in _SECONDS]
+    _check_units([*fields.get("space units", "").replace('"', " ").split(), *lengths])
     data = path
     if detached := fields.get("data file") or fields.get("datafile"):
         data, offset = _detached(path, detached), 0
@@ -107,7 +116,34 @@ def parse_nrrd(path: Path) -> RawHeader:
         keys = ("space", "space dimension", "space directions", "space origin")
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
     numbers, position, order = math.prod(sizes), _nrrd_position(fields, coding, offset), _nrrd_order(fields, item)
-    return RawHeader(data, offset, coding, NRRD_ITK_NAME, numbers * item, None, metadata, numbers, position, order)
+    return RawHeader(
+        data, offset, coding, NRRD_ITK_NAME, numbers * item, None, metadata, numbers, position, order, **axis,
+        asked=options,
+    )
+
+
+def _nrrd_fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence[int]) -> dict[str, Any]:
+    """What the fourth axis of an NRRD is: values of a voxel, or time points, as arguments of `RawHeader`.
+
+    A list of 3D Slicer may be a sequence; a line of its own says so. An axis that says nothing and runs slowest is
+    time, since channels run fastest.
+    """
+    if len(sizes) != 4:
+        return {}
+    kinds = [*fields.get("kinds", "").lower().split(), *[""] * 4][:4]
+    if kinds[0] == "time":
+        raise InputError(
+            "the time axis of the NRRD comes first, before those of space", "save it last, or as an axis of kind list"
+        )
+    steps, units = fields.get("spacings", "").split(), re.findall(r'"([^"]*)"', fields.get("units", ""))
+    if kinds[0] in ("", "domain", "space"):
+        seconds = _SECONDS.get(units[3], 0.0) if len(units) == 4 else 0.0
+        step = float(steps[3]) if len(steps) == 4 and re.fullmatch(r"[0-9.eE+-]{1,30}", steps[3]) else 0.0
+        found = seconds * step if math.isfinite(step) and step > 0 else 0.0
+        return {"time_points": sizes[3], "seconds": found or None}
+    said = {key.strip().lower(): value.strip().lower() for key, _, value in (line.partition(":=") for line in lines)}
+    is_time = said.get("axis 0 index type") == "time" or "multivolume.framelabels" in said
+    return {"time_points" if is_time else "channels": sizes[0], "is_interleaved": True}
 
 
 def _nrrd_position(fields: dict[str, str], coding: Encoding, offset: int) -> int | None:
@@ -150,7 +186,7 @@ def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
     _check_spacing(spacing)
 
 
-def parse_metaimage(path: Path) -> RawHeader:
+def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     """Read the header of a MetaImage.
 
     Raises
@@ -198,17 +234,27 @@ def parse_metaimage(path: Path) -> RawHeader:
         encoding = "deflate"
         if skip != 0 or (stored is None and data == path):
             # ITK then decompresses nothing and returns uninitialized memory.
-            raise InputError(
-                "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
-                hint="save the image again, e.g. uncompressed",
-            )
+            raise InputError(*_NOT_PACKED)
     if 0 < skip < offset:
         raise InputError(f"the MetaImage header of {offset} bytes gives a HeaderSize of {skip}", "correct or remove it")
     # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
     offset = max(skip, offset)  # a positive one counts from the start of the file
     position = None if encoding != "raw" else -1 if skip < 0 else offset
     count, order = numbers * item, _meta_order(fields)
-    return RawHeader(data, offset, encoding, METAIMAGE_ITK_NAME, count, stored, {}, numbers, position, order)
+    axis = _meta_fourth_axis(numbers // math.prod(sizes), sizes)
+    return RawHeader(
+        data, offset, encoding, METAIMAGE_ITK_NAME, count, stored, {}, numbers, position, order, **axis, asked=options
+    )
+
+
+def _meta_fourth_axis(channels: int, sizes: Sequence[int]) -> dict[str, Any]:
+    """What there is beside the three axes of space, as arguments of `RawHeader`: a fourth axis is time."""
+    times = sizes[3] if len(sizes) == 4 else 1
+    if channels > 1 and times > 1:
+        raise InputError(
+            f"a 4D MetaImage of {times} volumes with {channels} values in each voxel given", "extract one volume first"
+        )
+    return {"channels": channels, "time_points": times, "is_interleaved": channels > 1}
 
 
 def _meta_order(fields: dict[str, str]) -> ByteOrder:

@@ -16,7 +16,7 @@ import numpy as np
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Floats, Geometry
-from accelsurf.io.metadata import WARNING_KEY
+from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY, WARNING_KEY
 
 #: Name of the attribute that accelsurf writes.
 OWN_KEY = "accelsurf"
@@ -26,6 +26,11 @@ _MM = {
     **{"angstrom": 1e-7, "picometer": 1e-9, "nanometer": 1e-6, "micrometer": 1e-3, "millimeter": 1.0},
     **{"centimeter": 10.0, "decimeter": 100.0, "meter": 1e3, "inch": 25.4, "foot": 304.8, "yard": 914.4},
     **{"nm": 1e-6, "um": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3, "micron": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3},
+}
+#: Seconds of a unit of time.
+_SECONDS = {
+    **{"nanosecond": 1e-9, "microsecond": 1e-6, "millisecond": 1e-3, "second": 1.0, "minute": 60.0, "hour": 3600.0},
+    **{"day": 86400.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
 }
 
 
@@ -159,8 +164,12 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
         )
     if all(not axis.unit for axis in space):
         metadata[WARNING_KEY] = "the OME-Zarr gives no unit of length: it is taken as mm"
-    for axis in space:
-        _mm_per_unit(axis.unit)
+    units = [_mm_per_unit(axis.unit) for axis in space]
+    if units[-1] < 0.1:
+        metadata[UNIT_KEY] = "nm" if units[-1] < 1e-4 else "um"
+    for axis, step in zip(axes, levels[0].scale, strict=True):
+        if axis.kind == "time" and (seconds := step * _SECONDS.get(axis.unit.lower(), 0.0)) > 0:
+            metadata[FRAME_KEY] = repr(seconds)
     return OmeMetadata(version, axes, levels, direction, metadata)
 
 

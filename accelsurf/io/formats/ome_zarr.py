@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from accelsurf.errors import InputError, UsageError
+from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io.formats import itk_volumes
+from accelsurf.io import selection
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array
 from accelsurf.io.headers import check_within_store, split_name
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
-from accelsurf.io.memory import available_memory, check_memory
-from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.io.levels import checked_level
+from accelsurf.io.memory import check_memory
+from accelsurf.settings.reading import AS_IT_IS, Level, ReadOptions
 
 _SERIES_KEY = "bioformats2raw.layout"
-#: Of a run, for each voxel, at most.
-_RUN_BYTES = 80
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +54,21 @@ class OmeHeader:
 
     @property
     def values(self) -> int:
-        """How many values the finest level has, those of all channels and time points together."""
-        return math.prod(self.shape)
+        """How many values are read, those of all channels together; of the finest level where none was named."""
+        places = selection.selected(self.count("channel"), self.count("time"), self.options)
+        level = self.options.level if isinstance(self.options.level, int) else 0
+        array = open_array(self.folder, self.ome.levels[min(level, len(self.ome.levels) - 1)].path)
+        return len(places) * math.prod(int(array.shape[axis]) for axis in self.ome.space_axes)
+
+    @property
+    def channels(self) -> int:
+        """How many there are."""
+        return self.count("channel")
+
+    @property
+    def time_points(self) -> int:
+        """How many there are."""
+        return self.count("time")
 
     def count(self, kind: str) -> int:
         """How many channels ("channel") or time points ("time") there are."""
@@ -127,23 +139,27 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
     UsageError
         When there is no such level, channel or time point.
     """
+    asked = replace(header.options, channel_index=opening.channel_index, time_index=opening.time_index)
+    place = selection.single(header.count("channel"), header.count("time"), asked)
+    return _opened(path, header, place, opening.level, opening.cache_bytes)
+
+
+def _opened(path: Path, header: OmeHeader, place: tuple[int, int], level: Level, cache_bytes: int) -> LazyVolume:
+    """A level of the image of a time point and a channel."""
     ome = header.ome
     grids = _grids(header)
-    level = _finest_within(grids, available_memory()) if opening.level == "auto" else opening.level
-    if not 0 <= level < len(ome.levels):
-        raise UsageError(
-            f"level {level} asked for, the image has {len(ome.levels)}", f"give 0 to {len(ome.levels) - 1}"
-        )
-    asked = {"channel": opening.channel_index, "time": opening.time_index}
+    number = checked_level(level, [grid.shape for grid in grids])
+    at = {"time": place[0], "channel": place[1]}
     index: list[int | None] = []
     for axis, n in zip(ome.axes, header.shape, strict=True):
-        index.append(None if axis.kind == "space" else _place(axis.kind, n, asked.get(axis.kind)))
-    for kind, place in asked.items():
-        if place and all(axis.kind != kind for axis in ome.axes):
-            raise UsageError(f"{kind} {place} asked for, the image has one", "leave it out")
-    voxels = ZarrVoxels(header.folder, ome.levels[level].path, index, ome.space_axes, opening.cache_bytes)
-    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), level)
-    return LazyVolume(voxels, grids[level], dict(ome.metadata), path, layout)
+        if axis.kind != "space" and axis.kind not in at and n > 1:
+            raise InputError(
+                f"an image of {n} entries of an axis of type {axis.kind or 'none'} given, one expected", "extract one"
+            )
+        index.append(None if axis.kind == "space" else at.get(axis.kind, 0))
+    voxels = ZarrVoxels(header.folder, ome.levels[number].path, index, ome.space_axes, cache_bytes)
+    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number)
+    return LazyVolume(voxels, grids[number], dict(ome.metadata), path, layout)
 
 
 def _grids(header: OmeHeader) -> tuple[Geometry, ...]:
@@ -158,23 +174,6 @@ def _grids(header: OmeHeader) -> tuple[Geometry, ...]:
     return tuple(ome.geometry(i, shape) for i, shape in enumerate(shapes))
 
 
-def _finest_within(grids: Sequence[Geometry], available: int) -> int:
-    """The finest level whose run fits into the memory, else the coarsest."""
-    small = (n for n, grid in enumerate(grids) if math.prod(grid.shape) * _RUN_BYTES <= available)
-    return next(small, len(grids) - 1)
-
-
-def _place(kind: str, n: int, asked: int | None) -> int:
-    """The index along an axis that is none of space."""
-    name = {"channel": "channels", "time": "time points"}.get(kind, f"entries of an axis of type {kind or 'none'}")
-    if asked is None and n > 1:
-        how = f"say which: {kind}_index=0 to {n - 1}, or extract one" if kind in ("channel", "time") else "extract one"
-        raise InputError(f"an image of {n} {name} given, one expected", how)
-    if not 0 <= (asked or 0) < n:
-        raise UsageError(f"{kind} {asked} asked for, the image has {n} {name}", f"give 0 to {n - 1}")
-    return asked or 0
-
-
 def read(path: Path, header: OmeHeader, available: int) -> Volume:
     """Read a level of one channel and time point, the finest unless another was asked for.
 
@@ -184,8 +183,8 @@ def read(path: Path, header: OmeHeader, available: int) -> Volume:
         When it is larger than the memory, a chunk is damaged, or there are several channels or time points.
     """
     asked = header.options
-    opening = Opening(asked.level, asked.channel_index, asked.time_index, cache_bytes=0)
-    return _in_memory(open_lazily(path, header, opening), available, 1)
+    place = selection.single(header.count("channel"), header.count("time"), asked)
+    return _in_memory(_opened(path, header, place, asked.level, 0), available, 1)
 
 
 def read_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
@@ -194,14 +193,11 @@ def read_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]
     Raises
     ------
     InputError
-        As `read`, and for more than `itk_volumes.MAX_CHANNELS` channels.
+        As `read`, and for more than `selection.MAX_CHANNELS` channels.
     """
-    if header.options.channel_index is not None:
-        return [read(path, header, available)]
-    count, asked = header.count("channel"), header.options
-    itk_volumes.check_channels(count)
-    lazy = [open_lazily(path, header, Opening(asked.level, i, asked.time_index, 0)) for i in range(count)]
-    return [_in_memory(one, available, count) for one in lazy]
+    places = selection.selected(header.count("channel"), header.count("time"), header.options)
+    lazy = [_opened(path, header, place, header.options.level, 0) for place in places]
+    return [_in_memory(one, available, len(lazy)) for one in lazy]
 
 
 def _in_memory(lazy: LazyVolume, available: int, count: int) -> Volume:

@@ -15,6 +15,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes
 from accelsurf.io.formats.raster import TRUNCATED_HINT, RasterHeader
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 _START = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
@@ -69,7 +70,7 @@ class PngHeader(RasterHeader):
             )
 
 
-def parse(path: Path) -> PngHeader:
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
     """Read the header of a PNG.
 
     Raises
@@ -94,7 +95,8 @@ def parse(path: Path) -> PngHeader:
         )
     bits = depth * (_CHANNELS[color] if color != 3 else 1)  # a palette: the colours are looked up later
     unpacked = _row_bytes(width, height, bits, bool(interlaced))
-    return PngHeader(path, (1, height, width), None, _CHANNELS[color] * (2 if depth == 16 else 1), unpacked)
+    spacing = None if options.spacing is None else options.spacing[::-1]
+    return PngHeader(path, (1, height, width), spacing, _CHANNELS[color] * (2 if depth == 16 else 1), unpacked)
 
 
 def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:

@@ -42,7 +42,7 @@ class RasterHeader(ABC):
     shape : tuple of int
         (pages, rows, columns).
     spacing : tuple of float or None
-        mm, (z, y, x); None for a PNG, whose scale ITK reads.
+        mm, (z, y, x); None for a PNG whose scale ITK reads.
     pixel_bytes : int
         Bytes that a pixel takes in memory, with all its colours.
     """

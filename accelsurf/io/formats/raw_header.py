@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Literal
 
 from accelsurf.errors import InputError
+from accelsurf.io import selection
 from accelsurf.io.formats.deflate import TRUNCATED_HINT, inflate
 from accelsurf.settings import budgets
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 Encoding = Literal["raw", "deflate", "text", "other"]
 ByteOrder = Literal["<", ">", ""]
@@ -45,6 +47,14 @@ class RawHeader:
         are not raw.
     order : str
         Byte order of the voxels: "<", ">", or empty where the header does not say.
+    channels, time_points : int
+        How many of them there are.
+    seconds : float or None
+        From one time point to the next.
+    is_interleaved : bool
+        Whether all values of a voxel lie together.
+    asked : ReadOptions
+        Which channel and time point is read.
     """
 
     data: Path
@@ -57,11 +67,29 @@ class RawHeader:
     numbers: int | None = None
     position: int | None = None
     order: ByteOrder = ""
+    channels: int = 1
+    time_points: int = 1
+    seconds: float | None = None
+    is_interleaved: bool = False
+    asked: ReadOptions = AS_IT_IS
 
     @property
     def values(self) -> int:
-        """How many values the image has, those of all channels together; of one byte each where that is not known."""
-        return self.claimed_bytes if self.numbers is None else self.numbers
+        """How many values are read, those of all channels together; of one byte each where that is not known."""
+        numbers = self.claimed_bytes if self.numbers is None else self.numbers
+        every = self.channels * self.time_points
+        return numbers if every == 1 else numbers // every * len(self.selected())
+
+    def selected(self) -> list[int]:
+        """Numbers of the components or volumes that are read as channels.
+
+        Raises
+        ------
+        InputError
+            As `accelsurf.io.selection.selected`.
+        """
+        places = selection.selected(self.channels, self.time_points, self.asked)
+        return [time * self.channels + channel for time, channel in places]
 
     def check_complete(self) -> None:
         """Refuse a file that holds fewer voxels than its header claims.

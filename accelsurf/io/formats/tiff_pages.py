@@ -1,17 +1,19 @@
 """TIFF stacks that are read a page at a time.
 
-Rows that lie in the file as they are, are read where they lie. A packed page is copied, as it is packed, into a file of
-one page, which ITK reads: it gives the same values as for the whole stack, whatever the packing.
+A packed page is copied, as it is packed, into a file of one page, which ITK reads: it gives the same values as for the
+whole stack, whatever the packing. Pages that ITK would change are unpacked by tifffile.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import struct
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
+from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -19,21 +21,19 @@ import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box, whole_box
-from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.grid.boxes import Box
 from accelsurf.io import itk
 from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.files import file_version
-from accelsurf.io.formats import raster
 from accelsurf.io.formats.raster import TRUNCATED_HINT
-from accelsurf.io.formats.raw_voxels import CHANGED, RawLayout, RawVoxels
-from accelsurf.io.formats.tiff import MAX_FILE_BYTES, TiffHeader, strips_of
+from accelsurf.io.formats.raw_voxels import CHANGED
+from accelsurf.io.formats.tiff import TiffHeader, strips_of
 from accelsurf.io.formats.tiff_directories import (
     DESCRIPTION,
     RES_UNIT,
     STRIP_BYTES,
     STRIPS,
+    SUB_PAGES,
     TILE_BYTES,
     TILES,
     X_RES,
@@ -42,67 +42,13 @@ from accelsurf.io.formats.tiff_directories import (
     read_directory,
     read_form,
 )
+from accelsurf.io.formats.tiff_file import MAX_FILE_BYTES
 from accelsurf.io.grey import to_grey
-from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
-from accelsurf.io.memory import check_memory
 
 #: What says nothing about the values, and what is written anew.
-_LEFT_OUT = frozenset((DESCRIPTION, X_RES, Y_RES, RES_UNIT, STRIPS, STRIP_BYTES, TILES, TILE_BYTES))
+_LEFT_OUT = frozenset((SUB_PAGES, DESCRIPTION, X_RES, Y_RES, RES_UNIT, STRIPS, STRIP_BYTES, TILES, TILE_BYTES))
 _SHORT, _LONG = 3, 4
-
-
-def open_lazily(path: Path, header: TiffHeader, opening: Opening) -> LazyVolume:
-    """Open a grey stack, to be read box by box.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : TiffHeader
-        What its directories claim.
-    opening : Opening
-        How many bytes of unpacked pages are held.
-
-    Raises
-    ------
-    InputError
-        When it is a colour image, or is cut short.
-    """
-    if header.stored is None:
-        raise InputError(
-            "a colour TIFF given: whether its three colours are the same everywhere is not known before all is read",
-            "save it as grey",
-        )
-    geometry = Geometry(header.shape, header.spacing or (1.0, 1.0, 1.0))
-    if header.planes is not None:
-        return LazyVolume(RawVoxels(RawLayout(path, 0, header.stored, header.shape, header.planes)), geometry, {}, path)
-    header.check_places()
-    layout = StoreLayout((geometry,), (1, *header.shape[1:]))
-    return LazyVolume(TiffPages(header, opening.cache_bytes), geometry, {}, path, layout)
-
-
-def read(path: Path, header: TiffHeader, available: int) -> Volume:
-    """Read a stack; one with thumbnails among its pages page by page: ITK returns uninitialized memory for it.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : TiffHeader
-        What its directories claim.
-    available : int
-        Bytes of memory.
-
-    Raises
-    ------
-    InputError
-        When the file is incomplete, larger than the memory, or has colours and thumbnails.
-    """
-    if not header.thumbnails:
-        return raster.read(path, header, available)
-    check_memory(header.shape[::-1], header.pixel_bytes, available)
-    lazy = open_lazily(path, header, Opening(cache_bytes=0))
-    return Volume(lazy.voxels.read(whole_box(lazy.shape)), lazy.geometry, lazy.metadata, path)
+_SILENCE = logging.NullHandler()
 
 
 class TiffPages:
@@ -156,7 +102,7 @@ class TiffPages:
             unpacked = header.unpacked_bytes // header.shape[0]
             try:
                 replace(header, shape=(1, ny, nx), strips=strips_of(page), unpacked_bytes=unpacked).check_complete()
-                found = _values(file, page, form.order)
+                found = self._unpacked(file, page, form.order, z)
             except (InputError, RuntimeError) as error:
                 reason = error.message if isinstance(error, InputError) else "ITK cannot read it"
                 raise InputError(f"page {z + 1} is damaged ({reason})", TRUNCATED_HINT) from error
@@ -166,6 +112,64 @@ class TiffPages:
                 "save the stack as a plain TIFF",
             )
         return found
+
+
+    def _unpacked(self, file: BinaryIO, page: Page, order: str, z: int) -> NDArray[Any]:
+        """The values of a page, (ny, nx)."""
+        if self._header.decoder == "ITK":
+            return _values(file, page, order)
+        found = _values_by_tifffile(file, int(self._header.directories[z]))
+        ny, nx = self._header.shape[1:]
+        if found.ndim == 3:  # values of a pixel lie together, or each has a plane of its own
+            found = np.moveaxis(found, -1, 0) if found.shape[:2] == (ny, nx) else found
+            found = found[self._header.sample or 0]
+        return found.astype(found.dtype.newbyteorder("="), copy=False)
+
+
+def library() -> ModuleType:
+    """The package tifffile.
+
+    Raises
+    ------
+    InputError
+        When it is not installed.
+    """
+    try:
+        import tifffile
+    except ImportError as error:
+        raise InputError(
+            "this kind of TIFF (tiles, packing or type of values) needs the package tifffile",
+            'install it: pip install "accelsurf[tiff]"',
+        ) from error
+    logging.getLogger("tifffile").addHandler(_SILENCE)  # what is wrong with a file is an error here, or harmless
+    return tifffile
+
+
+def _values_by_tifffile(file: BinaryIO, at: int) -> NDArray[Any]:
+    """The values of the page whose directory begins at a byte.
+
+    Raises
+    ------
+    InputError
+        When tifffile cannot unpack it.
+    """
+    tifffile = library()
+    try:
+        file.seek(0)
+        with tifffile.TiffFile(file, _multifile=False) as stack:
+            stack.filehandle.seek(at)
+            found = tifffile.TiffPage(stack, index=0).asarray(maxworkers=1)
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # each codec raises errors of its own
+        message = " ".join(str(error).split())[:200] or type(error).__name__
+        if "imagecodecs" in message:
+            raise InputError(
+                f"this packing of a TIFF needs the package imagecodecs ({message})",
+                'install it: pip install "accelsurf[tiff]"',
+            ) from error
+        raise InputError(f"tifffile: {message}", TRUNCATED_HINT) from error
+    return np.asarray(found)
 
 
 def _values(file: BinaryIO, page: Page, order: str) -> NDArray[Any]:

@@ -12,6 +12,7 @@ from accelsurf import Volume, io
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io import channels
 from accelsurf.io.formats import nifti as nifti_format
+from accelsurf.settings.reading import ReadOptions
 
 SPACING = np.array([1.0, 2.0, 3.0])
 OFFSET = (-10.0, -20.0, 30.0)
@@ -220,8 +221,8 @@ def test_scaled_values_are_read_as_floats(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"size": (4, 5, 4, 3, 7, 1, 1, 1)}, r"4D image \(5 x 4 x 3 x 7: 7 volumes\)"),
-        ({"size": (5, 5, 4, 3, 1, 3, 1, 1)}, "vector image .* 3 components"),
+        ({"size": (4, 5, 4, 3, 7, 1, 1, 1)}, "sequence of 7 time points"),
+        ({"size": (5, 5, 4, 3, 1, 3, 1, 1)}, "3 channels given, one expected"),
         ({"size": (2, 5, 4, 1, 1, 1, 1, 1)}, r"2D image \(5 x 4\)"),
         ({"size": (3, 5, -4, 3, 1, 1, 1, 1)}, "header is damaged: dim"),
         ({"size": (0, 5, 4, 3, 1, 1, 1, 1)}, "header is damaged: dim"),
@@ -331,7 +332,7 @@ def test_damage_of_the_header_is_refused_or_read_but_never_anything_else(tmp_pat
                 damaged[place] = rng.integers(0, 256)
             path = save(tmp_path / "a.nii", bytes(damaged))
             try:
-                channels.read(path)
+                channels.read(path, ReadOptions(channels_from_time=True))
             except InputError as error:
                 refused += 1
                 assert str(error).startswith(f"{path}: ") and error.hint
@@ -361,7 +362,8 @@ def test_channels_are_placed_and_scaled_as_one_alone(tmp_path, version, axes):
     struct.pack_into("<2f", raw, 112, 0.5, 10)
     one = raw[:40] + struct.pack("<8h", 3, 5, 4, 3, 1, 1, 1, 1) + raw[56:]
     alone = io.read(save(tmp_path / "alone.nii", bytes(one)))
-    found = channels.read(save(tmp_path / "a.nii.gz", second(bytes(raw)) if version == 2 else bytes(raw)))
+    path = save(tmp_path / "a.nii.gz", second(bytes(raw)) if version == 2 else bytes(raw))
+    found = channels.read(path, ReadOptions(channels_from_time=True))
     assert len(found) == 2
     for number, volume in enumerate(found):
         np.testing.assert_array_equal(volume.array, alone.array + 30 * number)

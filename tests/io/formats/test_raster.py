@@ -15,7 +15,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import images
-from accelsurf.io.formats import raster, tiff
+from accelsurf.io.formats import raster, tiff_file
 from accelsurf.io.grey import LUMINANCE
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 
@@ -106,9 +106,9 @@ def test_booleans_become_bytes_and_doubles_are_refused(tmp_path):
 
 
 def test_a_tiff_beyond_4_gib_is_refused(monkeypatch):
-    monkeypatch.setattr(tiff, "MAX_FILE_BYTES", 200)
+    monkeypatch.setattr(tiff_file, "MAX_FILE_BYTES", 200)
     with pytest.raises(UsageError, match="4 GiB"):
-        tiff.encode(SMALL[None], (1.0, 1.0, 1.0))
+        tiff_file.encode(SMALL[None], (1.0, 1.0, 1.0))
 
 
 # ----------------------------------------------------------------------------------------------------- labels
@@ -248,19 +248,15 @@ def test_sizes_of_pixels_as_other_programs_give_them(tmp_path, options, spacing)
 @pytest.mark.parametrize(
     ("values", "options", "words"),
     [
-        (SMALL.astype("f8"), GREY, "64-bit floating-point values"),
-        (SMALL.astype("f2"), GREY, "16-bit floating-point values"),
         (SMALL.astype("c8"), GREY, "64-bit complex values"),
-        (SMALL.astype("u8"), GREY, "64-bit unsigned values"),
         (SMALL, {"photometric": "miniswhite"}, "grow towards black"),
-        (LARGE.astype("u2"), {"tile": (16, 16), **GREY}, "tiles"),
         (LARGE, {"tile": (8192, 16), **GREY}, "tiles of 16 x 8192"),
         (STACK.astype("u1"), {"photometric": "rgb", "planarconfig": "separate"}, "one after the other"),
         (SMALL, {"extratags": [(274, "H", 1, 3, True)], **GREY}, "orientation"),
         (np.stack([STACK] * 2, 1), {"imagej": True, "metadata": {"axes": "ZCYX"}}, "2 channels given, one expected"),
         (np.stack([STACK] * 2), {"imagej": True, "metadata": {"axes": "TZYX"}}, "2 time points given"),
         (STACK, {"ome": True, "metadata": {"axes": "CYX"}, **GREY}, "3 channels given"),
-        (SMALL, {"description": "ImageJ=1.5\nimages=9\n", "metadata": None, **GREY}, "9 images and has 1 page"),
+        (SMALL, {"description": "ImageJ=1.5\nimages=9\n", "metadata": None, **GREY}, "announces .* bytes of voxels"),
     ],
 )
 def test_tiffs_that_would_be_read_wrongly_are_refused(tmp_path, values, options, words):

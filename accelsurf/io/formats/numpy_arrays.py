@@ -1,0 +1,235 @@
+"""Arrays of numpy: .npy, and .npz with one array or one that is named (FILE.npz@NAME). They keep no grid.
+
+The header of an array is parsed here: numpy's own reader would unpickle objects where it is asked to, and does not
+compare what a header claims with the size of its file.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.io.formats.deflate import TRUNCATED_HINT
+from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
+from accelsurf.io.lazy_volume import LazyVolume, Opening
+from accelsurf.io.memory import check_memory
+from accelsurf.io.metadata import with_warnings
+from accelsurf.settings import budgets
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+
+_MAGIC = b"\x93NUMPY"
+_MAX_HEADER_BYTES = 1 << 16
+_NOTE = "an array of numpy does not say how large a voxel is: 1 mm is taken; give --spacing"
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayHeader:
+    """What an array claims.
+
+    Attributes
+    ----------
+    data : Path
+        The file.
+    member : str
+        Name of the array within an .npz; empty for an .npy.
+    offset : int
+        Bytes before the values.
+    stored : numpy.dtype
+        Of the values.
+    shape : tuple of int
+        As it is stored: (ny, nx) or (nz, ny, nx).
+    is_fortran : bool
+        Whether the first index runs fastest.
+    geometry : Geometry
+    metadata : dict of str to str
+    """
+
+    data: Path
+    member: str
+    offset: int
+    stored: np.dtype[Any]
+    shape: tuple[int, ...]
+    is_fortran: bool
+    geometry: Geometry
+    metadata: dict[str, str]
+
+    @property
+    def values(self) -> int:
+        """How many values the image has."""
+        return math.prod(self.shape)
+
+
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
+    """Read the header of an .npy.
+
+    Raises
+    ------
+    InputError
+        When it is none, is cut short, or holds no image of real numbers.
+    """
+    with path.open("rb") as file:
+        return _header(path, "", file, path.stat().st_size, options)
+
+
+def parse_archive(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
+    """Read the header of the only array of an .npz, or of the one that is named after an @.
+
+    Raises
+    ------
+    InputError
+        As `parse`, and when there are several arrays and none was named.
+    """
+    path, name = split_member(path)
+    if not zipfile.is_zipfile(path):
+        raise InputError("this is not a NumPy archive, or it is cut short", "is it the right file, and whole?")
+    with _damage_named(), zipfile.ZipFile(path) as archive:
+        arrays = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        listed = ", ".join(sorted(arrays)[:10])
+        if name and name not in arrays:
+            raise InputError(f"no array {name[:40]} is in it, but {listed}", f"give {path.name}@NAME")
+        if not name and len(arrays) != 1:
+            raise InputError(f"{len(arrays)} arrays are in it ({listed}), one expected", f"give {path.name}@NAME")
+        info = arrays[name] if name else next(iter(arrays.values()))
+        budgets.NPZ.check(info.file_size - 1024, "an array of the .npz", max(info.compress_size, 1))
+        with archive.open(info) as file:
+            return _header(path, info.filename, file, info.file_size, options)
+
+
+def split_member(path: Path) -> tuple[Path, str]:
+    """The file of an array and its name, as FILE.npz@NAME says them.
+
+    Examples
+    --------
+    >>> split_member(Path("cells.npz@image"))[1], split_member(Path("cells.npz"))[1]
+    ('image', '')
+    """
+    if path.is_file() or ".npz@" not in path.name.lower():
+        return path, ""
+    at = path.name.lower().index(".npz@") + 4
+    return path.with_name(path.name[:at]), path.name[at + 1 :]
+
+
+@contextmanager
+def _damage_named() -> Iterator[None]:
+    """Name what is wrong with an archive."""
+    try:
+        yield
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, struct.error) as error:
+        message = " ".join(str(error).split())[:200]
+        raise InputError(f"the .npz is damaged, or is none ({message})", TRUNCATED_HINT) from error
+
+
+def _header(path: Path, member: str, file: Any, size: int, options: ReadOptions) -> ArrayHeader:
+    """The header of an array, from the start of what holds it."""
+    dtype, shape, is_fortran, offset = _fields(file)
+    if dtype.kind not in "buif":
+        raise InputError(f"values of type {dtype} given, one real number per voxel expected", "save one field of it")
+    if not 2 <= len(shape) <= 3 or min(shape) < 1:
+        raise InputError(
+            f"an array of shape {shape} given, (z, y, x) or (y, x) expected",
+            "save one channel or time point, with its axes in the order z, y, x",
+        )
+    needed = offset + math.prod(shape) * dtype.itemsize
+    if needed > size:
+        raise InputError(f"the header announces {needed} bytes, the array has {size}", TRUNCATED_HINT)
+    x, y, z = options.spacing or (1.0, 1.0, 1.0)
+    nz, ny, nx = (*[1] * (3 - len(shape)), *shape)
+    geometry = Geometry((nz, ny, nx), (z, y, x))
+    metadata = with_warnings({}, "" if options.spacing else _NOTE)
+    return ArrayHeader(path, member, offset, dtype, shape, is_fortran, geometry, metadata)
+
+
+def _fields(file: BinaryIO) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
+    """Type, shape, order and length of a header.
+
+    Raises
+    ------
+    InputError
+        When it is damaged.
+    """
+    start = file.read(8)
+    if start[:6] != _MAGIC or len(start) < 8:
+        raise InputError("this is not a NumPy array: it does not start as one", "is it the right file?")
+    width, code = (2, "<H") if start[6] == 1 else (4, "<I")
+    try:
+        (length,) = struct.unpack(code, file.read(width))
+        if length > _MAX_HEADER_BYTES:
+            raise ValueError
+        fields = ast.literal_eval(file.read(length).decode("utf-8" if start[6] == 3 else "latin-1"))
+        if set(fields) != {"descr", "fortran_order", "shape"} or not isinstance(fields["descr"], str):
+            raise ValueError
+        dtype, shape = np.dtype(fields["descr"]), fields["shape"]
+        if not isinstance(shape, tuple) or not all(type(n) is int and 0 <= n < 1 << 48 for n in shape):
+            raise ValueError
+        return dtype, shape, bool(fields["fortran_order"]), 8 + width + length
+    except (ValueError, TypeError, SyntaxError, KeyError, AttributeError, RecursionError, MemoryError, struct.error):
+        raise InputError("the header of the array is damaged, or no plain array", "save it with numpy.save") from None
+
+
+def read(path: Path, header: ArrayHeader, available: int) -> Volume:
+    """Read an array.
+
+    Raises
+    ------
+    InputError
+        When it is larger than the memory, or damaged.
+    """
+    check_memory(header.geometry.size, header.stored.itemsize * 2, available)
+    count = header.values
+    if not header.member:
+        with header.data.open("rb") as file:
+            file.seek(header.offset)
+            flat = np.fromfile(file, header.stored, count)
+    else:
+        with _damage_named(), zipfile.ZipFile(header.data) as archive, archive.open(header.member) as member:
+            raw = member.read()  # to its end, so that its checksum counts
+        flat = np.frombuffer(raw, header.stored, count, header.offset)
+    array = flat.reshape(header.shape, order="F" if header.is_fortran else "C").reshape(header.geometry.shape)
+    plain: NDArray[Any] = np.ascontiguousarray(array, header.stored.newbyteorder("="))
+    return Volume(plain, header.geometry, dict(header.metadata), path)
+
+
+def open_lazily(path: Path, header: ArrayHeader, opening: Opening) -> LazyVolume:
+    """Open an .npy, to be read box by box.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : ArrayHeader
+        What it claims.
+    opening : Opening
+        Has no more to say here.
+
+    Raises
+    ------
+    InputError
+        When its first index runs fastest.
+    """
+    if header.is_fortran:
+        raise InputError(
+            "the values are packed the other way round (Fortran order): no box can be read by itself",
+            "save it with numpy.ascontiguousarray",
+        )
+    voxels = RawVoxels(RawLayout(path, header.offset, header.stored, header.geometry.shape))
+    return LazyVolume(voxels, header.geometry, dict(header.metadata), path)
+
+
+def write(volume: Volume, path: Path) -> None:
+    """Write an .npy."""
+    with path.open("wb") as file:
+        np.lib.format.write_array(file, volume.array, allow_pickle=False)

@@ -1,0 +1,225 @@
+"""A folder of slices, one TIFF or PNG for each, or those that a pattern names: slices/*.tif.
+
+They are put in the order of the numbers in their names: 2 before 10. All have one size and one type of values.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.io import headers
+from accelsurf.io.files import naming
+from accelsurf.io.formats.tiff_image import TiffImage
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
+from accelsurf.io.memory import check_memory
+from accelsurf.io.metadata import UNIT_KEY, WARNING_KEY, with_warnings
+from accelsurf.io.stacked_voxels import StackedVoxels
+from accelsurf.settings import budgets
+from accelsurf.settings.file_formats import ImageFormat
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.settings.registry import load
+
+_SUFFIXES = (".tif", ".tiff", ".png")
+_LOSSY = (".jpg", ".jpeg")
+_MAX_SHOWN = 8
+
+
+@dataclass(frozen=True, eq=False)
+class SliceFolder:
+    """What the files of a folder claim.
+
+    Attributes
+    ----------
+    data : Path
+        The folder or pattern.
+    files : tuple of Path
+        In the order of the slices.
+    headers : tuple
+        What each claims.
+    form : ImageFormat
+        Of the files.
+    geometry : Geometry
+    metadata : dict of str to str
+    """
+
+    data: Path
+    files: tuple[Path, ...]
+    headers: tuple[Any, ...]
+    form: ImageFormat
+    geometry: Geometry
+    metadata: dict[str, str]
+
+    @property
+    def values(self) -> int:
+        """How many values the image has."""
+        return math.prod(self.geometry.shape)
+
+
+def is_slices(folder: Path) -> bool:
+    """Whether a folder holds slices."""
+    return any(entry.suffix.lower() in (*_SUFFIXES, *_LOSSY) for entry in folder.iterdir())
+
+
+def in_order(names: Sequence[str]) -> list[str]:
+    """Names of files in the order of the numbers in them.
+
+    Examples
+    --------
+    >>> in_order(["a10.tif", "a2.tif", "a1.tif"])
+    ['a1.tif', 'a2.tif', 'a10.tif']
+    """
+    return sorted(names, key=lambda name: (_numbered(name), name))
+
+
+def _numbered(name: str) -> list[tuple[int, str]]:
+    """Texts and numbers of a name in turns, to be compared."""
+    words = re.split(r"([0-9]+)", name)
+    return [(int(word) if place % 2 else 0, "" if place % 2 else word) for place, word in enumerate(words)]
+
+
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
+    """Read the headers of all slices.
+
+    Raises
+    ------
+    InputError
+        When there is none, or they differ in kind or size.
+    """
+    files = _files(path)
+    found = []
+    for file in files:
+        with naming(file):
+            found.append(headers.parse(file))
+    form = found[0][0]
+    shapes = [_shape(header) for _, header in found]
+    for file, shape in zip(files, shapes, strict=True):
+        if shape != shapes[0] or shape[0] != 1:
+            sizes = (" x ".join(map(str, one[::-1])) for one in (shape, shapes[0]))
+            raise InputError(
+                f"{file.name} has {' pixels, the first slice '.join(sizes)}: one size and one slice in each expected",
+                "leave out the files that are none of the stack; give a pattern, as 'FOLDER/slice*.tif'",
+            )
+    first = found[0][1]
+    notes, metadata = [_gaps([file.name for file in files])], {}
+    spacing: tuple[float, ...]
+    if options.spacing is not None:
+        spacing = options.spacing[::-1]
+    elif isinstance(first, TiffImage) and first.stack.unit and first.stack.is_depth_known:
+        spacing = first.stack.spacing
+    else:
+        plane = first.stack.spacing[1:] if isinstance(first, TiffImage) else (1.0, 1.0)
+        spacing = (1.0, *plane)
+        text = " x ".join(f"{h:.6g}" for h in spacing[::-1])
+        notes.append(f"the slices do not say how far apart they are: voxels of {text} mm are taken; give --spacing")
+    if isinstance(first, TiffImage) and UNIT_KEY in first.metadata:
+        metadata[UNIT_KEY] = first.metadata[UNIT_KEY]
+    geometry = Geometry((len(files), *shapes[0][1:]), spacing)
+    return SliceFolder(
+        path, tuple(files), tuple(header for _, header in found), form, geometry, with_warnings(metadata, *notes)
+    )
+
+
+def _shape(header: Any) -> tuple[int, int, int]:
+    shape: tuple[int, int, int] = header.grids[0].shape if isinstance(header, TiffImage) else header.shape
+    return shape
+
+
+def _files(path: Path) -> list[Path]:
+    """The files of the slices, in order.
+
+    Raises
+    ------
+    InputError
+        When there are none, too many, or of several kinds.
+    """
+    folder, pattern = (path, "*") if path.is_dir() else (path.parent, path.name)
+    if not folder.is_dir():
+        raise InputError("there is no such folder", "check the path")
+    names = [
+        entry.name for entry in folder.iterdir()
+        if fnmatchcase(entry.name, pattern) and not entry.name.startswith(".") and entry.is_file()
+    ]
+    if lossy := [name for name in names if name.lower().endswith(_LOSSY)]:
+        raise InputError(
+            f"{lossy[0]} is a JPEG, whose values are not those of the microscope or scanner",
+            "export the slices as TIFF or PNG",
+        )
+    names = [name for name in names if name.lower().endswith(_SUFFIXES)]
+    budgets.SLICES.check(len(names))
+    if not names:
+        raise InputError("no TIFF or PNG fits", "check the folder and the pattern")
+    if len({name.lower().endswith(".png") for name in names}) > 1:
+        raise InputError("TIFF and PNG files are there, one kind expected", "give a pattern, as 'FOLDER/*.tif'")
+    return [folder / name for name in in_order(names)]
+
+
+def _gaps(names: Sequence[str]) -> str:
+    """What is to be said where numbers are missing between those of the names; empty where none is."""
+    numbers = [[int(n) for n in re.findall(r"[0-9]+", name)] for name in names]
+    if len({len(some) for some in numbers}) != 1 or not numbers[0]:
+        return ""
+    columns = [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
+    if len(columns) != 1:
+        return ""
+    there = sorted(set(columns[0]))
+    step = min(b - a for a, b in zip(there, there[1:], strict=False))
+    gaps = [a + step for a, b in zip(there, there[1:], strict=False) if b - a != step]
+    if not gaps:
+        return ""
+    text = ", ".join(map(str, gaps[:_MAX_SHOWN])) + (" ..." if len(gaps) > _MAX_SHOWN else "")
+    return f"slices are missing: the numbers of the files have gaps at {text}; the others are put side by side"
+
+
+def read(path: Path, header: SliceFolder, available: int) -> Volume:
+    """Read all slices.
+
+    Raises
+    ------
+    InputError
+        When one is damaged or of another type, or all are larger than the memory.
+    """
+    check_memory(header.geometry.size, header.headers[0].pixel_bytes if header.form.name == "png" else 4, available)
+    array: np.ndarray | None = None
+    for z, (file, one) in enumerate(zip(header.files, header.headers, strict=True)):
+        with naming(file):
+            found = load(header.form.read)(file, one, available)
+            if array is None:
+                array, note = np.empty(header.geometry.shape, found.array.dtype), found.metadata.get(WARNING_KEY, "")
+            if found.array.dtype != array.dtype:
+                raise InputError(
+                    f"values of type {found.array.dtype}, those of the first slice are {array.dtype}", "convert them"
+                )
+            array[z] = found.array[0]
+    assert array is not None
+    colours = note if "colour" in note or "transparent" in note else ""
+    return Volume(array, header.geometry, with_warnings(header.metadata, colours), path)
+
+
+def open_lazily(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume:
+    """Open slices in TIFF, to be read box by box.
+
+    Raises
+    ------
+    InputError
+        When they are PNG or have colours.
+    """
+    if header.form.open is None:
+        raise InputError("slices in PNG are packed as a whole", "convert them to one OME-Zarr or to TIFF")
+    slabs = []
+    for file, one in zip(header.files, header.headers, strict=True):
+        with naming(file):
+            slabs.append(load(header.form.open)(file, one, Opening(cache_bytes=opening.cache_bytes)).voxels)
+    layout = StoreLayout((header.geometry,), (1, *header.geometry.shape[1:]))
+    voxels = StackedVoxels(slabs, [1] * len(slabs))
+    return LazyVolume(voxels, header.geometry, dict(header.metadata), path, layout)

@@ -1,0 +1,304 @@
+"""Which page of a TIFF is which slice, channel and time point, and how large a voxel is: OME, ImageJ, tifffile, plain.
+
+OME-XML is parsed without entities and document types: a few lines of them could unfold to any length.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.io.formats.raster import TRUNCATED_HINT
+from accelsurf.io.formats.tiff_directories import DESCRIPTION, RES_UNIT, X_RES, Y_RES, Page
+from accelsurf.settings import budgets
+
+_MM = {
+    **dict.fromkeys(("micron", "microns", "micrometer", "um", "\u00b5m", "\u03bcm", "\\u00b5m"), 1e-3),
+    **{"pm": 1e-9, "\u00c5": 1e-7, "nm": 1e-6, "nanometer": 1e-6, "mm": 1.0, "millimeter": 1.0},
+    **{"cm": 10.0, "dm": 100.0, "m": 1000.0},
+}
+#: Seconds of a unit of time in OME.
+_SECONDS = {"ms": 1e-3, "\u00b5s": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_ONE_MM = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class TiffStack:
+    """How the pages of a TIFF make an image.
+
+    Attributes
+    ----------
+    pages : ndarray (time points, channels, slices) of int64
+        The number of the page in its file.
+    files : tuple of str
+        Names of the files, relative to the folder; empty for the file itself, which is the first.
+    file_numbers : ndarray (time points, channels, slices) of int64
+        Which of them has the page.
+    spacing : tuple of float
+        (z, y, x) in mm; 1 where it is not said.
+    unit : str
+        "nm", "um" or "mm", as the file gives lengths; empty where it gives none.
+    is_depth_known : bool
+        Whether the distance of the slices is said.
+    seconds : float or None
+        From one time point to the next.
+    counts_all : bool
+        Whether the numbers of pages count thumbnails, too.
+    """
+
+    pages: NDArray[np.int64]
+    spacing: tuple[float, float, float] = _ONE_MM
+    unit: str = ""
+    is_depth_known: bool = False
+    seconds: float | None = None
+    files: tuple[str, ...] = ("",)
+    file_numbers: NDArray[np.int64] | None = None
+    counts_all: bool = False
+
+    @property
+    def time_points(self) -> int:
+        """How many of them there are."""
+        return int(self.pages.shape[0])
+
+    @property
+    def channels(self) -> int:
+        """How many pages there are for a slice at a time point."""
+        return int(self.pages.shape[1])
+
+
+def stack_of(page: Page, pages: int, samples: int) -> TiffStack:
+    """What the first page of a TIFF says of all.
+
+    Parameters
+    ----------
+    page : Page
+    pages : int
+        How many there are, without thumbnails.
+    samples : int
+        Values of a pixel: they may be channels.
+
+    Raises
+    ------
+    InputError
+        When it says other than what is there; ValueError and others of damaged numbers.
+    """
+    text = str(page.get(DESCRIPTION, ("",))[0])
+    if "<OME" in text[:4096] or "OME>" in text[-16:]:
+        return _ome_stack(text, pages, samples)
+    if text.startswith("ImageJ="):
+        return _imagej_stack(text, page, pages)
+    sizes = _tifffile_axes(text, pages, samples)
+    spacing, known = _resolution(page, 10.0 if page.get(RES_UNIT, (2,))[0] == 3 else 0.0, None)
+    return TiffStack(_table(sizes), spacing, "mm" if known else "", False)
+
+
+def _table(sizes: Sequence[tuple[str, int]]) -> NDArray[np.int64]:
+    """Numbers of the pages by (t, c, z), of axes with the slowest first."""
+    found = dict(sizes)
+    numbers = np.arange(math.prod(found.values()), dtype=np.int64).reshape(tuple(found.values()))
+    missing = [axis for axis in "TCZ" if axis not in found]
+    numbers = numbers.reshape(*numbers.shape, *[1] * len(missing))
+    order = [*found, *missing]
+    return np.ascontiguousarray(numbers.transpose([order.index(axis) for axis in "TCZ"]))
+
+
+def _tifffile_axes(text: str, pages: int, samples: int) -> list[tuple[str, int]]:
+    """The axes that tifffile has written, slowest first; else all pages are slices."""
+    plain = [("Z", pages)]
+    if not (text.startswith('{"shape": [') and '"axes"' in text and len(text) < 1 << 16):
+        return plain
+    try:
+        said = json.loads(text)
+        letters, shape = str(said["axes"]), [int(n) for n in said["shape"]]
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return plain
+    if len(letters) != len(shape):
+        return plain
+    names = {"I": "Z", "Q": "Z"}
+    sizes = [(names.get(a, a), n) for a, n in zip(letters, shape, strict=True) if a not in "YXS" and n > 1]
+    if samples > 1 and math.prod(n for _, n in sizes) != pages:
+        sizes = [(axis, n) for axis, n in sizes if (axis, n) != ("C", samples)]
+    axes = [axis for axis, _ in sizes]
+    if math.prod(n for _, n in sizes) != pages or len(set(axes)) < len(axes) or not set(axes) <= set("TCZ"):
+        return plain
+    return sizes
+
+
+def _resolution(page: Page, unit: float, depth: float | None) -> tuple[tuple[float, float, float], bool]:
+    """Spacing in mm where it is given in a unit of length, mm, else 1; and whether it is.
+
+    Inches are dots per inch, of a screen or a printer: they say nothing about the object.
+    """
+    (xn, xd), (yn, yd) = page.get(X_RES, (0, 0))[:2], page.get(Y_RES, (0, 0))[:2]
+    if not unit or not all((xn, xd, yn, yd)):
+        return _ONE_MM, False
+    z = 1.0 if depth is None else depth * unit
+    return (z if math.isfinite(z) and z > 0 else 1.0, unit * yd / yn, unit * xd / xn), True
+
+
+def _imagej_stack(text: str, page: Page, pages: int) -> TiffStack:
+    """By the lines that ImageJ writes; the channel runs fastest, then the slice."""
+    fields = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+    images = int(fields.get("images", pages))
+    # A stack beyond 4 GiB has one directory, and the other pages follow as they are.
+    count = images if pages == 1 and images > 1 else pages
+    channels, frames = int(fields.get("channels", 1)), int(fields.get("frames", 1))
+    if images > count or channels < 1 or frames < 1:
+        raise InputError(
+            f"the TIFF announces {fields['images']} images and has {pages} page{'s' if pages > 1 else ''}",
+            hint="save the stack with a page for each slice",
+        )
+    slices = count // (channels * frames) if "slices" not in fields or channels * frames == 1 else int(fields["slices"])
+    if slices < 1 or channels * frames * slices != count:
+        raise InputError(
+            f"the TIFF announces {channels} channels, {slices} slices and {frames} frames, and has {count} pages",
+            hint="save the stack again with ImageJ",
+        )
+    budgets.TIFF_PLANES.check(count)
+    unit = fields.get("unit", "").lower()
+    mm = _MM.get(unit, 10.0 if page.get(RES_UNIT, (2,))[0] == 3 else 0.0)
+    depth = float(fields["spacing"]) if "spacing" in fields else None
+    spacing, known = _resolution(page, mm, depth)
+    seconds = float(fields.get("finterval", 0))
+    return TiffStack(
+        _table([("T", frames), ("Z", slices), ("C", channels)]), spacing, unit_name(mm) if known else "",
+        known and depth is not None, seconds if math.isfinite(seconds) and seconds > 0 else None,
+    )
+
+
+def unit_name(mm: float) -> str:
+    """The unit in which lengths are shown, by the millimetres of the unit of a file.
+
+    Examples
+    --------
+    >>> unit_name(1e-3), unit_name(10.0), unit_name(1e-7)
+    ('um', 'mm', 'nm')
+    """
+    return "nm" if mm < 1e-4 else "um" if mm < 0.1 else "mm"
+
+
+class _OmeReader:
+    """What the XML of an OME-TIFF says of its first image."""
+
+    def __init__(self, text: str) -> None:
+        self.images, self.binary_only, self.own = 0, "", ""
+        self.pixels: dict[str, str] = {}
+        self.data: list[tuple[dict[str, str], list[str]]] = []  # attributes of TiffData; its file's name and UUID
+        self._in_uuid = False
+        parser = expat.ParserCreate()
+        parser.buffer_text = True
+        parser.StartDoctypeDeclHandler = self._refuse
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.CharacterDataHandler = self._text
+        try:
+            parser.Parse(text, True)
+        except expat.ExpatError as error:
+            raise InputError(f"the OME-XML of the TIFF is damaged ({error})", TRUNCATED_HINT) from None
+
+    def _refuse(self, *_: Any) -> None:
+        raise InputError("the OME-XML of the TIFF has a document type, which OME-XML has not", "save the image again")
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        name = name.rpartition(":")[2]
+        if name == "OME":
+            self.own = attributes.get("UUID", "")
+        elif name == "BinaryOnly":
+            self.binary_only = attributes.get("MetadataFile", "another file")
+        elif name == "Pixels":
+            self.images += 1
+            if self.images == 1:
+                self.pixels = attributes
+        elif name == "TiffData" and self.images == 1:
+            self.data.append((attributes, ["", ""]))
+        elif name == "UUID" and self.data and self.images == 1:
+            self.data[-1][1][0] = attributes.get("FileName", "")
+            self._in_uuid = True
+
+    def _end(self, name: str) -> None:
+        self._in_uuid = False
+
+    def _text(self, text: str) -> None:
+        if self._in_uuid:
+            self.data[-1][1][1] += text.strip()
+
+
+def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
+    """By the XML of an OME-TIFF, in which the unit is the micrometre unless another is named."""
+    said = _OmeReader(text)
+    if said.binary_only:
+        raise InputError(
+            f"this file of an OME-TIFF has voxels only, {said.binary_only[:80]} says what they are", "give that file"
+        )
+    if said.images != 1:
+        raise InputError(f"an OME-TIFF of {said.images} images given, one expected", "save one of them by itself")
+    fields = said.pixels
+    times, channels = (int(fields.get(f"Size{axis}", 1)) for axis in "TC")
+    if samples > 1 and channels % samples == 0:
+        channels //= samples
+    slices = int(fields.get("SizeZ", pages // max(times * channels, 1)))
+    if min(times, channels, slices) < 1:
+        raise ValueError
+    budgets.TIFF_PLANES.check(times * channels * slices)
+    names, order = ["", ], fields.get("DimensionOrder", "XYZCT")[2:]
+    if sorted(order) != ["C", "T", "Z"]:
+        raise ValueError
+    table = np.full((2, times, channels, slices), -1, np.int64)  # file, page
+    _assign(said, table, order, names, pages)
+    if (table[1] < 0).any():
+        t, c, z = (int(n) for n in np.argwhere(table[1] < 0)[0])
+        raise InputError(
+            f"the OME-TIFF has no page for slice {z} of channel {c} at time point {t}", "export it again, as a whole"
+        )
+    if len(names) == 1 and table[1].max() >= pages and pages:
+        raise InputError(
+            f"the OME-TIFF announces page {int(table[1].max()) + 1}, and has {pages}", "export it again, as a whole"
+        )
+    spacing, unit, known = _ome_spacing(fields)
+    seconds = float(fields.get("TimeIncrement", 0)) * _SECONDS.get(fields.get("TimeIncrementUnit", "s"), 0.0)
+    return TiffStack(
+        table[1], spacing, unit, known, seconds if math.isfinite(seconds) and seconds > 0 else None, tuple(names),
+        table[0], True,
+    )
+
+
+def _assign(said: _OmeReader, table: NDArray[np.int64], order: str, names: list[str], pages: int) -> None:
+    """Fill the table (file and page by t, c, z) by the TiffData elements, and list their files."""
+    sizes = dict(zip("TCZ", table.shape[1:], strict=True))
+    steps = {order[0]: 1, order[1]: sizes[order[0]], order[2]: sizes[order[0]] * sizes[order[1]]}
+    planes = math.prod(sizes.values())
+    flat = np.full((2, planes), -1, np.int64)  # in the order of the file
+    for attributes, (name, uuid) in said.data or [({}, ["", ""])]:
+        if name and not (uuid and uuid == said.own):
+            if name not in names:
+                names.append(name)
+            file = names.index(name)
+        else:
+            file = 0
+        first = sum(int(attributes.get(f"First{axis}", 0)) * steps[axis] for axis in "TCZ")
+        page = int(attributes.get("IFD", 0))
+        count = int(attributes.get("PlaneCount", 1 if "IFD" in attributes else planes - first))
+        if first < 0 or count < 1 or page < 0 or first + count > planes or (flat[1, first : first + count] >= 0).any():
+            raise InputError("the TiffData of the OME-TIFF go beyond its sizes, or overlap", "export it again")
+        flat[0, first : first + count] = file
+        flat[1, first : first + count] = np.arange(page, page + count)
+    shape = tuple(sizes[axis] for axis in order[::-1])
+    axes = [order[::-1].index(axis) for axis in "TCZ"]
+    table[:] = flat.reshape(2, *shape).transpose(0, *(axis + 1 for axis in axes))
+
+
+def _ome_spacing(fields: dict[str, str]) -> tuple[tuple[float, float, float], str, bool]:
+    """Spacing (z, y, x) in mm, its unit, and whether the distance of the slices is said."""
+    units = [_MM.get(fields.get(f"PhysicalSize{a}Unit", "um").lower(), 0.0) for a in "ZYX"]
+    z, y, x = (float(fields.get(f"PhysicalSize{a}", 0)) * mm for a, mm in zip("ZYX", units, strict=True))
+    if not (min(x, y) > 0 and z >= 0 and all(map(math.isfinite, (x, y, z)))):
+        return _ONE_MM, "", False
+    return (z or 1.0, y, x), unit_name(units[2]), z > 0
