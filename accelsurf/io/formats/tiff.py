@@ -263,7 +263,8 @@ def _page_kind(page: Page) -> tuple[Any, ...]:
     """What the pages of a stack have in common."""
     keys = (COMPRESSION, PHOTOMETRIC, ORIENTATION, PLANAR)
     tags = tuple(page.get(key, (1,))[0] for key in keys)
-    return page[WIDTH][0], page[HEIGHT][0], _bits(page), page.get(FORMAT, (1,))[0], *tags
+    tile = page.get(TILE_WIDTH), page.get(TILE_HEIGHT)  # of other lengths than one libtiff dies
+    return page[WIDTH][0], page[HEIGHT][0], _bits(page), page.get(FORMAT, (1,))[0], *tags, *tile
 
 
 def strips_of(page: Page) -> NDArray[np.int64]:
@@ -276,7 +277,7 @@ def _page_bytes(page: Page, width: int, height: int, bits: int) -> int:
     """Bytes of a page when it is unpacked; of one in tiles, with what goes beyond the image."""
     if TILES not in page:
         return height * ((width * bits + 7) // 8)
-    wide, high = int(page[TILE_WIDTH][0]), int(page[TILE_HEIGHT][0])
+    (wide,), (high,) = page[TILE_WIDTH], page[TILE_HEIGHT]
     if min(wide, high) < 1:
         raise ValueError
     return -(-width // wide) * -(-height // high) * high * ((wide * bits + 7) // 8)

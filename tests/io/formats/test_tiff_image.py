@@ -257,3 +257,17 @@ def test_spacing_that_was_given_counts_and_a_contradiction_is_said(tmp_path):
     assert io.open_volume(plain, spacing=(0.1, 0.2, 0.3)).geometry.spacing == (0.3, 0.2, 0.1)
     same = ReadOptions(spacing=(0.25e-3, 0.5e-3, 2e-3), time_index=0, channel_index=0)
     assert io.WARNING_KEY not in io.read(said, options=same).metadata
+
+
+def test_pages_with_other_tiles_are_refused(tmp_path):
+    """Libtiff ends the process by a signal for a second page whose tag has another length."""
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.zeros((2, 32, 32), np.uint8), tile=(16, 16), **GREY)
+    with tifffile.TiffFile(path) as found:
+        at = found.pages[1].tags["TileLength"].offset
+    content = bytearray(path.read_bytes())
+    for count, value in ((33, 8), (1, 8), (1, 0)):
+        content[at + 4 : at + 12] = struct.pack("<II", count, value)
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="page 2 of the TIFF differs"):
+            io.read(path)
