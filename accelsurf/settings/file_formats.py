@@ -225,10 +225,10 @@ class MeshFormat:
     help : str
         What it is, in a few words.
     surface : str or callable, optional
-        Of the vertices (n, 3) in mm, the triangles (m, 3) and "LPS" or "RAS", returns the bytes of a file; None: the
-        format holds no surfaces.
+        Of the vertices (n, 3) in mm, the triangles (m, 3), "LPS" or "RAS" and a LabelEntry or None, returns the bytes
+        of a file, without a label as without name and colour; None: the format holds no surfaces.
     contour : str or callable, optional
-        The same of a tuple of loops (n, 3) in mm and "LPS" or "RAS".
+        Of a tuple of loops (n, 3) in mm and "LPS" or "RAS", returns the same.
     auto : tuple of str
         Of which of the two ``--mesh auto`` writes it.
     read : str or callable, optional
@@ -253,7 +253,7 @@ class MeshFormat:
         return self.surface if shape == "surface" else self.contour
 
 
-_SURFACE, _CONTOUR = "accelsurf.analysis.surface_mesh", "accelsurf.analysis.contours"
+_SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.analysis.contours"
 _TRIMESH = f"{_FORMATS}.trimesh_files"
 
 MESH_FORMATS: Registry[MeshFormat] = Registry(
@@ -269,6 +269,8 @@ MESH_FORMATS: Registry[MeshFormat] = Registry(
         auto=("contour",),
         read=f"{_FORMATS}.vtp:read",
     ),
+    MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:write", read=f"{_FORMATS}.glb:read"),
+    MeshFormat("3mf", "3MF, of 3D printers", f"{_FORMATS}.three_mf:write", read=f"{_FORMATS}.three_mf:read"),
     MeshFormat("csv", "a table of points", contour=f"{_CONTOUR}:csv_bytes", auto=("contour",)),
 )
 
@@ -312,7 +314,7 @@ def mesh_formats(shape: Shape) -> tuple[str, ...]:
     Examples
     --------
     >>> mesh_formats("surface"), mesh_formats("contour")
-    (('ply', 'stl', 'obj', 'vtp'), ('vtp', 'csv'))
+    (('ply', 'stl', 'obj', 'vtp', 'glb', '3mf'), ('vtp', 'csv'))
     """
     return tuple(name for name, form in MESH_FORMATS.items() if form.writer(shape) is not None)
 

@@ -94,7 +94,7 @@ def write_toy(volume, path):
     path.write_bytes(start + volume.array.tobytes())
 
 
-def toy_mesh(vertices, faces, space):
+def toy_mesh(vertices, faces, space, label=None):
     return struct.pack("<2I", len(vertices), len(faces)) + vertices.tobytes() + faces.tobytes()
 
 
@@ -170,7 +170,7 @@ def test_what_it_does_not_take_is_refused_in_the_usual_words(toys):
         RunConfig(flow="toy-flo")
     with pytest.raises(UsageError, match="png, tif or toy"):
         RunConfig(format="toi")
-    with pytest.raises(UsageError, match="vtp, csv, toymesh"):
+    with pytest.raises(UsageError, match="3mf, csv, toymesh"):
         RunConfig(mesh="toimesh")
     with pytest.raises(UsageError, match="fluorescence-nucleus or toy-scan"):
         RunConfig(preset="toy-scam")
