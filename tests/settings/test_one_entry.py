@@ -186,7 +186,7 @@ def test_help_schema_and_messages(toys):
     properties = RunConfig.json_schema()["properties"]
     assert properties["flow"]["enum"][-1] == "toy-flow" and "toy that wants" in properties["energy"]["description"]
     assert expected("flow").endswith("or toy-flow")
-    assert "ome.zarr, tif, toy, or for one slice png" in help_of("format") and "obj, vtp, toymesh;" in help_of("mesh")
+    assert "ome.zarr, tif, toy, or for one slice png" in help_of("format") and "3mf, toymesh;" in help_of("mesh")
     assert "fluorescence-nucleus, toy-scan." in properties["preset"]["description"]
     assert properties["format"]["anyOf"][0]["enum"][-1] == "toy"
 
