@@ -175,7 +175,7 @@ def in_slices(psi: NDArray[np.float32], geometry: Geometry) -> dict[int, Contour
 
 def _loops(psi: NDArray[np.float32], spacing: tuple[float, float, float], axis: int, k: int) -> list[Floats]:
     """Index positions (n, 3) of the closed contours in slice ``k`` across ``axis``."""
-    plane = psi.take(k, axis).astype(np.float64)
+    plane: Floats = np.take(psi, k, axis=axis).astype(np.float64)
     margin = NODE_MARGIN * min(step for a, step in enumerate(spacing) if a != axis)
     near = np.abs(plane) < margin
     plane[near] = np.where(plane[near] < 0, -margin, margin)

@@ -120,7 +120,8 @@ def doubtful_place(
     Doubt is summed over the patch: a large doubtful piece counts for more than a small one. Ties go to the first.
     """
     doubt = 1.0 - evidence.total
-    places = evidence.index * np.asarray(spacing)
+    # Counted from the object's own first voxel: the blocks do not depend on where its grid begins.
+    places = (evidence.index - evidence.index.min(axis=0)) * np.asarray(spacing)
     radius = max(PATCH * (0.75 * max(volume_mm3, 1e-30) / np.pi) ** (1.0 / 3.0), 2.0 * max(spacing))
     # Blocks of half a patch stand for the places in them.
     blocks, member = np.unique((places / (0.5 * radius)).astype(np.int64), axis=0, return_inverse=True)
@@ -189,7 +190,9 @@ def _near_click(
     radius = PATCH * (0.75 * volume / np.pi) ** (1.0 / 3.0) + max(spacing)
     from scipy.spatial import cKDTree
 
-    away, _ = cKDTree(np.argwhere(clicked) * np.asarray(spacing)).query(index * np.asarray(spacing))
+    # From the object's own first voxel on: the last bits do not depend on where its grid begins.
+    first, widths = index.min(axis=0), np.asarray(spacing)
+    away, _ = cKDTree((np.argwhere(clicked) - first) * widths).query((index - first) * widths)
     return np.asarray(np.exp(-0.5 * (away / radius) ** 2))
 
 

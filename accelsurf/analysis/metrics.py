@@ -2,7 +2,7 @@
 
 Definitions, so that numbers can be compared with those of other programs:
 
-- The object is every voxel with a label > 0; several labels count as one object.
+- The object is every voxel with a label > 0; several labels count as one object (`label_metrics` compares each alone).
 - Its *surface* is the set of centres of its border voxels: those with a face neighbour that is not object. What lies
   outside the volume is not object, so an object cut by the volume's border has a surface there. An axis of one voxel
   (a 2D image) has no neighbours: the surface of a 2D object is its outline.
@@ -44,7 +44,7 @@ class Metrics:
     Attributes
     ----------
     dice, iou : float
-        2 |A and B| / (|A| + |B|) and |A and B| / |A or B|, between 0 and 1.
+        2 |A and B| / (|A| + |B|) and |A and B| / |A or B| (the Jaccard index), between 0 and 1.
     volume_pred_mm3, volume_ref_mm3 : float
         Voxel count times voxel volume.
     volume_difference_mm3, volume_difference_percent : float
@@ -99,16 +99,39 @@ def evaluate(pred: Volume, ref: Volume) -> Metrics:
     >>> m.hausdorff_mm, round(m.dice, 3), m.volume_pred_mm3
     (3.0, 0.667, 324.0)
     """
+    check_same_grid(pred, ref)
+    return agreement(_object(pred), _object(ref), pred.geometry.spacing)
+
+
+def check_same_grid(pred: Volume, ref: Volume) -> None:
+    """Refuse two label maps whose voxels are not at the same places.
+
+    Raises
+    ------
+    GeometryError
+        The message says in what the grids differ.
+    """
     if not pred.geometry.matches(ref.geometry):
         raise GeometryError(
             f"the two label maps are not on the same grid: {pred.geometry.difference(ref.geometry)}",
             hint="resample one onto the grid of the other (nearest neighbour) and compare again",
         )
-    a, b = _object(pred), _object(ref)
+
+
+def agreement(a: Mask, b: Mask, spacing: tuple[float, float, float]) -> Metrics:
+    """Compare two objects on the same grid.
+
+    Parameters
+    ----------
+    a, b : ndarray of bool, shape (nz, ny, nx)
+        The object to judge, and the reference.
+    spacing : tuple of float
+        (hz, hy, hx) in mm.
+    """
     count_a, count_b = int(np.count_nonzero(a)), int(np.count_nonzero(b))
     both = int(np.count_nonzero(a & b))
-    voxel = pred.geometry.voxel_volume
-    hausdorff, hd95, mean = _summary(*surface_distances(a, b, pred.geometry.spacing))
+    voxel = math.prod(spacing)
+    hausdorff, hd95, mean = _summary(*surface_distances(a, b, spacing))
     return Metrics(
         dice=_ratio(2 * both, count_a + count_b),
         iou=_ratio(both, count_a + count_b - both),

@@ -32,7 +32,7 @@ EXIT_CODES = {
     5: "the surface vanished or filled the volume; with --strict also a doubtful result",
     7: "an output exists already, or cannot be written",
     8: "nothing can be drawn: no screen or driver, or a package of the viewer is missing",
-    9: "some cases of a batch, or some objects of a large image, failed; the others are complete",
+    9: "some cases of a batch or of an evaluation, or some objects of a large image, failed; the others are complete",
     INTERRUPTED: "interrupted (Ctrl-C); the present state is written, after a second Ctrl-C nothing",
     143: "ended by SIGTERM; nothing is written, an earlier result stays",
 }
@@ -60,6 +60,11 @@ app.command("accelsurf.cli.evaluate:evaluate", name="evaluate", help="Measure ho
 app.command("accelsurf.cli.view:view", name="view", help="Watch and steer a segmentation in a window.")
 app.command("accelsurf.cli.warmup:warmup", name="warmup", help="Compile all kernels now, so that no run waits for it.")
 app.command("accelsurf.cli.info:info", name="info", help="Show versions, names, exit codes and settings.")
+app.command(
+    "accelsurf.cli.completion:install_completion",
+    name="--install-completion",
+    help="Complete commands, options and names with TAB in this shell.",
+)
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:

@@ -1,45 +1,248 @@
-"""``accelsurf evaluate``: how well two label maps agree."""
+"""``accelsurf evaluate``: how well label maps agree with their references."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from accelsurf.cli.options import FILES, Overwrite
+from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.settings.label_ids import IdRanges, parse_ids
+from accelsurf.settings.labels import LabelTable
+
+if TYPE_CHECKING:
+    from accelsurf.analysis.label_metrics import LabelAgreement
+    from accelsurf.batch.pairs import LabelFile, Pair
+    from accelsurf.report.evaluation import CaseResult
+
+SOME_FAILED = 9
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is measured: labels one by one (or None: all as one object), and the tolerances of surface Dice in mm."""
+
+    labels: IdRanges | None
+    tolerances: tuple[float, ...]
+
 
 def evaluate(
-    pred: Annotated[Path, Parameter(name="PRED")],
-    ref: Annotated[Path, Parameter(name="REF")],
+    pred: Annotated[str | None, Parameter(name="PRED")] = None,
+    ref: Annotated[str | None, Parameter(name="REF")] = None,
     *,
+    labels: Annotated[str | None, Parameter(name="--labels", metavar="IDS")] = None,
+    tolerance: Annotated[str | None, Parameter(name="--tolerance", metavar="MM")] = None,
+    pairs: Annotated[Path | None, Parameter(name="--pairs", metavar="TABLE")] = None,
+    names: Annotated[Path | None, Parameter(name=("--label-table", "--names"), metavar="TABLE")] = None,
     as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+    table: Annotated[str | None, Parameter(name="--csv", metavar="FILE", group=FILES, allow_leading_hyphen=True)] = None,
+    overwrite: Overwrite = False,
 ) -> int:
-    """Measure how well two label maps agree: overlap, volume, and surface distances in mm.
+    """Measure how well label maps agree: overlap, volume, and surface distances in mm.
 
-    Every label above 0 is the object. Both maps must lie on the same grid. A number that is not defined, such
-    as the distance to an empty map, is shown as - (null in JSON).
+    Both maps must lie on the same grid. Without --labels every label above 0 is the one object. PRED and REF may be
+    folders: files of the same name are compared, and mean and median over the cases follow. A case that fails does not
+    stop the others (exit code 9). A number that is not defined, such as the distance to an empty map, is shown as -
+    (null in JSON). A label that only one map has gets Dice 0; one that neither has does not count in means.
 
     Parameters
     ----------
     pred
-        The label map to judge.
+        The label map to judge; FILE@2,5-9 means these labels only.
     ref
-        The reference.
+        The reference, in the same way.
+    labels
+        Compare each label with the same label of the other map: all, or ids and ranges, as in 1,3-5.
+    tolerance
+        Surface Dice (NSD): the part of both surfaces that lies so near the other one, in mm; several with commas.
+    pairs
+        A table of many pairs: CSV with the columns pred, ref and, if wanted, case.
+    names
+        Names of labels: a table as --label-table of segment takes it (ITK-SNAP, 3D Slicer, BIDS, CSV, .seg.nrrd).
     as_json
         Print JSON.
+    table
+        Write a table in CSV, a row for each case and label; - prints it.
+    overwrite
+        Replace a table that exists.
     """
-    from accelsurf import io
-    from accelsurf.analysis import metrics
-    from accelsurf.io.file_set import finish_killed_runs
-    from accelsurf.report.document import to_json
+    asked = Asked(_labels(labels), _tolerances(tolerance))
+    _check_table(table, as_json, overwrite)
+    known = _names(names)
+    found = _pairs(pred, ref, pairs)
+    if isinstance(found, list):
+        results = [_try(pair, asked) for pair in found]
+    else:
+        results = [_result(found, asked)]
+    _put(results, known, as_json, table, many=isinstance(found, list))
+    return SOME_FAILED if any(one.failure for one in results) else 0
 
-    for path in (pred, ref):
+
+def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
+    """Refuse a table that cannot be written, before anything is read."""
+    if table is None:
+        return
+    if table == "-":
+        if as_json:
+            raise UsageError("--json, --csv -: both would be printed", "name a file for the table")
+    elif table.startswith("-"):
+        raise UsageError(f"--csv: {table} was given, expected the name of a file", "as in --csv table.csv, or --csv -")
+    elif Path(table).exists() and not overwrite:
+        raise OutputError(f"{table}: exists already", "choose another name, or add --overwrite")
+
+
+def _labels(text: str | None) -> IdRanges | None:
+    if text is None:
+        return None
+    return () if text == "all" else parse_ids(text, "--labels", "--labels 1,3-5, or --labels all")
+
+
+def _names(path: Path | None) -> LabelTable:
+    from accelsurf.io import label_tables
+
+    return LabelTable() if path is None else label_tables.read(path)
+
+
+def _tolerances(text: str | None) -> tuple[float, ...]:
+    try:
+        values = tuple(dict.fromkeys(float(part) for part in text.split(","))) if text is not None else ()
+    except ValueError:
+        values = (math.nan,)
+    if not all(0 <= value < math.inf for value in values):
+        raise UsageError(f"--tolerance: {text} was given, expected mm, at least 0", "as in --tolerance 1,2.5")
+    return values
+
+
+def _pairs(pred: str | None, ref: str | None, table: Path | None) -> list[Pair] | Pair:
+    """One pair, or those of a table or of two folders."""
+    from accelsurf.batch.pairs import Pair, in_folders, in_table, is_folder_of_maps, label_file
+
+    if table is not None:
+        if pred is not None:
+            raise UsageError("--pairs: was given with PRED, which the table names", "leave one of them out")
+        return in_table(table)
+    if pred is None or ref is None:
+        raise UsageError(
+            f"evaluate: no {'PRED' if pred is None else 'REF'} was given", "accelsurf evaluate --help lists the options"
+        )
+    sides = label_file(pred), label_file(ref)
+    folders = [is_folder_of_maps(side.path) for side in sides]
+    if any(folders) and not all(folders):
+        raise InputError(f"{pred}, {ref}: one of them is a folder of files", "name two files, or two folders")
+    return in_folders(*sides) if all(folders) else Pair("", *sides)
+
+
+def _try(pair: Pair, asked: Asked) -> CaseResult:
+    """Compare a pair; an error is noted and does not stop the others."""
+    from accelsurf.cli.interrupts import say
+    from accelsurf.errors import AccelsurfError
+    from accelsurf.report.evaluation import CaseResult
+
+    try:
+        return _result(pair, asked)
+    except (AccelsurfError, MemoryError) as error:
+        failure = str(error) or "not enough memory"
+        say(f"warning: {pair.case}: {failure}")
+        return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), (), failure)
+
+
+def _result(pair: Pair, asked: Asked) -> CaseResult:
+    """Compare a pair."""
+    from accelsurf import io
+    from accelsurf.analysis.label_metrics import Chosen, evaluate_labels, evaluate_object
+    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.report.evaluation import CaseResult
+
+    if pair.pred is None or pair.ref is None:
+        raise InputError(f"there is no {'prediction' if pair.pred is None else 'reference'} of this name")
+    for path in (pair.pred.path, pair.ref.path):
         finish_killed_runs(path.parent)
-    found = metrics.evaluate(io.read_labels(pred), io.read_labels(ref)).to_dict()
+    pred, ref = (Chosen(io.read_labels(side.path), side.ids) for side in (pair.pred, pair.ref))
+    if asked.labels is None:
+        agreements = [evaluate_object(pred, ref, asked.tolerances)]
+    else:
+        agreements = evaluate_labels(pred, ref, asked.labels, asked.tolerances)
+    return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), tuple(agreements))
+
+
+def _written(side: LabelFile | None) -> str:
+    """A label map as a person writes it."""
+    if side is None:
+        return ""
+    ids = ",".join(str(low) if low == high else f"{low}-{high}" for low, high in side.ids)
+    return str(side.path.absolute()) + (f"@{ids}" if ids else "")
+
+
+def _put(results: list[CaseResult], names: LabelTable, as_json: bool, table: str | None, many: bool) -> None:
+    """Print and write what was found."""
+    from accelsurf.io.files import write_bytes
+    from accelsurf.report.document import to_json
+    from accelsurf.report.evaluation import document, table_csv
+
+    if table is not None:
+        text = table_csv(results, names)
+        if table == "-":
+            print(text, end="")
+            return
+        write_bytes(Path(table), text.encode())
     if as_json:
-        print(to_json({"pred": str(pred.absolute()), "ref": str(ref.absolute()), **found}))
-        return 0
-    width = max(map(len, found))
-    for name, value in found.items():
+        print(to_json(document(results, names) if many else _one_pair(results[0], names)))
+    elif many or results[0].agreements[:1] == () or results[0].agreements[0].label is not None:
+        _print_table(results, names, many)
+    else:
+        _print_object(results[0].agreements[0])
+    if table is not None and not as_json:
+        print(f"table  {Path(table).absolute()}")
+
+
+def _one_pair(result: CaseResult, names: LabelTable) -> dict[str, Any]:
+    """One pair for JSON: the numbers of the object, or a list of labels."""
+    from accelsurf.report.evaluation import document
+
+    case = document([result], names)["cases"][0]
+    head, said = {"pred": result.pred, "ref": result.ref}, {"notes": case["notes"]}
+    found = result.agreements
+    return {**head, **(found[0].values() if found and found[0].label is None else {"labels": case["labels"]}), **said}
+
+
+def _print_object(found: LabelAgreement) -> None:
+    from accelsurf.report.evaluation import notes
+
+    values = found.values()
+    width = max(map(len, values))
+    for name, value in values.items():
         print(f"{name:{width}}  {'-' if value is None else format(value, '.6g')}")
-    return 0
+    for line in notes(found):
+        print(f"note: {line}")
+
+
+def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> None:
+    from accelsurf.cli.progress import table
+    from accelsurf.report.evaluation import label_entry, label_name, notes, printed_rows, summaries
+
+    named = any(label_name(found, names) for one in results for found in one.agreements)
+    head, rows, said = (("case",) if many else ()) + ("label",) + (("name",) if named else ()), [], []
+    for one in results:
+        where = f"{one.case}: " if many else ""
+        for found in one.agreements:
+            entry = label_entry(found, names)
+            rows.append((_cells(one.case, entry, named, many), found.values()))
+            said += [f"note: {where}{line}" for line in notes(found)]
+    for summary in summaries(results, names) if many else ():
+        for which in ("mean", "median", "count"):
+            rows.append((_cells(which, summary, named, many), summary[which]))
+    print(table(*printed_rows(rows, head)))
+    for line in said:
+        print(line)
+    failed = sum(bool(one.failure) for one in results)
+    if many:
+        print(f"{len(results)} cases, {failed} failed")
+
+
+def _cells(case: str, entry: dict[str, Any], named: bool, many: bool) -> tuple[str, ...]:
+    label = "all" if entry["label"] is None else str(entry["label"])
+    return ((case,) if many else ()) + (label,) + ((entry["name"] or "-",) if named else ())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, make_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,7 +12,7 @@ from cyclopts import Group, Parameter
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import toml
-from accelsurf.settings.catalogue import default_shown, entry, help_of, is_switch
+from accelsurf.settings.catalogue import default_shown, entry, help_of, is_switch, names_of
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.file_formats import input_help
 from accelsurf.settings.presets import PRESETS
@@ -50,11 +51,17 @@ def _settings(
             show_default=default_shown(key) or False,
             metavar=said.metavar or key.upper(),
             negative_iterable=(),
+            completer=None if is_switch(key) else partial(_completions, key),
         )
         members.append((key, Annotated[kind | None, parameter], None))
     # Cyclopts looks into a class only when its module is not the standard library's, where it would be put here.
     made = make_dataclass(name, members, frozen=True, namespace={"__module__": __name__})
     return Parameter(name="*")(made)
+
+
+def _completions(key: str, context: object) -> dict[str, str]:
+    """Names that a shell offers for a setting, with their meaning; a setting without names has none."""
+    return names_of(key)
 
 
 _WITHOUT_FILES = tuple(group for group in SettingGroup if group is not SettingGroup.FILES)

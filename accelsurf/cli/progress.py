@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 #: What the bar shows until the first step, when nothing else moves.
-PREPARING = "preparing (the first run on a machine compiles for about half a minute)"
+PREPARING = "preparing"
+#: What is said once, before the first kernel is compiled: where kernels can be stored, and where they cannot.
+COMPILING = "note: compiling kernels, once: about half a minute (or: accelsurf warmup)"
+COMPILING_ANEW = "note: compiling kernels, in each run: NUMBA_CACHE_DIR names a folder for them"
 
 
 class Watcher:
@@ -36,6 +39,8 @@ class Watcher:
         self._show_json = kind == "json"
         self._bar = _Bar() if kind == "bar" else None
         self._interrupts = Interrupts.current()
+        self._is_quiet, self._label = display.quiet, ""
+        self._has_told = False
         #: Warnings that have been printed before the first step.
         self.said: set[str] = set()
 
@@ -54,11 +59,34 @@ class Watcher:
             self._bar.start(label, max_steps)
         self._label = label
         try:
-            with self._interrupts.patience("finishing this step and writing the result"):
+            with self._interrupts.patience("finishing this step and writing the result"), self._compilation_told():
                 yield self
         finally:
             if self._bar is not None:
                 self._bar.stop()
+
+    @contextmanager
+    def _compilation_told(self) -> Iterator[None]:
+        """Say before the first kernel is compiled what is waited for; once, also off a terminal."""
+        if self._is_quiet or self._has_told:
+            yield
+            return
+        from accelsurf.kernels.compilation import first_compilation
+
+        with first_compilation(self._on_compilation):
+            yield
+
+    def _on_compilation(self) -> None:
+        from accelsurf.kernels.storage import STORAGE
+
+        self._has_told = True
+        text = COMPILING_ANEW if STORAGE is None else COMPILING
+        if self._show_json:
+            print_json({"event": "compiling", "run": self._label, "message": text.removeprefix("note: ")})
+        elif self._bar is not None:
+            self._bar.say(text)
+        else:
+            say(text)
 
     @contextmanager
     def writing(self) -> Iterator[None]:
@@ -151,6 +179,9 @@ class _Bar:
 
     def window(self, size: str) -> None:
         self._progress.update(self._task, completed=0, state=f"a window of {size} voxels")
+
+    def say(self, line: str) -> None:
+        self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     def stop(self) -> None:
         self._progress.stop()

@@ -193,8 +193,8 @@ def fastest_place(fields: StepFields, shape: tuple[int, int, int], corner: Corne
     fast = growing >= 0.5 * growing.max() if growing.size else growing > 0
     cells = np.stack(np.unravel_index(fields.cells[fast], shape), axis=1).astype(np.float64)
     weight = growing[fast].astype(np.float64)
-    # Blocks of 8 voxels stand for clusters.
-    blocks, member = np.unique(cells // 8, axis=0, return_inverse=True)
+    # Blocks of 8 voxels stand for clusters; counted from the part's own first voxel, wherever its grid begins.
+    blocks, member = np.unique((cells - cells.min(axis=0, initial=np.inf)) // 8, axis=0, return_inverse=True)
     member = member.reshape(-1)
     largest = int(np.argmax(np.bincount(member, weight, len(blocks))))
     own = cells[member == largest]

@@ -84,6 +84,16 @@ class Window(NamedTuple):
         z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, self.corner, strict=True))
         return z, y, x
 
+    def place_on_whole(self, place: Sequence[float]) -> tuple[float, float, float]:
+        """World mm (x, y, z) of the centre of a voxel of any level as the whole grid gives it, of a place in a window.
+
+        The grid of a window gives it with another rounding.
+        """
+        index = self.geometry.world_to_index(np.asarray(place, np.float64))
+        # Centres are at whole and half voxels, on all levels of a pyramid.
+        x, y, z = (float(v) for v in self.geometry.index_to_world(np.rint(2.0 * index) / 2.0))
+        return x, y, z
+
     def clicks(self, clicks: Sequence[Click]) -> list[Click]:
         """Clicks of the whole grid, counted from the window's first voxel; what lies beyond is left out."""
         return list(Clicks(tuple(clicks), self.geometry.shape).on_box(self.box).clicks)

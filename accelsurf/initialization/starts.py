@@ -8,7 +8,6 @@ Each start becomes a function psi on the grid, negative inside; the minimum of s
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -26,11 +25,11 @@ from accelsurf.grid.window import Window
 from accelsurf.initialization import region_growing
 from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
+from accelsurf.settings.label_ids import parse_ids
 from accelsurf.settings.wording import did_you_mean, shown
 
 #: mm or voxels.
 MAX_LENGTH = 1e12
-_LABEL = re.compile(r"[0-9]{1,18}")
 
 #: The start that is made of the inside clicks of the run.
 CLICKS = "clicks"
@@ -135,16 +134,8 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
         return Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
     if not at or split_name(rest)[1]:
         return Start(kind, file=rest)
-    ids = []
-    for part in tail.split(","):
-        first, _, last = part.partition("-")
-        if not (_LABEL.fullmatch(first) and _LABEL.fullmatch(last or first) and int(first) <= int(last or first)):
-            raise UsageError(
-                f"start {text!r}: {shown(part)!r} is no label, expected whole numbers and ranges",
-                "as in label:FILE@2,41,251-255",
-            )
-        ids.append((int(first), int(last or first)))
-    return Start(kind, file=file, ids=tuple(ids))
+    ids = parse_ids(tail, f"start {text!r}", "label:FILE@2,41,251-255")
+    return Start(kind, file=file, ids=ids)
 
 
 def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:

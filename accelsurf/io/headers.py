@@ -173,11 +173,26 @@ def _check_data_folder(path: Path, data: Path) -> None:
     """Refuse a data file that lies, with links followed, in another folder than its header."""
     folders = {path.parent.resolve(), path.resolve().parent}
     if not any(data.resolve().is_relative_to(folder) for folder in folders):
-        raise InputError(
-            f"the header names the data file {data}, outside of its own folder",
-            "copy it into the folder of the header; or, if you trust the header, add --allow-outside-data "
-            "(in Python: accelsurf.read(path, outside_data=True))",
-        )
+        raise _outside(f"the header names the data file {data}, outside of its own folder")
+
+
+def check_within_store(store: Path, path: Path) -> None:
+    """Refuse a file or folder of a store that lies, with links followed, outside of the store, if it is not allowed.
+
+    Raises
+    ------
+    InputError
+    """
+    if not _OUTSIDE_DATA.get() and not path.resolve().is_relative_to(store.resolve()):
+        raise _outside(f"{path.relative_to(store).as_posix()} is a link to a place outside of the store")
+
+
+def _outside(message: str) -> InputError:
+    return InputError(
+        message,
+        "copy it into the folder of the header; or, if you trust the header, add --allow-outside-data "
+        "(in Python: accelsurf.read(path, outside_data=True))",
+    )
 
 
 def check_name(path: Path) -> None:

@@ -26,7 +26,7 @@ _HEAD = "################################################\n# ITK-SnAP Label Desc
 
 
 def read(path: str | os.PathLike[str]) -> LabelTable:
-    """Read names and colours of labels.
+    r"""Read names and colours of labels.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
     >>> import pathlib, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = pathlib.Path(folder, "labels.csv")
-    ...     _ = file.write_text("id,name,color\\n4,left kidney,#0080ff\\n")
+    ...     _ = file.write_text("id,name,color\n4,left kidney,#0080ff\n")
     ...     read(file)[4]
     LabelEntry(id=4, name='left kidney', color=(0, 128, 255))
     """
@@ -57,7 +57,7 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
         if path.name.lower().endswith((".seg.nrrd", ".nrrd")):
             content = content.partition(b"\n\n")[0]
         if len(content) > _MAX_BYTES:
-            raise InputError(f"a file of more than {_MAX_BYTES} bytes given, a table of labels expected", "another file?")
+            raise InputError(f"a file of more than {_MAX_BYTES} bytes given, a table expected", "is it another file?")
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:

@@ -7,5 +7,8 @@ LABELS_KEY = "labels"
 """Names and colours of a label map, from `accelsurf.settings.labels.LabelTable.to_json`; absent where none are known.
 """
 
+DICOM_KEY = "dicom_series"
+"""The UID of the series that an image was read from; absent where it was no DICOM."""
+
 UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""

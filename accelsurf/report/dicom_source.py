@@ -1,4 +1,4 @@
-"""What the DICOM outputs of a run have in common: the slices it was made of, its objects, what identifiers follow from."""
+"""What the DICOM outputs of a run have in common: its slices, its objects, what identifiers follow from."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from accelsurf.errors import UsageError
 from accelsurf.io.dicom.source_images import SourceImages, read
 from accelsurf.io.files import naming
 from accelsurf.io.formats import dicom
+from accelsurf.io.metadata import DICOM_KEY
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_checkpoint import digest_of
 from accelsurf.settings.catalogue import entry
@@ -29,7 +30,7 @@ def source_of(result: Result) -> SourceImages:
         When the slices cannot be read any more, have no identifiers, or a package is missing.
     """
     path = result.volume.source
-    if path is None or dicom.SERIES_KEY not in result.volume.metadata:
+    if path is None or DICOM_KEY not in result.volume.metadata:
         raise UsageError(
             "the image was not read from DICOM, whose slices DICOM outputs refer to", "give a DICOM series as the image"
         )

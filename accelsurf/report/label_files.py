@@ -1,4 +1,7 @@
-"""Files of the objects that carry names and colours: of 3D Slicer, ITK-SNAP and BIDS."""
+"""Files of the objects that carry names and colours: of 3D Slicer, ITK-SNAP and BIDS.
+
+Libraries are loaded where a file is written: commands ask here what can be written before they load any.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import UsageError
-from accelsurf.io import label_tables
 from accelsurf.io.files import write_bytes
-from accelsurf.io.formats import seg_nrrd as slicer
+from accelsurf.io.metadata import DICOM_KEY
 from accelsurf.settings.label_outputs import LABEL_OUTPUTS
 from accelsurf.settings.labels import LabelEntry, LabelTable
+from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -31,37 +34,43 @@ def check(config: RunConfig, volume: Volume) -> None:
     UsageError
         When it needs DICOM and the image is none; InputError when a table of labels cannot be read, or a package lacks.
     """
-    from accelsurf.io.dicom.output import check_library
-    from accelsurf.io.formats.dicom import SERIES_KEY
+    from accelsurf.io.dicom.library import library
     from accelsurf.report.label_names import table_of
 
     table_of(config)
     for name in config.also:
         if name not in LABEL_OUTPUTS or not LABEL_OUTPUTS[name].needs_dicom:
             continue
-        if SERIES_KEY not in volume.metadata:
+        if DICOM_KEY not in volume.metadata:
             raise UsageError(
                 f"also: {name} was given, and the image is no DICOM", "leave it out, or give the DICOM of the image"
             )
-        check_library()
+        library("highdicom")
 
 
 def seg_nrrd(result: Result, table: LabelTable, path: Path) -> None:
     """Write a segmentation of 3D Slicer."""
+    from accelsurf.io.formats import seg_nrrd as slicer
+
     slicer.write(result.labels_volume(), entries_of(result, table), path)
 
 
 def itk_snap(result: Result, table: LabelTable, path: Path) -> None:
     """Write label descriptions of ITK-SNAP."""
-    write_bytes(path, label_tables.itk_snap_text(entries_of(result, table)).encode())
+    _write_text(path, result, table, "itk_snap_text")
 
 
 def color_table(result: Result, table: LabelTable, path: Path) -> None:
     """Write a colour table of 3D Slicer."""
-    write_bytes(path, label_tables.color_table_text(entries_of(result, table)).encode())
+    _write_text(path, result, table, "color_table_text")
 
 
 def bids_table(result: Result, table: LabelTable, path: Path) -> None:
     """Write a table of labels as BIDS has it."""
-    write_bytes(path, label_tables.bids_text(entries_of(result, table)).encode())
+    _write_text(path, result, table, "bids_text")
 
+
+def _write_text(path: Path, result: Result, table: LabelTable, maker: str) -> None:
+    """Write what a function of `accelsurf.io.label_tables` makes."""
+    text: str = load(f"accelsurf.io.label_tables:{maker}")(entries_of(result, table))
+    write_bytes(path, text.encode())

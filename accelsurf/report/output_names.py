@@ -73,7 +73,8 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
         files |= {"state": "state.npz", "config": "run.toml"}
     files |= {f"also-{name}": ending_of(name) for name in config.also if name != labels}
     files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_RESTS + 1)}
-    return files | {"trace": "trace.csv", "preview": "preview.png"}
+    files |= {"trace": "trace.csv", "preview": "preview.png"}
+    return files | {"statistics": "statistics.csv", "statistics-json": "statistics.json"}
 
 
 def keeps_state(config: RunConfig) -> bool:

@@ -15,7 +15,7 @@ from accelsurf import io
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import LABELS_KEY
-from accelsurf.report import object_files, preview, tables
+from accelsurf.report import object_files, preview, statistics_files, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.label_names import is_named, table_of
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
@@ -183,6 +183,12 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
         yield "trace", names["trace"], lambda path: write_bytes(path, text.encode())
     if "preview" in names:
         yield "preview", names["preview"], lambda path: write_bytes(path, preview.preview_png(content))
+    if "statistics" in names and _has_surface(result):
+        figures = statistics_files.rows_of(result, table_of(result.config))
+        text_csv = statistics_files.statistics_csv(figures, result)
+        text_json = statistics_files.statistics_json(figures, result)
+        yield "statistics", names["statistics"], lambda path: write_bytes(path, text_csv.encode())
+        yield "statistics", names["statistics-json"], lambda path: write_bytes(path, text_json.encode())
 
 
 def outcome_title(name: str, result: Result) -> str:

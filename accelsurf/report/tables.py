@@ -23,13 +23,13 @@ def trace_csv(history: Iterable[StepRecord]) -> str:
     history : iterable of StepRecord
         One record per step. True is 1.
     """
-    return _table(tuple(TRACE_COLUMNS), (tuple(row_values(record).values()) for record in history))
+    return csv_text(tuple(TRACE_COLUMNS), (tuple(row_values(record).values()) for record in history))
 
 
 def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
     """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
     rows = ((own, *row_values(record).values()) for own, history in histories.items() for record in history)
-    return _table(("object", *TRACE_COLUMNS), rows)
+    return csv_text(("object", *TRACE_COLUMNS), rows)
 
 
 def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
@@ -43,10 +43,11 @@ def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
         place = one["centroid"] or (None, None, None)
         doubts = "; ".join(quality.get("warnings", ()))
         rows.append([*(one[key] for key in plain), *place, *(quality.get(key) for key in measures), doubts])
-    return _table((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
+    return csv_text((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
 
 
-def _table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table as CSV; True is 1."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)

@@ -271,9 +271,5 @@ class VisitedBoxes:
 def _on_whole(one: SegmentedObject, window: Window) -> SegmentedObject:
     """An object of a run in a window, on the whole grid: its places are worked out there, to the last digit."""
     z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(one.box, window.corner, strict=True))
-    part, rests = cropped(window.geometry, window.box), []
-    for rest in one.rests:
-        index = np.rint(part.world_to_index(rest.place)) + window.corner
-        px, py, pz = (float(v) for v in window.geometry.index_to_world(index))
-        rests.append(rest._replace(place=(px, py, pz)))
-    return replace(one, box=(z, y, x), geometry=cropped(window.geometry, (z, y, x)), rests=tuple(rests))
+    rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in one.rests)
+    return replace(one, box=(z, y, x), geometry=cropped(window.geometry, (z, y, x)), rests=rests)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from accelsurf.evolution.records import Step
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.pyramid import Level
+from accelsurf.grid.window import Window
 
 #: The last part of the growth: so much of the volume that the object gained.
 LAST_SHARE = 0.25
@@ -45,15 +46,19 @@ class GrowthState(NamedTuple):
 class LateGrowth:
     """Sums up growth, step by step.
 
+    The cubes are counted from the first voxel of the whole image, so that they are the same in any window of it.
+
     Parameters
     ----------
-    shape : (nz, ny, nx)
-        Of the image.
+    window : Window
+        The part of the image that the run is on.
     """
 
-    def __init__(self, shape: tuple[int, int, int]) -> None:
-        self._shape = shape
-        self._cubes = tuple(-(-n // BLOCK) for n in shape)
+    def __init__(self, window: Window) -> None:
+        self._shape, self._corner = window.geometry.shape, window.corner
+        # Cubes before the window's first are not counted; its first begins so many voxels before the window.
+        self._before = tuple(c % BLOCK for c in window.corner)
+        self._cubes = tuple(-(-(n + b) // BLOCK) for n, b in zip(window.shape, self._before, strict=True))
         self._growth: defaultdict[int, list[_Growth]] = defaultdict(list)
 
     def watch(self, step: Step, level: Level, corner: Corner, first: Corner) -> None:
@@ -67,7 +72,7 @@ class LateGrowth:
         corner : (int, int, int)
             Index (z, y, x) on that grid of the first voxel of the surface's grid.
         first : (int, int, int)
-            Index (z, y, x) in the image of the first voxel of the region of interest.
+            Index (z, y, x) in the window of the first voxel of the region of interest.
         """
         fields = step.fields
         if fields is None or not fields.cells.size:
@@ -77,9 +82,9 @@ class LateGrowth:
         motion = -fields.speed * np.float32(step.record.dt * area)
         # The cube of each index along an axis, by a table.
         along = [
-            np.clip(((np.arange(size) + a) * factor + b + c).astype(np.int64) // BLOCK, 0, n - 1)
-            for size, a, factor, b, c, n in zip(
-                step.surface.shape, corner, level.factors, level.first, first, self._cubes, strict=True
+            np.clip(((np.arange(size) + a) * factor + b + c + d).astype(np.int64) // BLOCK, 0, n - 1)
+            for size, a, factor, b, c, d, n in zip(
+                step.surface.shape, corner, level.factors, level.first, first, self._before, self._cubes, strict=True
             )
         ]
         _, ny, nx = self._cubes
@@ -113,7 +118,10 @@ class LateGrowth:
             self._growth[id].append(_Growth(volume, state.cubes[begin:end], state.sums[begin:end]))
 
     def place(self) -> tuple[float, float, float] | None:
-        """Index (z, y, x) of the middle of the cube that grew most in the last part; None when no object grew."""
+        """Index (z, y, x) in the window of the middle of the cube that grew most in the last part.
+
+        None when no object grew.
+        """
         total: defaultdict[int, float] = defaultdict(float)
         for growth in self._growth.values():
             volumes = np.array([one.volume for one in growth])
@@ -127,7 +135,9 @@ class LateGrowth:
             return None
         largest = max(sorted(total), key=lambda cube: total[cube])
         z, y, x = (
-            min(int(at) * BLOCK + 0.5 * (BLOCK - 1), n - 1.0)
-            for at, n in zip(np.unravel_index(largest, self._cubes), self._shape, strict=True)
+            min(int(at) * BLOCK - b + 0.5 * (BLOCK - 1), n - 1.0 - c)
+            for at, b, n, c in zip(
+                np.unravel_index(largest, self._cubes), self._before, self._shape, self._corner, strict=True
+            )
         )
         return z, y, x

@@ -363,7 +363,12 @@ class Result:
     @property
     def quality(self) -> Quality | None:
         """Measures of quality of a single object, without a reference; None for several, which have their own."""
-        return None if self.has_ids else self._one.quality
+        if self.has_ids:
+            return None
+        found: Quality = self._one.quality
+        if self.window is None or found.next_click is None:
+            return found
+        return found._replace(next_click=self.window.place_on_whole(found.next_click))
 
     def plot(self, **options: Any) -> Any:
         """Show the result in a notebook or a window, or write a picture or a page; options as of `accelsurf.show`."""

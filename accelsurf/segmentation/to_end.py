@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import NO_OBJECT
+from accelsurf.grid.window import Window
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.late_growth import LateGrowth
 from accelsurf.segmentation.refine import with_refinements
@@ -22,7 +24,8 @@ def finished(
     checkpoints: CheckpointFile | None = None,
 ) -> Result:
     """The result with its corrections, of a run that goes to the end, or until ``on_step`` returns true."""
-    growth = LateGrowth(run.volume.geometry.shape)
+    grid = run.volume.geometry
+    growth = LateGrowth(run.window or Window(grid, whole_box(grid.shape)))
     with run:
         notes = [] if checkpoints is None else checkpoints.restore(run, growth)
         if on_warning is not None:

@@ -15,6 +15,7 @@ import numpy as np
 from accelsurf.energies.seeded.contest import block_means
 from accelsurf.grid.volume import Volume
 from accelsurf.io import LazyVolume
+from accelsurf.kernels.blocks import count_changes
 from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.result import Result
@@ -48,6 +49,8 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "windows": _in_windows,
         # Of boxes with many voxels, which no small run has.
         "coarse boxes": lambda: block_means(np.zeros((4, 4, 4), np.float32), (2, 2, 2)),
+        # Of a part of an image, which an array of its own is not.
+        "parts of images": lambda: count_changes(np.zeros((4, 4, 4), np.float32)[1:3, 1:3, 1:3], np.float32(1.0)),
     }
 
 

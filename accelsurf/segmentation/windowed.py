@@ -202,7 +202,11 @@ def _in(
     """The result of a run in a window."""
     run = run_in(window, whole, image, config)
     result = finished(run, on_step, on_warning, checkpoints)
-    return replace(result, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
+    objects = tuple(
+        replace(one, rests=tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in one.rests))
+        for one in result.objects
+    )
+    return replace(result, objects=objects, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
 
 
 def notes_of(whole: Sequence[WholeImage]) -> list[str]:

@@ -75,6 +75,31 @@ def choices() -> tuple[str, ...]:
     return tuple(key for key in SettingFields.model_fields if entry(key).choice)
 
 
+def names_of(key: str) -> dict[str, str]:
+    """The words that a setting takes, with their meaning where the help tells it; empty for numbers and free text.
+
+    Examples
+    --------
+    >>> list(names_of("mesh_space")), names_of("cfl")
+    (['lps', 'ras'], {})
+    """
+    told = entry(key).names
+    schema = SettingFields.model_json_schema()["properties"][key]
+    words = dict.fromkeys(word for word in _enumerated(schema) if isinstance(word, str))
+    return {**dict.fromkeys(words, ""), **(told() if told is not None else {})}
+
+
+def _enumerated(schema: Any) -> list[Any]:
+    """The values that a JSON schema lists, at any depth."""
+    if isinstance(schema, list):
+        return [value for part in schema for value in _enumerated(part)]
+    if not isinstance(schema, dict):
+        return []
+    own = [*schema.get("enum", ()), *([schema["const"]] if "const" in schema else ())]
+    parts = (part for key, part in schema.items() if key not in ("enum", "const", "default"))
+    return own + [value for part in parts for value in _enumerated(part)]
+
+
 def energy_settings() -> tuple[str, ...]:
     """Settings of the named energies; an energy of the user's own does not use them."""
     return tuple(key for key in SettingFields.model_fields if entry(key).scope in ("energy", "term"))

@@ -13,7 +13,7 @@ from accelsurf.settings.intervals import INTERVAL
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.label_outputs import also_help, also_names
 from accelsurf.settings.labels import checked_colors, checked_names
-from accelsurf.settings.written_values import checked_interval, split_commas
+from accelsurf.settings.written_values import all_split, checked_interval, split_commas
 
 FILES = SettingGroup.FILES
 
@@ -71,8 +71,8 @@ class OutputFields(ImageFields):
         ".csv with columns id, name and color.",
         entry=SettingEntry(FILES, metavar="FILE", fixed=True),
     )
-    also: Annotated[tuple[Annotated[str, OneOf(also_names)], ...], BeforeValidator(split_commas)] = setting(
+    also: Annotated[tuple[Annotated[str, OneOf(also_names)], ...], BeforeValidator(all_split)] = setting(
         (),
         "Further files of the objects, separated by commas: {}.",
-        entry=SettingEntry(FILES, metavar="NAMES", fixed=True, listed=also_help),
+        entry=SettingEntry(FILES, metavar="NAMES", repeated=True, fixed=True, listed=also_help),
     )

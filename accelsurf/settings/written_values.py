@@ -52,6 +52,13 @@ def checked_expression(value: Any) -> Any:
     return value
 
 
+def all_split(value: Any) -> Any:
+    """As `split_commas`, of several texts."""
+    if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
+        value = ",".join(value) if value else ()
+    return split_commas(value)
+
+
 def split_commas(value: Any) -> Any:
     """Turn ``"ply,stl"`` into ``("ply", "stl")``; names given twice count once."""
     if value == "auto":

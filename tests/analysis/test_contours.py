@@ -153,7 +153,7 @@ def test_measures_far_from_the_origin():
     assert Contours((square,)).area == pytest.approx(1.0, abs=1e-9)
 
 
-# ------------------------------------------------------------------------------------------ contours of a volume's slices
+# ---------------------------------------------------------------------------------------- contours of a volume's slices
 
 
 def ball(geometry, centre, radius):

@@ -65,6 +65,7 @@ def done(scans, tmp_path_factory):
 
 def test_segment_writes_every_output_and_nothing_else(done):
     names = ("seg.nii.gz", "sdf.nii.gz", "surface.ply", "surface.stl", "report.json", "trace.csv", "preview.png")
+    names += ("statistics.csv", "statistics.json")
     assert sorted(path.name for path in done.iterdir()) == sorted(f"ball_{name}" for name in names)
 
 
@@ -101,7 +102,7 @@ def test_report_tells_the_whole_run(done, scans):
     assert document["volume_mm3"] == pytest.approx(4 / 3 * np.pi * 9**3, rel=0.1)
     assert document["components"] == 1 and document["touches_border"] is False
     kinds = [output["kind"] for output in document["outputs"]]
-    assert kinds == ["labels", "surface", "surface", "sdf", "trace", "preview"]
+    assert kinds == ["labels", "surface", "surface", "sdf", "trace", "preview", "statistics", "statistics"]
     for output in document["outputs"]:
         assert io.sha256(output["path"]) == output["sha256"]
 
@@ -195,6 +196,8 @@ def test_every_setting_is_an_option(capsys):
         **dict(foreground=("center", "ball:-1,2,-3,4"), background=("otsu:dark", "label:b.nii@2"), channel=("a", "b")),
         **dict(outside=("point:1,2,3", "stroke:s.csv"), box="0,0,0,9,9,9", size="250ml", keep_state="yes"),
         **dict(stop_at_rest=True, end="present", extension="fast-marching", refine=["inside=point:1,2,3 near=4"]),
+        **dict(level=2, channel_index=1, time_index=3, channels_from_time=True, series="4", spacing="1,2,3um"),
+        **dict(resample=True, name=["2=liver"], color=["2=#102030"], label_table="t.csv", also=["tsv", "rtstruct"]),
         edit=["step=4 flow=sobolev", "step=9 add=ball:1,2,3,4vox"],
     )
     words = []
@@ -350,6 +353,7 @@ def test_overwrite_takes_away_what_the_earlier_run_wrote_and_nothing_else(scans,
     (tmp_path / "ball_surface.obj").write_text("changed by hand")
     assert run(*words, "--mesh", "stl") == 0
     names = {"seg.nii.gz", "surface.stl", "report.json", "trace.csv", "preview.png", "notes.txt", "surface.obj"}
+    names |= {"statistics.csv", "statistics.json"}
     assert {path.name for path in tmp_path.iterdir()} == {f"ball_{name}" for name in names}
     assert (tmp_path / "ball_surface.obj").read_text() == "changed by hand"
 
@@ -624,7 +628,7 @@ def test_ctrl_c_writes_what_was_reached(tmp_path):
     document = report_of(tmp_path / "out")
     assert (document["status"], document["exit_code"]) == ("interrupted", 130)
     assert document["stop"]["reason"] == "interrupted" and document["error"] is None
-    assert {output["kind"] for output in document["outputs"]} == {"labels", "surface", "trace", "preview"}
+    assert {output["kind"] for output in document["outputs"]} == {"labels", "surface", "trace", "preview", "statistics"}
     assert io.read_labels(tmp_path / "out" / "ball_seg.nii.gz").array.any()
 
 

@@ -82,3 +82,28 @@ def test_without_the_package_one_line_names_the_extra(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 3 and 'pip install "accelsurf[dicom]"' in done.stderr
+
+
+def test_the_result_goes_back_as_dicom_the_same_bytes_twice(tmp_path):
+    highdicom = pytest.importorskip("highdicom")
+    import pydicom
+
+    middle = ball_series(tmp_path / "scan")
+    place = ",".join(f"{part:.3f}" for part in middle)
+    for out in ("one", "two"):
+        words = ["segment", str(tmp_path / "scan"), "-o", str(tmp_path / out), "--inside", f"point:{place}"]
+        words += ["--threads", "1", "--name", "ball", "--also", "dicom-seg,dicom-labelmap,rtstruct,seg.nrrd"]
+        assert cli.execute(words) == 0
+    names = [f"scan_{name}.dcm" for name in ("segmentation", "labelmap", "rtstruct")]
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    labels = io.read_labels(tmp_path / "one" / "scan_seg.nii.gz")
+    for name in names[:2]:
+        found = highdicom.seg.segread(tmp_path / "one" / name).get_volume(combine_segments=True)
+        index = np.argwhere(found.array > 0)
+        world = (found.affine @ np.c_[index, np.ones(len(index))].T)[:3].T
+        own = np.rint(labels.geometry.world_to_index(world)).astype(int)
+        assert len(own) == int(labels.array.sum()) and (labels.array[tuple(own.T)] > 0).all()
+    structure = pydicom.dcmread(tmp_path / "one" / "scan_rtstruct.dcm")
+    assert structure.StructureSetROISequence[0].ROIName == "ball"
+    assert (tmp_path / "one" / "scan_statistics.csv").read_text().splitlines()[0].count("_hu") >= 5

@@ -367,7 +367,7 @@ def test_command_line_from_a_table_to_labels_meshes_and_rows(scan, tmp_path, cap
         f"cells_{name}"
         for name in (
             *("seg.nii.gz", "sdf.nii.gz", "surface_12.ply", "surface_12.stl", "surface_700.ply", "surface_700.stl"),
-            *("objects.csv", "report.json", "trace.csv", "preview.png"),
+            *("objects.csv", "report.json", "trace.csv", "preview.png", "statistics.csv", "statistics.json"),
         )
     )
     labels = io.read_labels(tmp_path / "cells_seg.nii.gz")

@@ -116,6 +116,7 @@ def test_a_volume_has_no_length():
 
 def test_what_is_written(done):
     names = ("seg.png", "contour.vtp", "contour.csv", "sdf.tif", "report.json", "trace.csv", "preview.png")
+    names += ("statistics.csv", "statistics.json")
     assert sorted(path.name for path in done.iterdir()) == sorted(f"disc_{name}" for name in names)
     document = report_of(done, "disc")
     kinds = [output["kind"] for output in document["outputs"]]

@@ -6,6 +6,7 @@ import pytest
 import accelsurf
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.segmentation.api import with_options
@@ -56,6 +57,10 @@ def assert_same(whole, part):
     # A run that was stopped has looked for the closest points of its band once more.
     rows = [[row._replace(seconds=0.0, cells_visited=0) for row in one.history] for one in (whole, part)]
     assert rows[0] == rows[1]
+    assert repr(part.quality) == repr(whole.quality)
+    grown = [one and tuple(float(v) for v in one) for one in (whole.late_growth, part.late_growth)]
+    corner = part.window.corner
+    assert grown[0] == (grown[1] and tuple(v + first for v, first in zip(grown[1], corner, strict=True)))
 
 
 @pytest.mark.parametrize(
@@ -233,3 +238,22 @@ def test_a_click_that_needs_too_much_is_told_to_say_a_size(image):
         with pytest.raises(InputError) as refused:
             segment_in_windows(large, config)
         assert ("--size" in refused.value.hint) == said
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_rest_and_its_place_are_those_of_the_whole_image(small_windows, levels):
+    """A ball with a thin way to a larger one: the surface rests, then bursts through, far from the window's corner."""
+    z, y, x = np.indices((80, 72, 90)).astype(np.float32)
+    off = (y - 36) ** 2 + (z - 40) ** 2
+    balls = ((x - 30) ** 2 + off < 81) | ((x - 55) ** 2 + off < 100)
+    way = (off < 4) & (x > 30) & (x < 55) & ~balls
+    values = 100 * balls + (55 if levels == 1 else 90) * way + np.random.default_rng(2).normal(0, 5, balls.shape)
+    image = Volume(values.astype(np.float32), Geometry(balls.shape, (1.0, 1.0, 1.0), (0.1, 0.3, 0.7)))
+    whole, part, _ = both(image, start="ball:30,36,40,3", energy="threshold:50,", smoothness=0.05, levels=levels)
+    assert part.window.corner != (0, 0, 0)
+    assert_same(whole, part)
+    (one,), (other,) = whole.objects, part.objects
+    assert len(one.rests) == (1 if levels == 1 else len(other.rests))
+    for rest, own in zip(one.rests, other.rests, strict=True):
+        assert rest[:4] == own[:4]
+        assert np.array_equal(rest.labels[part.window.box], own.labels)

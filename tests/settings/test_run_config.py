@@ -72,6 +72,10 @@ ODD = RunConfig(
     series="1.2.3",
     spacing="0.2,0.2,1um",
     resample=True,
+    name=["2=liver"],
+    color=["2=#102030"],
+    label_table="names.csv",
+    also="seg.nrrd,rtstruct",
     stop_at_rest=True,
     end="present",
     refine=[

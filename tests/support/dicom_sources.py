@@ -39,7 +39,7 @@ def _common(geometry: Geometry, sop_class: str, instance: str):
 
 
 def write_slices(folder: Path, geometry: Geometry, order=None, values=None, **changes) -> list[Path]:
-    """One file a slice, returned in the order of z; ``order`` numbers the files, ``changes`` are values of the header."""
+    """One file a slice, returned in the order of z; ``order`` numbers the files, ``changes`` are values of headers."""
     folder.mkdir(parents=True, exist_ok=True)
     order = range(geometry.shape[0]) if order is None else order
     values = np.zeros(geometry.shape, np.int16) if values is None else values

@@ -174,8 +174,8 @@ def test_run_pause_step_back_slide_save(person, scan, tmp_path):
     person.until(lambda now: "saved in" in now["message"], 120)
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == [
-        "run.toml", "scan_preview.png", "scan_report.json", "scan_seg.nii.gz", "scan_surface.ply", "scan_trace.csv",
-        "scan_view.png",
+        "run.toml", "scan_preview.png", "scan_report.json", "scan_seg.nii.gz",
+        "scan_statistics.csv", "scan_statistics.json", "scan_surface.ply", "scan_trace.csv", "scan_view.png",
     ]
     person.leave()
     config = RunConfig.from_toml(tmp_path / "out/run.toml")

@@ -60,7 +60,8 @@ def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
     at(session, 17)
     paths = session.save(tmp_path / "saved").result(60)
     assert {"run.toml", "surface_seg.nii.gz", "surface_objects.csv", "surface_trace.csv", "surface_preview.png"} | {
-        "surface_surface_3.ply", "surface_surface_8.ply", "surface_report.json"
+        "surface_surface_3.ply", "surface_surface_8.ply", "surface_report.json", "surface_statistics.csv",
+        "surface_statistics.json",
     } == {path.name for path in paths}
     assert [(edit.step, edit.object) for edit in session.status.edits] == [(6, 3), (6, None), (14, 3)]
     labels = io.read_labels(tmp_path / "saved/surface_seg.nii.gz").array

@@ -18,8 +18,9 @@ _TAGS = [
     *("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing", "ImagerPixelSpacing", "SliceThickness"),
     *("SpacingBetweenSlices", "RescaleSlope", "RescaleIntercept", "RescaleType", "Units", "BitsStored"),
     *("BitsAllocated", "PixelRepresentation", "SamplesPerPixel", "PhotometricInterpretation", "EchoTime"),
-    *("AcquisitionNumber", "AcquisitionTime", "ContentTime", "TemporalPositionIdentifier", "TriggerTime", "DiffusionBValue"),
-    *("DiffusionGradientOrientation", "SharedFunctionalGroupsSequence", "PerFrameFunctionalGroupsSequence"),
+    *("AcquisitionNumber", "AcquisitionTime", "ContentTime", "TemporalPositionIdentifier", "TriggerTime"),
+    *("DiffusionBValue", "DiffusionGradientOrientation", "SharedFunctionalGroupsSequence"),
+    "PerFrameFunctionalGroupsSequence",
     "TransferSyntaxUID",
 ]
 #: The number of images in a mosaic and the block that says which way they follow (Siemens).

@@ -83,20 +83,12 @@ def segmentation_bytes(
     InputError
         When the grid's slices are not parallel to those of the source, or a package is missing.
     """
-    if not segments:
-        raise UsageError("a DICOM Segmentation needs an object, none is left", "start closer to the objects")
-    ids = np.array([entry.id for entry in segments])
-    if as_labelmap and ids[-1] > MAX_SEGMENT:
-        raise UsageError(
-            f"a DICOM label map holds ids up to {MAX_SEGMENT}, {ids[-1]} was given", "write dicom-seg, or other ids"
-        )
-    numbers = ids if as_labelmap else np.arange(1, len(ids) + 1)
+    ids, numbers = _segment_numbers(segments, as_labelmap)
     values = _numbered(labels, ids, numbers)
     by_slice = source.in_planes(geometry)
     aligned = [next((f for f in found if pixel_for_pixel(f, geometry, k)), None) for k, found in enumerate(by_slice)]
     highdicom = library("highdicom")
     library("highdicom.seg")
-    date, time = source.date, source.time
     with quiet():
         planes = _planes(highdicom, geometry, aligned)
         dataset = highdicom.seg.Segmentation(
@@ -107,26 +99,45 @@ def segmentation_bytes(
                 _description(highdicom, entry, int(number), algorithm, seed)
                 for entry, number in zip(segments, numbers, strict=True)
             ],
-            series_instance_uid=derived_uid(seed, "series"),
-            series_number=source.series_number * 100 + (2 if as_labelmap else 1),
-            sop_instance_uid=derived_uid(seed, "instance"),
-            instance_number=1,
-            manufacturer="accelsurf",
-            manufacturer_model_name="accelsurf",
-            software_versions=algorithm.version,
-            device_serial_number="none",
-            content_label="ACCELSURF",
-            content_description="Objects segmented by accelsurf",
-            series_description="accelsurf segmentation",
-            content_date=date,
-            content_time=time,
-            transfer_syntax_uid=_RLE if as_labelmap else _EXPLICIT,
-            omit_empty_frames=True,
+            **_description_of_object(source, algorithm, seed, as_labelmap),
             **planes,
         )
         _refer(dataset, geometry, source, by_slice)
-        fix(dataset, seed, date, time)
+        fix(dataset, seed, source.date, source.time)
     return file_bytes(dataset)
+
+
+def _segment_numbers(segments: Sequence[LabelEntry], as_labelmap: bool) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Ids of the segments, and their numbers in the object."""
+    if not segments:
+        raise UsageError("a DICOM Segmentation needs an object, none is left", "start closer to the objects")
+    ids = np.array([entry.id for entry in segments])
+    if as_labelmap and ids[-1] > MAX_SEGMENT:
+        raise UsageError(
+            f"a DICOM label map holds ids up to {MAX_SEGMENT}, {ids[-1]} was given", "write dicom-seg, or other ids"
+        )
+    return ids, ids if as_labelmap else np.arange(1, len(ids) + 1)
+
+
+def _description_of_object(source: SourceImages, algorithm: Algorithm, seed: str, as_labelmap: bool) -> dict[str, Any]:
+    """Identifiers, dates, and what made it."""
+    return dict(
+        series_instance_uid=derived_uid(seed, "series"),
+        series_number=source.series_number * 100 + (2 if as_labelmap else 1),
+        sop_instance_uid=derived_uid(seed, "instance"),
+        instance_number=1,
+        manufacturer="accelsurf",
+        manufacturer_model_name="accelsurf",
+        software_versions=algorithm.version,
+        device_serial_number="none",
+        content_label="ACCELSURF",
+        content_description="Objects segmented by accelsurf",
+        series_description="accelsurf segmentation",
+        content_date=source.date,
+        content_time=source.time,
+        transfer_syntax_uid=_RLE if as_labelmap else _EXPLICIT,
+        omit_empty_frames=True,
+    )
 
 
 def _numbered(labels: NDArray[Any], ids: NDArray[Any], numbers: NDArray[Any]) -> NDArray[Any]:

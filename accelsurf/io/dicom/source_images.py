@@ -30,7 +30,9 @@ _TEXTS = (
 )
 _DATES, _TIMES = ("PatientBirthDate", "StudyDate"), ("StudyTime",)
 _DATED = ("Series", "Study", "Acquisition", "Content")
-_OTHERS = ("PatientSex", "PatientAge", "SeriesNumber", *(f"{what}{part}" for what in _DATED for part in ("Date", "Time")))
+_OTHERS = (
+    "PatientSex", "PatientAge", "SeriesNumber", *(f"{what}{part}" for what in _DATED for part in ("Date", "Time"))
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,8 @@ class SourceImages:
         """
         normal = geometry.direction[:, 2]
         turns = (np.array(frame.orientation, np.float64).reshape(2, 3) for frame in self.frames)
-        parallel = [one for one, turn in zip(self.frames, turns, strict=True) if np.abs(turn @ normal).max() < _PARALLEL]
+        pairs = zip(self.frames, turns, strict=True)
+        parallel = [one for one, turn in pairs if np.abs(turn @ normal).max() < _PARALLEL]
         if not parallel:
             raise InputError(
                 "the grid's slices are not parallel to those of the DICOM series",
@@ -96,7 +99,7 @@ def _tolerance(geometry: Geometry) -> float:
 
 
 def pixel_for_pixel(frame: Frame, geometry: Geometry, k: int) -> bool:
-    """Whether a frame's pixels are the voxels of a slice of the grid; those of a tile of a mosaic are not its file's."""
+    """Whether a frame's pixels are the voxels of a slice of the grid; those of a mosaic's tile are not its file's."""
     if frame.spacing is None or frame.corner is not None or (frame.rows, frame.columns) != geometry.shape[1:]:
         return False
     turn = np.array(frame.orientation, np.float64).reshape(2, 3)
@@ -120,7 +123,8 @@ def read(frames: Sequence[Frame]) -> SourceImages:
         When a slice has no identifiers or no place, or its file cannot be read.
     """
     for frame in frames:
-        for keyword, uid in zip(("StudyInstanceUID", "SeriesInstanceUID", "SOPInstanceUID"), frame.uids[:3], strict=True):
+        named = ("StudyInstanceUID", "SeriesInstanceUID", "SOPInstanceUID")
+        for keyword, uid in zip(named, frame.uids[:3], strict=True):
             _check_uid(frame, keyword, uid)
         _check_uid(frame, "SOPClassUID", frame.labels["class"])
         if frame.position is None or frame.orientation is None:

@@ -151,7 +151,7 @@ def _observation(entry: LabelEntry) -> Any:
 
 
 def _contours(region: Region, by_slice: Sequence[Sequence[Frame]]) -> Any:
-    items = []
+    items: list[Any] = []
     for k in sorted(region.loops):
         for loop in region.loops[k]:
             items.append(_contour(loop, by_slice[k], len(items) + 1))

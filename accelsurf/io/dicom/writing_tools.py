@@ -40,11 +40,11 @@ def derived_uid(*parts: str) -> str:
 
 
 def short_text(text: str, length: int = LO) -> str:
-    """A text as a DICOM value holds it: one line, no backslash (it separates values), cut at ``length`` characters.
+    r"""A text as a DICOM value holds it: one line, no backslash (it separates values), cut at ``length`` characters.
 
     Examples
     --------
-    >>> short_text(" left\\\\right\\n kidney"), short_text("x" * 70) == "x" * 64
+    >>> short_text(" left\\right\n kidney"), short_text("x" * 70) == "x" * 64
     ('left/right kidney', True)
     """
     plain = "".join(letter if letter.isprintable() else " " for letter in text.replace("\\", "/"))

@@ -19,15 +19,13 @@ from accelsurf.io.dicom.slices import Slices, ordered
 from accelsurf.io.dicom.sources import SourceFiles, files_of, holds_dicom, is_dicom
 from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, counted, shown
 from accelsurf.io.memory import available_memory, check_memory
-from accelsurf.io.metadata import UNIT_KEY, WARNING_KEY
+from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY, WARNING_KEY
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
-#: Of `Volume.metadata`: the UID of the series that was read.
-SERIES_KEY = "dicom_series"
 #: Series that a message lists.
 _LISTED = 6
 
-__all__ = ["SERIES_KEY", "DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse", "read"]
+__all__ = ["DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse", "read"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +168,7 @@ def read(path: Path, header: DicomHeader, available: int) -> Volume:
     if header.grid is not None:
         values = resampled(values, header.grid)
     notes = [*header.notes, *([note] if note else [])]
-    metadata = {SERIES_KEY: frames[0].uids[1]}
+    metadata = {DICOM_KEY: frames[0].uids[1]}
     if notes:
         metadata[WARNING_KEY] = "; ".join(notes)
     if frames[0].labels["unit"]:
@@ -180,7 +178,7 @@ def read(path: Path, header: DicomHeader, available: int) -> Volume:
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
     """Whether the axes of the world are a patient's."""
-    return SERIES_KEY in metadata
+    return DICOM_KEY in metadata
 
 
 def listing(path: Path) -> list[dict[str, Any]]:

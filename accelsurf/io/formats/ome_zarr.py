@@ -19,7 +19,7 @@ from accelsurf.io.formats import itk_volumes
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array
-from accelsurf.io.headers import split_name
+from accelsurf.io.headers import check_within_store, split_name
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import available_memory, check_memory
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
@@ -81,6 +81,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
             raise InputError(
                 f"an OME-Zarr of {len(series)} images given, one expected", f"give one of them, as {path.name}/0"
             )
+        check_within_store(path, path / series[0])
         path = path / series[0]
         attributes = _attributes(path)
     ome = parse_attributes(attributes)
@@ -94,6 +95,8 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
 
 def _attributes(path: Path) -> dict[str, Any]:
     zarr = library()
+    for mark in MARKS:
+        check_within_store(path, path / mark)
     try:
         return dict(zarr.open_group(path, mode="r", use_consolidated=False).attrs)
     except (PermissionError, MemoryError):
@@ -125,7 +128,7 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
         When there is no such level, channel or time point.
     """
     ome = header.ome
-    grids = tuple(ome.geometry(i, open_array(header.folder, one.path).shape) for i, one in enumerate(ome.levels))
+    grids = _grids(header)
     level = _finest_within(grids, available_memory()) if opening.level == "auto" else opening.level
     if not 0 <= level < len(ome.levels):
         raise UsageError(
@@ -141,6 +144,18 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
     voxels = ZarrVoxels(header.folder, ome.levels[level].path, index, ome.space_axes, opening.cache_bytes)
     layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), level)
     return LazyVolume(voxels, grids[level], dict(ome.metadata), path, layout)
+
+
+def _grids(header: OmeHeader) -> tuple[Geometry, ...]:
+    """The grids of the levels, finest first."""
+    ome = header.ome
+    shapes = [open_array(header.folder, one.path).shape for one in ome.levels]
+    for i, shape in enumerate(shapes):
+        if len(shape) != len(ome.axes):
+            raise InputError(
+                f"level {i} of the OME-Zarr has {len(shape)} axes, its metadata name {len(ome.axes)}", "export it again"
+            )
+    return tuple(ome.geometry(i, shape) for i, shape in enumerate(shapes))
 
 
 def _finest_within(grids: Sequence[Geometry], available: int) -> int:

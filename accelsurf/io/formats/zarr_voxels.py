@@ -20,6 +20,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.files import file_version
+from accelsurf.io.headers import check_within_store, is_outside_data_allowed, outside_data_allowed
 from accelsurf.settings import budgets
 
 #: Voxels along an axis: beyond that the numbers of the header are damaged.
@@ -56,9 +57,11 @@ def open_array(folder: Path, path: str) -> Any:
     Raises
     ------
     InputError
-        When there is no such array, or none of real numbers.
+        When there is no such array, or none of real numbers, or a link to it leads out of the group.
     """
     zarr = library()
+    for part in (path, *(f"{path}/{mark}" for mark in MARKS)):
+        check_within_store(folder, folder / part)
     try:
         array = zarr.open_array(folder / path, mode="r")
         dtype, chunks = np.dtype(array.dtype), tuple(array.chunks)
@@ -97,7 +100,9 @@ class ZarrVoxels:
         self, folder: Path, path: str, index: Sequence[int | None], order: Sequence[int], cache_bytes: int
     ) -> None:
         self._array = open_array(folder, path)
-        self._name = path
+        self._name, self._folder, self._outside_allowed = path, folder, is_outside_data_allowed()
+        # A file of a store has a chunk, or with sharding several.
+        self._file_shape = tuple(self._array.shards or self._array.chunks)
         self._index, self._order = tuple(index), tuple(order)
         self._flat = 3 - len(self._order)
         nz, ny, nx = (*[1] * self._flat, *(int(self._array.chunks[axis]) for axis in self._order))
@@ -145,6 +150,7 @@ class ZarrVoxels:
         for axis, at in zip(self._order, place[self._flat :], strict=True):
             width = int(self._array.chunks[axis])
             selection[axis] = slice(at * width, min((at + 1) * width, int(self._array.shape[axis])))
+        self._check_links(selection)
         try:
             found = np.asarray(self._array[tuple(selection)])
         except (OSError, MemoryError):
@@ -158,6 +164,14 @@ class ZarrVoxels:
         # The axes of the selection are those of space in the order of the array.
         found = found.transpose(np.argsort(np.argsort(self._order)))
         return np.ascontiguousarray(found.reshape((1,) * self._flat + found.shape), self.dtype)
+
+    def _check_links(self, selection: Sequence[int | slice]) -> None:
+        """Refuse a chunk whose file lies, with links followed, outside of the store: its bytes would be shown."""
+        first = [one.start if isinstance(one, slice) else one for one in selection]
+        place = tuple(n // width for n, width in zip(first, self._file_shape, strict=True))
+        file = self._array.metadata.encode_chunk_key(place)
+        with outside_data_allowed(self._outside_allowed):
+            check_within_store(self._folder, self._folder / self._name / file)
 
 
 def _short(error: Exception) -> str:

@@ -11,7 +11,16 @@ from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, file_entries, object_files, output_folder, output_names, outputs, result_sets
+from accelsurf.report import (
+    document,
+    file_entries,
+    label_files,
+    object_files,
+    output_folder,
+    output_names,
+    outputs,
+    result_sets,
+)
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
@@ -68,6 +77,7 @@ def save(
     suffix = "" if source is None else io.split_name(source)[1]
     labels = output_names.label_format(config, suffix)
     output_names.check(config, labels, run.volume.geometry)
+    label_files.check(config, run.volume)
     with output_folder.opened_set(folder, name) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
         all_names = output_names.names(config, labels, run.volume.geometry.slice_axis is not None).items()

@@ -329,3 +329,48 @@ def test_without_the_package_the_message_says_what_to_install(tmp_path):
     code = f"import sys; sys.modules['zarr'] = None\nfrom accelsurf import io\nio.read({str(path)!r})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[3])
     assert 'InputError: ' in done.stderr and 'pip install "accelsurf[zarr]"' in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("version", ["0.4", "0.5"])
+@pytest.mark.parametrize("what", ["metadata", "level", "chunk"])
+def test_links_out_of_a_store_are_not_followed_unless_it_is_allowed(tmp_path, what, version):
+    """A store comes from elsewhere: a link in it could show any file of the computer as an image."""
+    array = np.arange(64, dtype=np.uint8).reshape(4, 4, 4)
+    path = make_store(tmp_path / "a store é.zarr", [array], "zyx", [((1, 1, 1),)], version)
+    mark = ("zarr.json" if version == "0.5" else ".zattrs")
+    chunk = path / ("0/c/1/0/0" if version == "0.5" else "0/1.0.0")
+    target = {"metadata": path / mark, "level": path / "0", "chunk": chunk}[what]
+    target.rename(tmp_path / "elsewhere")
+    target.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="a link to a place outside of the store"):
+        io.open_volume(path).read(whole_box(array.shape))
+    with pytest.raises(InputError, match="a link to a place outside of the store"):
+        io.read(path)
+    # The store itself may be a link, and a link in it may lead to another place of it.
+    allowed = io.open_volume(path, outside_data=True)
+    assert np.array_equal(allowed.read(whole_box(array.shape)), array)
+    (tmp_path / "elsewhere").rename(path / "within")
+    target.unlink()
+    target.symlink_to(path / "within")
+    (tmp_path / "link.zarr").symlink_to(path)
+    assert np.array_equal(io.open_volume(tmp_path / "link.zarr").read(whole_box(array.shape)), array)
+
+
+def test_a_link_in_a_shard_is_not_followed(tmp_path):
+    path = make_store(tmp_path / "a.zarr", [np.ones((4, 4, 4), np.uint8)], "zyx", [((1, 1, 1),)])
+    group = zarr.open_group(path, mode="a")
+    del group["0"]
+    group.create_array("0", data=np.ones((8, 8, 8), np.uint8), chunks=(2, 2, 2), shards=(4, 4, 4))
+    shard = path / "0/c/1/1/0"
+    shard.rename(tmp_path / "elsewhere")
+    shard.symlink_to(tmp_path / "elsewhere")
+    lazy = io.open_volume(path)
+    assert lazy.read((slice(0, 4), slice(0, 8), slice(0, 8))).all()
+    with pytest.raises(InputError, match="outside of the store"):
+        lazy.read((slice(6, 8), slice(6, 8), slice(2, 4)))
+
+
+def test_levels_of_other_axes_than_the_image_are_refused(tmp_path):
+    arrays = [np.zeros((4, 4, 4), np.uint8), np.zeros((2, 2), np.uint8)]
+    path = make_store(tmp_path / "a.zarr", arrays, "zyx", [((1, 1, 1),), ((2, 2, 2),)])
+    refused(path, "level 1 of the OME-Zarr has 2 axes")

@@ -1,0 +1,151 @@
+"""What `accelsurf evaluate` prints and writes: rows of numbers, one for each case and label."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from accelsurf.analysis.label_metrics import LabelAgreement, over_cases
+from accelsurf.settings.labels import LabelTable
+
+#: Columns of the table that is printed: heading, and the number that it shows.
+_PRINTED = (
+    ("dice", "dice"),
+    ("iou", "iou"),
+    ("pred ml", "volume_pred_ml"),
+    ("ref ml", "volume_ref_ml"),
+    ("diff ml", "volume_difference_ml"),
+    ("max mm", "hausdorff_mm"),
+    ("95% mm", "hd95_mm"),
+    ("mean mm", "mean_surface_distance_mm"),
+)
+_DICE_AT = "surface_dice_"
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """What became of one case.
+
+    Attributes
+    ----------
+    case, pred, ref : str
+        Its name, and the files.
+    agreements : tuple of LabelAgreement
+        One for each label; empty when the case has failed.
+    failure : str
+        Why it has failed; empty if it has not.
+    """
+
+    case: str
+    pred: str
+    ref: str
+    agreements: tuple[LabelAgreement, ...] = ()
+    failure: str = ""
+
+
+def label_entry(one: LabelAgreement, names: LabelTable) -> dict[str, Any]:
+    """One label of one case for JSON."""
+    return {"label": one.label, "name": label_name(one, names), **one.values()}
+
+
+def label_name(one: LabelAgreement, names: LabelTable) -> str:
+    """Name of a label; empty where nobody gave one."""
+    return names.entries[one.label].name if one.label in names.entries else ""
+
+
+def summaries(results: Sequence[CaseResult], names: LabelTable) -> list[dict[str, Any]]:
+    """Mean, median and count over cases, for each label."""
+    by_label: dict[int | None, list[LabelAgreement]] = {}
+    for one in (agreement for result in results for agreement in result.agreements):
+        by_label.setdefault(one.label, []).append(one)
+    return [
+        {"label": label, "name": label_name(some[0], names), **over_cases([one.values() for one in some])}
+        for label, some in sorted(by_label.items(), key=lambda item: item[0] or 0)
+    ]
+
+
+def notes(one: LabelAgreement) -> list[str]:
+    """What the numbers of a label do not say by themselves."""
+    if one.label is None:
+        counts = [f"{len(ids)} of {side}" for ids, side in ((one.in_pred, "PRED"), (one.in_ref, "REF")) if len(ids) > 1]
+        said = f"several labels count as one object: {', '.join(counts)}; --labels all compares each"
+        return [said] if counts else []
+    if one.in_pred and one.in_ref:
+        return []
+    if not (one.in_pred or one.in_ref):
+        return [f"label {one.label}: in neither map; nothing is defined"]
+    where = "PRED" if one.in_pred else "REF"
+    return [f"label {one.label}: only in {where}; overlaps are 0, distances not defined"]
+
+
+def document(results: Sequence[CaseResult], names: LabelTable) -> dict[str, Any]:
+    """Many cases for JSON."""
+    cases: list[dict[str, Any]] = []
+    for one in results:
+        said = [text for agreement in one.agreements for text in notes(agreement)]
+        cases.append(
+            {
+                "case": one.case,
+                "pred": one.pred,
+                "ref": one.ref,
+                "status": "failed" if one.failure else "ok",
+                "failure": one.failure or None,
+                "labels": [label_entry(agreement, names) for agreement in one.agreements],
+                "notes": said,
+            }
+        )
+    failed = sum(bool(one.failure) for one in results)
+    counts = {"cases": len(results), "ok": len(results) - failed, "failed": failed}
+    return {"counts": counts, "summary": summaries(results, names), "cases": cases}
+
+
+def table_csv(results: Sequence[CaseResult], names: LabelTable) -> str:
+    """CSV text: a row for each case and label; with several cases also their mean, median and count for each label.
+
+    The column ``row`` says which: case, mean, median or count. What is not defined is empty.
+    """
+    numbers = dict.fromkeys(name for one in results for found in one.agreements for name in found.values())
+    stream = io.StringIO()
+    writer = csv.DictWriter(
+        stream,
+        ["row", "case", "pred", "ref", "status", "failure", "label", "name", *numbers],
+        restval="",
+        lineterminator="\n",
+    )
+    writer.writeheader()
+    for one in results:
+        of_case = {"row": "case", "case": one.case, "pred": one.pred, "ref": one.ref}
+        if one.failure:
+            writer.writerow({**of_case, "status": "failed", "failure": one.failure})
+        for agreement in one.agreements:
+            writer.writerow({**of_case, "status": "ok", **label_entry(agreement, names)})
+    if len(results) > 1:
+        for summary in summaries(results, names):
+            for row in ("mean", "median", "count"):
+                writer.writerow({"row": row, "label": summary["label"], "name": summary["name"], **summary[row]})
+    return stream.getvalue()
+
+
+def printed_rows(
+    entries: Sequence[tuple[tuple[str, ...], dict[str, float | None]]], first: tuple[str, ...]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Header and rows of a table on the screen.
+
+    Parameters
+    ----------
+    entries : sequence of (tuple of str, dict)
+        The first cells of each row, and its numbers.
+    first : tuple of str
+        Headings of the first cells.
+    """
+    dice_at = dict.fromkeys(name for _, values in entries for name in values if name.startswith(_DICE_AT))
+    shown = [*_PRINTED, *((f"sd {name.removeprefix(_DICE_AT)}", name) for name in dice_at)]
+    rows = [(*cells, *(_text(values.get(name)) for _, name in shown)) for cells, values in entries]
+    return (*first, *(heading for heading, _ in shown)), rows
+
+
+def _text(value: float | None) -> str:
+    return "-" if value is None else format(value, ".4g")
