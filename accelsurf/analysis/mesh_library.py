@@ -20,5 +20,6 @@ def library(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         package = name.replace("_", "-")
-        raise InputError(f"meshes are made coarser by the package {package}, which lacks", "pip install "
-                         "'accelsurf[mesh]'") from None
+        raise InputError(
+            f"coarser meshes need the package {package}", 'install it: pip install "accelsurf[mesh]"'
+        ) from None

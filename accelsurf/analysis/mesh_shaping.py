@@ -233,17 +233,23 @@ def coarsest(exact: Surface, surface: Surface, error: float) -> Surface:
 
 
 def remeshed(surface: Surface, side: float) -> Surface:
-    """Triangles of about the same size, with sides of a length in mm on average, and no slivers.
+    """Triangles of about the same size, with sides of a length in mm on average.
 
-    A finer mesh is halved first. Then the number of triangles is that of equilateral ones on the same area, and their
-    vertices are evened out on the surface: each moves to the middle of its neighbours, and back to the nearest place
-    of the surface.
+    The number of triangles is that of equilateral ones on the same area. Their vertices are evened out on the surface:
+    each moves to the middle of its neighbours, and back to the nearest place of the surface.
+
+    Raises
+    ------
+    UsageError
+        When the mesh is coarser than that already.
     """
     count = max(4, round(surface.area / (math.sqrt(3) / 4 * side**2)))
-    fine = surface
-    while len(fine.faces) < 2 * count:
-        fine = halved(fine)
-    coarse, index = decimated(fine, count), TriangleIndex(surface)
+    if count > len(surface.faces):
+        raise UsageError(
+            f"mesh_faces: {side:g} mm was given, and the mesh's own sides are {mean_side(surface):.2g} mm long",
+            "give a longer one, or leave it out: a finer mesh would not say more",
+        )
+    coarse, index = decimated(surface, count), TriangleIndex(surface)
     for _ in range(EVENING if is_sound(coarse) else 0):
         edges, n = sides(coarse), len(coarse.vertices)
         ones = np.ones(2 * len(edges))
@@ -279,15 +285,3 @@ def smallest_angles(corners: Floats) -> Floats:
     cosines = np.einsum("ijk,ijk->ij", along, back) / np.maximum(lengths, 1e-300)
     angles: Floats = np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0)))
     return angles
-
-
-def halved(surface: Surface) -> Surface:
-    """The same surface with each side halved, so with four times as many triangles."""
-    edges, n = sides(surface), len(surface.vertices)
-    keys = edges[:, 0] * n + edges[:, 1]
-    ends = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
-    ab, bc, ca = (n + np.searchsorted(keys, ends[..., 0] * n + ends[..., 1])).T
-    a, b, c = surface.faces.T
-    parts = [np.stack(one, axis=1) for one in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    points = np.concatenate([surface.vertices, surface.vertices[edges].mean(axis=1)])
-    return Surface(points, np.concatenate(parts).astype(np.int32))
