@@ -24,7 +24,8 @@ from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
-from accelsurf.settings.file_formats import MESH_FORMATS, Shape, mesh_formats
+from accelsurf.settings.labels import LabelEntry
+from accelsurf.settings.mesh_formats import MESH_FORMATS, Shape, mesh_formats
 from accelsurf.settings.registry import load
 
 Floats = NDArray[np.float64]
@@ -100,7 +101,7 @@ class Surface:
         """First and last vertex of every triangle side, in the triangle's sense."""
         return self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).astype(np.int64).ravel()
 
-    def write(self, path: str | Path, space: str = "lps") -> None:
+    def write(self, path: str | Path, space: str = "lps", label: LabelEntry | None = None) -> None:
         """Write a mesh file, in one of the formats for surfaces of `accelsurf.settings.file_formats`, by suffix.
 
         The file appears complete or not at all: it is written under a temporary name and renamed. An existing file
@@ -112,6 +113,8 @@ class Surface:
             The file to write.
         space : {"lps", "ras"}, optional
             Coordinates of the file. Normals point outward in both.
+        label : LabelEntry, optional
+            Its name and colour, which go into the file where its format keeps them.
 
         Raises
         ------
@@ -121,7 +124,7 @@ class Surface:
             When the file cannot be written.
         """
         writer, flip = writer_for(path, space, "surface")
-        write_bytes(Path(path), writer(self.vertices * flip, self.faces, space.upper()))
+        write_bytes(Path(path), writer(self.vertices * flip, self.faces, space.upper(), label))
 
 
 def extract(psi: NDArray[np.float32], geometry: Geometry) -> Surface:
@@ -222,88 +225,6 @@ def _merge_cap_edges(zyx: Floats, faces: Ints, shape: tuple[int, int, int]) -> t
     a, b, c = merged.T
     used, numbers = np.unique(merged[(a != b) & (b != c) & (c != a)], return_inverse=True)
     return zyx[used], numbers.reshape(-1, 3).astype(np.int32)
-
-
-def ply_bytes(vertices: Floats, faces: Ints, space: str) -> bytes:
-    """The bytes of a .ply file; ``space`` is LPS or RAS."""
-    header = (
-        f"ply\nformat binary_little_endian 1.0\ncomment SPACE={space}\ncomment UNIT=mm\n"
-        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
-    rows["count"], rows["corners"] = 3, faces
-    return header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes()
-
-
-def stl_bytes(vertices: Floats, faces: Ints, space: str) -> bytes:
-    """The bytes of a .stl file; ``space`` is LPS or RAS."""
-    rows = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    rows["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    rows["corners"] = corners
-    # The first word must not be "solid": readers take that for the text format.
-    header = f"accelsurf SPACE={space} UNIT=mm".encode().ljust(80)
-    return header + np.uint32(len(faces)).astype("<u4").tobytes() + rows.tobytes()
-
-
-def obj_bytes(vertices: Floats, faces: Ints, space: str) -> bytes:
-    """The bytes of a .obj file; ``space`` is LPS or RAS."""
-    head = f"# accelsurf SPACE={space} UNIT=mm\n"
-    points = ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel().tolist())
-    triangles = ("f %d %d %d\n" * len(faces)) % tuple((faces + 1).ravel().tolist())
-    return (head + points + triangles).encode()
-
-
-def vtp_bytes(vertices: Floats, faces: Ints, space: str) -> bytes:
-    """The bytes of a .vtp file; ``space`` is LPS or RAS."""
-    return polydata(vertices, faces.ravel(), np.arange(3, 3 * len(faces) + 1, 3), "Polys", space)
-
-
-def polydata(
-    points: Floats, numbers: NDArray[np.integer], ends: NDArray[np.integer], kind: str, space: str
-) -> bytes:
-    """VTK's XML PolyData with raw appended arrays; written here so that saving a mesh does not load VTK.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        mm.
-    numbers : ndarray, shape (m,)
-        Point numbers of the cells, one cell after the other.
-    ends : ndarray
-        Where each cell ends in them.
-    kind : {"Polys", "Lines"}
-        What the cells are.
-    space : str
-        "LPS" or "RAS".
-    """
-    arrays = [points.astype("<f8"), numbers.astype("<i8"), ends.astype("<i8")]
-    sorts = {"Verts": 0, "Lines": 0, "Strips": 0, "Polys": 0, kind: len(ends)}
-    counts = " ".join(f'NumberOf{name}="{count}"' for name, count in sorts.items())
-    blocks = [np.uint64(array.nbytes).astype("<u8").tobytes() + array.tobytes() for array in arrays]
-    at = [0, len(blocks[0]), len(blocks[0]) + len(blocks[1])]
-    field = "".join(
-        f'<Array type="String" Name="{name}" NumberOfTuples="1" format="ascii">{_codes(value)}</Array>'
-        for name, value in (("SPACE", space), ("UNIT", "mm"))
-    )
-    header = (
-        '<?xml version="1.0"?>\n'
-        '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
-        f'<PolyData><FieldData>{field}</FieldData>\n<Piece NumberOfPoints="{len(points)}" {counts}>\n'
-        f'<Points><DataArray type="Float64" Name="Points" NumberOfComponents="3" format="appended" offset="{at[0]}"/>'
-        f'</Points>\n<{kind}><DataArray type="Int64" Name="connectivity" format="appended" offset="{at[1]}"/>'
-        f'<DataArray type="Int64" Name="offsets" format="appended" offset="{at[2]}"/></{kind}>\n'
-        '</Piece></PolyData>\n<AppendedData encoding="raw">_'
-    )
-    return header.encode() + b"".join(blocks) + b"</AppendedData></VTKFile>\n"
-
-
-def _codes(text: str) -> str:
-    """A string as VTK's XML stores it: character codes, ended by 0."""
-    return " ".join(str(ord(letter)) for letter in text) + " 0"
-
 
 
 def writer_for(path: str | Path, space: str, shape: Shape) -> tuple[Callable[..., bytes], Floats]:

@@ -79,7 +79,9 @@ def of_files(images: Sequence[Path]) -> list[Case]:
 
 def _images(paths: Iterable[Path]) -> list[Path]:
     """Those that are images by their names, in order; hidden files are none."""
-    named = (path for path in paths if not path.name.startswith(".") and split_name(path)[1] in image_suffixes())
+    own = tuple(f"_{name}.npz" for name in ("state", "checkpoint"))  # files of a run
+    visible = (path for path in paths if not path.name.startswith(".") and not path.name.endswith(own))
+    named = (path for path in visible if split_name(path)[1] in image_suffixes())
     return sorted((path for path in named if not path.is_dir() or is_stored(path)), key=str)
 
 

@@ -22,6 +22,7 @@ from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, label_files, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
+from accelsurf.report.mesh_files import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 
@@ -61,7 +62,7 @@ class Log:
     checksum: str | None = None
     geometry: Geometry | None = None
     seconds: dict[str, float] = field(default_factory=dict)
-    outputs: list[dict[str, str]] = field(default_factory=list)
+    outputs: list[dict[str, Any]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     began: float = field(default_factory=time.perf_counter)
 
@@ -161,10 +162,12 @@ def _write(
     error, warnings = shortcoming(place.name, result, strict)
     log.warnings += warnings
     target = place if error is None else _failed_place(place, config, error)
-    names = target.names(config, result.geometry.slice_axis is not None)
+    names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
     with output_folder.naming_final(files):
-        written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum)
-        log.outputs += describe_drafts(files, {path.name: kind for kind, path in written})
+        written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum, meshes)
+        entries = describe_drafts(files, {path.name: kind for kind, path in written})
+        log.outputs += [entry | meshes.facts.get(Path(entry["path"]).name, {}) for entry in entries]
+        log.warnings += meshes.warnings
         interrupted = result.stop.reason == "interrupted"
         code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
         code = watcher.exit_code(code)

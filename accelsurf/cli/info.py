@@ -161,8 +161,9 @@ def _known() -> dict[str, Any]:
     from accelsurf.phantoms import recipes
     from accelsurf.report.environment import versions
     from accelsurf.settings.energy_terms import TERMS, image_terms
-    from accelsurf.settings.file_formats import MESH_FORMATS, image_suffixes
+    from accelsurf.settings.file_formats import image_suffixes
     from accelsurf.settings.flow_specs import FLOWS
+    from accelsurf.settings.mesh_formats import MESH_FORMATS
     from accelsurf.settings.trace_columns import TRACE_COLUMNS
 
     return {

@@ -35,8 +35,8 @@ def segment(
 ) -> int:
     """Segment one object in a volume, or with --objects several.
 
-    Writes NAME_seg (label map on the input's grid), NAME_surface (mesh in mm; for one slice NAME_contour),
-    NAME_report.json, NAME_trace.csv, NAME_preview.png; with --objects NAME_surface_ID of each, and NAME_objects.csv.
+    Writes NAME_seg (label map on the input's grid), NAME_surface (mesh in mm; for one slice NAME_contour), a report,
+    a trace, figures and a preview; with --objects NAME_surface_ID of each, and NAME_objects.csv.
 
     Parameters
     ----------
@@ -67,12 +67,11 @@ def segment(
     display, work = display or Display(), work or ObjectOptions()
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
-        parts = parts or ImageParts()
-        run = with_level(place.source, run_config(settings, config), parts, display.quiet)
-        place = place.laid_out(run)
+        run, parts = run_config(settings, config), parts or ImageParts()
+        run, place = with_level(place.source, run, parts, display.quiet), place.laid_out(run)
         if (image := work.image(place, run, parts)) is not None:
-            _refuse_switches(strict, profile)
             from accelsurf.cli.object_work import run_objects
+            _refuse_switches(strict, profile)
             return run_objects(place, run, image, work, resume, display)
         run, compute = computed(place, run, parts)
     except AccelsurfError as error:

@@ -14,7 +14,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
 from accelsurf.io.memory import available_memory
 from accelsurf.settings import budgets
-from accelsurf.settings.file_formats import MESH_FORMATS
+from accelsurf.settings.mesh_formats import MESH_FORMATS
 from accelsurf.settings.registry import load
 
 #: mm; beyond it differences of coordinates are no longer exact to a voxel.

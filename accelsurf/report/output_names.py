@@ -10,15 +10,9 @@ from typing import TYPE_CHECKING
 from accelsurf.errors import UsageError
 from accelsurf.report.layouts import label_ending
 from accelsurf.settings.budgets import MAX_RESTS
-from accelsurf.settings.file_formats import (
-    DEFAULT_IMAGE_FORMAT,
-    IMAGE_FORMATS,
-    Shape,
-    automatic_mesh_formats,
-    image_format,
-    mesh_formats,
-)
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
 from accelsurf.settings.label_outputs import ending_of
+from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, mesh_formats
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -112,6 +106,9 @@ def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
                 f"mesh: {kind} was given for {image}, expected {', '.join(possible)}",
                 f"--mesh auto is {','.join(automatic_mesh_formats(shape))} for {'one slice' if is_2d else 'a volume'}",
             )
+    for key in ("mesh_smooth", "mesh_faces", "mesh_error"):
+        if is_2d and getattr(config, key):
+            raise UsageError(f"{key}: it was given for {image}", "leave it out: contours are written as they are")
     if IMAGE_FORMATS[labels].only_2d and geometry.shape[0] > 1:
         raise UsageError(
             f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",

@@ -12,21 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io
+from accelsurf.analysis.contours import Contours
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import LABELS_KEY
 from accelsurf.report import layouts, object_files, preview, statistics_files, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.label_names import is_named, table_of
+from accelsurf.report.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.segmentation.state_file import state_bytes
 from accelsurf.settings.label_outputs import LABEL_OUTPUTS
-from accelsurf.settings.labels import LabelTable
+from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.registry import load
 from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.contours import Contours
     from accelsurf.analysis.surface_mesh import Surface
     from accelsurf.segmentation.result import Result
 
@@ -41,6 +42,7 @@ def write_result(
     content: PreviewContent,
     seconds: dict[str, float] | None = None,
     image: str | None = None,
+    meshes: MeshNotes | None = None,
 ) -> Iterator[tuple[str, Path]]:
     """Write the files of a result, yielding kind and path of each when it is complete.
 
@@ -60,6 +62,8 @@ def write_result(
         The durations of ``mesh`` and ``write`` are added.
     image : str, optional
         SHA-256 of the image's file; without it there is no state.
+    meshes : MeshNotes, optional
+        What is said of meshes that were made smoother or coarser is added.
 
     Raises
     ------
@@ -68,9 +72,9 @@ def write_result(
     """
     seconds = {} if seconds is None else seconds
     began = time.perf_counter()
-    meshes = list(_mesh_writers(result, names))
+    own_meshes = list(_mesh_writers(result, names, MeshNotes() if meshes is None else meshes))
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
-    writers = [*_label_writer(result, names), *_also_writers(result, names), *_rest_writers(result, names), *meshes]
+    writers = [*_label_writer(result, names), *_also_writers(result, names), *_rest_writers(result, names), *own_meshes]
     writers += _distance_writer(result, names)
     writers += [*_table_writers(result, names, content), *_state_writers(result, names, image)]
     for kind, name, write in writers:
@@ -153,7 +157,7 @@ def _state_writers(result: Result, names: Mapping[str, str], image: str | None) 
         yield "config", names["config"], lambda path: write_bytes(path, result.config.to_toml().encode())
 
 
-def _mesh_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) -> Iterator[Writer]:
     """The writers of surfaces or contours, which are extracted here; of several objects those with a voxel."""
     kinds = [kind for kind in names if kind.startswith(object_files.EACH)]
     if not kinds or not _has_surface(result):
@@ -162,14 +166,29 @@ def _mesh_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     for one in result.objects:
         if not one.has_surface:
             continue
-        mesh = one.contours if is_2d else one.surface
+        mesh, facts = one.contours if is_2d else one.surface, None
+        if not is_2d and is_shaped(result.config):
+            mesh, facts, warnings = shaped(one.surface, result.config)
+            notes.warnings += [f"object {one.id}: {line}" if result.has_ids else line for line in warnings]
         for kind in kinds:
             name = object_files.name_of(names[kind], one.id) if result.has_ids else names[kind]
-            yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space)
+            if facts is not None:
+                notes.facts[name] = facts
+            yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label_of(result, one.id))
 
 
-def _write_mesh(mesh: Surface | Contours, space: Literal["lps", "ras"], path: Path) -> None:
-    mesh.write(path, space)
+def label_of(result: Result, own: int) -> LabelEntry | None:
+    """The name and colour of an object in its mesh; None where the settings name nothing."""
+    return table_of(result.config)[own] if is_named(result.config) else None
+
+
+def _write_mesh(
+    mesh: Surface | Contours, space: Literal["lps", "ras"], label: LabelEntry | None, path: Path
+) -> None:
+    if isinstance(mesh, Contours):
+        mesh.write(path, space)
+    else:
+        mesh.write(path, space, label)
 
 
 def _table_writers(result: Result, names: Mapping[str, str], content: PreviewContent) -> Iterator[Writer]:

@@ -1,6 +1,6 @@
-"""The formats of images, meshes and contours: one entry each, with what it can hold and what reads and writes it.
+"""The formats of images: one entry each, with what it can hold and what reads and writes it.
 
-From an entry follow what `accelsurf.io` reads and writes, the values and the help of ``--format`` and ``--mesh``, the
+From an entry follow what `accelsurf.io` reads and writes, the values and the help of ``--format``, the
 help of the commands, ``accelsurf info`` and the reference page. Functions are named as ``"module:function"`` and
 imported when a file is read or written, so this module stays light.
 """
@@ -16,8 +16,6 @@ from accelsurf.settings.registry import Registry
 Function = str | Callable[..., Any]
 #: What of the grid a file keeps: all of it, the spacing, or the size of a pixel.
 GridFidelity = Literal["all", "spacing", "pixel", "none"]
-#: What a mesh file describes: the surface in a volume, or the contours in an image of one slice.
-Shape = Literal["surface", "contour"]
 #: Types of values that a TIFF can hold here.
 _TIFF_TYPES = ("uint8", "uint16", "uint32", "int8", "int16", "int32", "float32")
 
@@ -257,65 +255,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
 DEFAULT_IMAGE_FORMAT = "nii.gz"
 
 
-@dataclass(frozen=True)
-class MeshFormat:
-    """All that is said about a format of surfaces and contours.
-
-    Attributes
-    ----------
-    name : str
-        As it is given to ``--mesh``; also the ending of its files.
-    help : str
-        What it is, in a few words.
-    surface : str or callable, optional
-        Of the vertices (n, 3) in mm, the triangles (m, 3) and "LPS" or "RAS", returns the bytes of a file; None: the
-        format holds no surfaces.
-    contour : str or callable, optional
-        The same of a tuple of loops (n, 3) in mm and "LPS" or "RAS".
-    auto : tuple of str
-        Of which of the two ``--mesh auto`` writes it.
-    read : str or callable, optional
-        Of the bytes of a file, returns points (n, 3) and triangles (m, 3); anything that it raises is reported as a
-        damaged file. None: starts cannot be read from it.
-    """
-
-    name: str
-    help: str
-    surface: Function | None = None
-    contour: Function | None = None
-    auto: tuple[Shape, ...] = ()
-    read: Function | None = None
-
-    @property
-    def suffix(self) -> str:
-        """The ending of its files."""
-        return f".{self.name}"
-
-    def writer(self, shape: Shape) -> Function | None:
-        """What makes a file of a surface or of contours; None where the format does not hold them."""
-        return self.surface if shape == "surface" else self.contour
-
-
-_SURFACE, _CONTOUR = "accelsurf.analysis.surface_mesh", "accelsurf.analysis.contours"
-_TRIMESH = f"{_FORMATS}.trimesh_files"
-
-MESH_FORMATS: Registry[MeshFormat] = Registry(
-    "mesh format",
-    MeshFormat("ply", "PLY, binary", f"{_SURFACE}:ply_bytes", auto=("surface",), read=f"{_TRIMESH}:read_ply"),
-    MeshFormat("stl", "STL, binary", f"{_SURFACE}:stl_bytes", read=f"{_TRIMESH}:read_stl"),
-    MeshFormat("obj", "Wavefront OBJ", f"{_SURFACE}:obj_bytes", read=f"{_TRIMESH}:read_obj"),
-    MeshFormat(
-        "vtp",
-        "VTK PolyData, triangles or lines",
-        f"{_SURFACE}:vtp_bytes",
-        f"{_CONTOUR}:vtp_bytes",
-        auto=("contour",),
-        read=f"{_FORMATS}.vtp:read",
-    ),
-    MeshFormat("csv", "a table of points", contour=f"{_CONTOUR}:csv_bytes", auto=("contour",)),
-)
-
-
 def image_suffixes() -> tuple[str, ...]:
     """Endings of the images that can be read.
 
@@ -349,22 +288,6 @@ def image_format(suffix: str) -> ImageFormat | None:
     return next((form for form in IMAGE_FORMATS.values() if suffix in form.suffixes), None)
 
 
-def mesh_formats(shape: Shape) -> tuple[str, ...]:
-    """Names of the formats that hold surfaces, or contours.
-
-    Examples
-    --------
-    >>> mesh_formats("surface"), mesh_formats("contour")
-    (('ply', 'stl', 'obj', 'vtp'), ('vtp', 'csv'))
-    """
-    return tuple(name for name, form in MESH_FORMATS.items() if form.writer(shape) is not None)
-
-
-def automatic_mesh_formats(shape: Shape) -> tuple[str, ...]:
-    """Names of the formats that ``--mesh auto`` writes."""
-    return tuple(name for name, form in MESH_FORMATS.items() if shape in form.auto)
-
-
 def input_help() -> str:
     """The endings of images, as the help of a command says them.
 
@@ -394,13 +317,3 @@ def label_help() -> str:
     volumes = [name for name in label_formats() if not IMAGE_FORMATS[name].only_2d]
     slices = [name for name in label_formats() if IMAGE_FORMATS[name].only_2d]
     return f"{', '.join(volumes)}, or for one slice {', '.join(slices)}"
-
-
-def mesh_help() -> str:
-    """The formats of surfaces and contours, as the help of ``--mesh`` says them."""
-    surface, contour = mesh_formats("surface"), mesh_formats("contour")
-    of_volume, of_slice = automatic_mesh_formats("surface"), automatic_mesh_formats("contour")
-    return (
-        f"of the surface: {', '.join(surface)}; of the contours of an image of one slice: {', '.join(contour)}. "
-        f"auto is {','.join(of_volume)}, or for one slice {','.join(of_slice)}."
-    )

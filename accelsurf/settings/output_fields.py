@@ -7,12 +7,14 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from accelsurf.settings.entry import SettingEntry, SettingGroup, setting
-from accelsurf.settings.file_formats import MESH_FORMATS, label_formats, label_help, mesh_help
+from accelsurf.settings.file_formats import label_formats, label_help
 from accelsurf.settings.image_fields import ImageFields
 from accelsurf.settings.intervals import INTERVAL
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.label_outputs import also_help, also_names
 from accelsurf.settings.labels import checked_colors, checked_names
+from accelsurf.settings.mesh_formats import MESH_FORMATS, mesh_help
+from accelsurf.settings.mesh_sizes import MESH_SIZE, checked_mesh_size
 from accelsurf.settings.written_values import all_split, checked_interval, split_commas
 
 FILES = SettingGroup.FILES
@@ -35,6 +37,27 @@ class OutputFields(ImageFields):
         "lps",
         "World axes of the mesh or contours, in mm: lps as ITK, or ras as NIfTI.",
         entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
+    mesh_smooth: float = setting(
+        0.0,
+        "Flatten bumps of the written mesh that are shorter than this, mm; of those of this length half remains, and "
+        "the volume stays. The surface is smooth below a voxel already: for steps of thick slices, and for prints.",
+        entry=SettingEntry(FILES, unit="mm", metavar="MM", fixed=True),
+        ge=0,
+    )
+    mesh_faces: Annotated[
+        Annotated[str, Field(pattern=f"^{MESH_SIZE}$")] | None, BeforeValidator(checked_mesh_size)
+    ] = setting(
+        None,
+        "Make the written mesh coarser, to a number of triangles: 20000; or remesh it with sides of a length: 2mm.",
+        entry=SettingEntry(FILES, metavar="N|LENGTH", fixed=True),
+    )
+    mesh_error: float | None = setting(
+        None,
+        "Largest distance allowed between the written mesh and the surface, mm. Alone it makes the mesh as coarse as "
+        "it allows; with mesh-faces or mesh-smooth a mesh beyond it is refused.",
+        entry=SettingEntry(FILES, unit="mm", metavar="MM", fixed=True),
+        gt=0,
     )
     save_sdf: bool = setting(
         False,

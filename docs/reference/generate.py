@@ -19,15 +19,9 @@ from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS
 from accelsurf.settings.energy_terms import TERMS, TermSpec
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.fields import SettingFields
-from accelsurf.settings.file_formats import (
-    DEFAULT_IMAGE_FORMAT,
-    IMAGE_FORMATS,
-    MESH_FORMATS,
-    ImageFormat,
-    MeshFormat,
-    Shape,
-)
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, ImageFormat
 from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.mesh_formats import MESH_FORMATS, MeshFormat, Shape
 from accelsurf.settings.messages import expected
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.trace_columns import TRACE_COLUMNS

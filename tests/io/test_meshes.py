@@ -12,7 +12,7 @@ from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import meshes
-from accelsurf.settings.file_formats import MESH_FORMATS
+from accelsurf.settings.mesh_formats import MESH_FORMATS
 
 #: Of meshes that can be read.
 SUFFIXES = [form.suffix for form in MESH_FORMATS.values() if form.read]

@@ -28,8 +28,9 @@ from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run_setup import choose_levels, window_reach
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.energy_terms import TERMS, Number, TermSpec, examples
-from accelsurf.settings.file_formats import IMAGE_FORMATS, MESH_FORMATS, ImageFormat, MeshFormat
+from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat
 from accelsurf.settings.flow_specs import FLOWS, FlowSpec
+from accelsurf.settings.mesh_formats import MESH_FORMATS, MeshFormat
 from accelsurf.settings.messages import expected
 from accelsurf.settings.presets import PRESETS, Preset
 from accelsurf.settings.run_config import RunConfig
@@ -94,7 +95,7 @@ def write_toy(volume, path):
     path.write_bytes(start + volume.array.tobytes())
 
 
-def toy_mesh(vertices, faces, space):
+def toy_mesh(vertices, faces, space, label=None):
     return struct.pack("<2I", len(vertices), len(faces)) + vertices.tobytes() + faces.tobytes()
 
 
@@ -170,7 +171,7 @@ def test_what_it_does_not_take_is_refused_in_the_usual_words(toys):
         RunConfig(flow="toy-flo")
     with pytest.raises(UsageError, match="png, tif, npy or toy"):
         RunConfig(format="toi")
-    with pytest.raises(UsageError, match="vtp, csv, toymesh"):
+    with pytest.raises(UsageError, match="3mf, csv, toymesh"):
         RunConfig(mesh="toimesh")
     with pytest.raises(UsageError, match="fluorescence-nucleus or toy-scan"):
         RunConfig(preset="toy-scam")
@@ -187,7 +188,7 @@ def test_help_schema_and_messages(toys):
     assert properties["flow"]["enum"][-1] == "toy-flow" and "toy that wants" in properties["energy"]["description"]
     assert expected("flow").endswith("or toy-flow")
     assert "ome.zarr, tif, npy, toy, or for one slice png" in help_of("format")
-    assert "obj, vtp, toymesh;" in help_of("mesh")
+    assert "3mf, toymesh;" in help_of("mesh")
     assert "fluorescence-nucleus, toy-scan." in properties["preset"]["description"]
     assert properties["format"]["anyOf"][0]["enum"][-1] == "toy"
 

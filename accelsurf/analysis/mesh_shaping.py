@@ -1,0 +1,287 @@
+"""Meshes made smoother or coarser for what comes after, with the largest distance to the surface as it was extracted.
+
+Every operation keeps the mesh closed and facing outward; one that does not is undone, with a warning.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from accelsurf.analysis.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
+from accelsurf.analysis.surface_mesh import Surface
+from accelsurf.errors import UsageError
+
+Floats = NDArray[np.float64]
+#: Rounds of smoothing, at most; more are needed where the length is more than about 12 sides of triangles.
+MAX_ROUNDS = 2000
+#: Tries of the search for the coarsest mesh within an error.
+SEARCHES = 9
+#: Rounds in which vertices are evened out after remeshing.
+EVENING = 10
+
+
+@dataclass(frozen=True)
+class MeshWish:
+    """What is wanted of a mesh.
+
+    Attributes
+    ----------
+    smooth : float
+        Bumps shorter than this are flattened, mm; 0 for none.
+    faces : int or None
+        Number of triangles.
+    side : float or None
+        Length of their sides, mm.
+    error : float or None
+        Largest distance to the surface that is allowed, mm; without ``faces`` and ``side`` the mesh is made as coarse
+        as it allows.
+    """
+
+    smooth: float = 0.0
+    faces: int | None = None
+    side: float | None = None
+    error: float | None = None
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the mesh stays as it was extracted."""
+        return self == MeshWish()
+
+
+@dataclass(frozen=True, eq=False)
+class ShapedMesh:
+    """A mesh that was made smoother or coarser.
+
+    Attributes
+    ----------
+    surface : Surface
+    distance_mm : float
+        Largest distance to the surface that was extracted, see `accelsurf.analysis.mesh_distance.largest_distance`.
+    warnings : tuple of str
+    """
+
+    surface: Surface
+    distance_mm: float
+    warnings: tuple[str, ...] = ()
+
+
+def shape(exact: Surface, wish: MeshWish) -> ShapedMesh:
+    """Make a mesh smoother or coarser.
+
+    Parameters
+    ----------
+    exact : Surface
+        As it was extracted. It is not changed.
+    wish : MeshWish
+
+    Raises
+    ------
+    UsageError
+        When what is wanted cannot be had within the error, or the smoothing is too long for the mesh; InputError when
+        a package lacks.
+
+    Examples
+    --------
+    >>> from accelsurf.grid.geometry import Geometry
+    >>> from accelsurf.analysis.surface_mesh import extract
+    >>> z, y, x = np.indices((16, 16, 16)) - 7.5
+    >>> ball = extract((np.sqrt(x**2 + y**2 + z**2) - 5).astype(np.float32), Geometry((16, 16, 16), (1.0, 1.0, 1.0)))
+    >>> coarse = shape(ball, MeshWish(faces=200))
+    >>> len(coarse.surface.faces), coarse.surface.is_closed, coarse.distance_mm < 0.3
+    (200, True, True)
+    """
+    surface, warnings = exact, list[str]()
+    if wish.smooth:
+        surface = _kept(smoothed(surface, wish.smooth), surface, "mesh-smooth", warnings)
+    if wish.error is not None:
+        _refuse_beyond(exact, surface, wish.error, "mesh-smooth", f"{wish.smooth:g} mm")
+    if wish.faces is not None and wish.faces < len(surface.faces):
+        surface = _kept(decimated(surface, wish.faces), surface, "mesh-faces", warnings)
+    elif wish.faces is not None and wish.faces > len(surface.faces):
+        warnings.append(f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {wish.faces}")
+    elif wish.side is not None:
+        surface = _kept(remeshed(surface, wish.side), surface, "mesh-faces", warnings)
+    elif wish.error is not None and wish.faces is None:
+        surface = coarsest(exact, surface, wish.error)
+    if wish.error is not None and (wish.faces is not None or wish.side is not None):
+        _refuse_beyond(exact, surface, wish.error, "mesh-faces", f"{len(surface.faces)} triangles")
+    distance = 0.0 if surface is exact else largest_distance(exact, surface)
+    return ShapedMesh(surface, distance, tuple(warnings))
+
+
+def _refuse_beyond(exact: Surface, surface: Surface, error: float, key: str, how: str) -> None:
+    """Refuse a mesh that is further from the surface than is allowed."""
+    if surface is exact:
+        return
+    found = largest_distance(exact, surface)
+    if found > error:
+        raise UsageError(
+            f"mesh_error: {error:g} mm was given, and {how} of {key} lead to {found:.3g} mm",
+            f"--mesh-error {_above(found)}, or another --{key}",
+        )
+
+
+def _above(value: float) -> str:
+    """A number of two digits that is not below a value."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / unit) * unit:.2g}"
+
+
+def is_sound(surface: Surface) -> bool:
+    """Whether every side of a triangle has exactly one other beside it that faces the same way, and volume is inside.
+
+    Examples
+    --------
+    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    >>> faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
+    >>> is_sound(Surface(corners, faces)), is_sound(Surface(corners, faces[:3])), is_sound(Surface(corners, -faces + 3))
+    (True, False, False)
+    """
+    if len(surface.faces) < 4 or not surface.is_closed or surface.volume <= 0:
+        return False
+    start, end = surface.faces.astype(np.int64).ravel(), np.roll(surface.faces, -1, axis=1).astype(np.int64).ravel()
+    return len(np.unique(start * len(surface.vertices) + end)) == len(start)
+
+
+def _kept(new: Surface, old: Surface, key: str, warnings: list[str]) -> Surface:
+    """The new mesh if it is sound, else the old one, with a warning."""
+    if is_sound(new) or (new.is_closed and new.volume > 0 and not is_sound(old)):
+        return new
+    warnings.append(f"{key}: left out, as the mesh would not be closed")
+    return old
+
+
+def smoothed(surface: Surface, length: float) -> Surface:
+    """Flatten bumps: of those of this wavelength half remains, of shorter ones less; the volume stays.
+
+    Taubin's two steps, along and against the umbrella vector of each vertex: p + l L p, then p + m L p. A wave of
+    length w on triangles with sides h has the eigenvalue k = (pi h / w)^2, and is multiplied by (1 - l k)(1 - m k) in
+    each round. Waves of more than 1.4 times the length pass. Then all vertices move by the same small way along their
+    normals, so that the volume is as it was.
+
+    Parameters
+    ----------
+    surface : Surface
+    length : float
+        mm.
+
+    Raises
+    ------
+    UsageError
+        When the length is too large for the mesh.
+    """
+    k = min((math.pi * mean_side(surface) / length) ** 2, 1.0)
+    forward = 0.5
+    backward = 1.0 / (k / 2 - 1.0 / forward)
+    rounds = max(1, math.ceil(math.log(0.5) / math.log((1 - forward * k) * (1 - backward * k))))
+    if rounds > MAX_ROUNDS:
+        raise UsageError(
+            f"mesh_smooth: {length:g} mm was given, much longer than the mesh's sides of {mean_side(surface):.2g} mm",
+            "smooth less; the setting smoothness makes the surface itself smoother",
+        )
+    edges, n = sides(surface), len(surface.vertices)
+    ones = np.ones(2 * len(edges))
+    beside = sparse.csr_matrix((ones, (edges.ravel("F"), edges[:, ::-1].ravel("F"))), shape=(n, n))
+    weights = 1.0 / np.maximum(np.asarray(beside.sum(axis=1)), 1.0)
+    points = surface.vertices - surface.vertices.mean(axis=0)
+    for _ in range(rounds):
+        for factor in (forward, backward):
+            points = points + factor * (weights * (beside @ points) - points)
+    return _with_volume(Surface(points + surface.vertices.mean(axis=0), surface.faces), surface.volume)
+
+
+def _with_volume(surface: Surface, volume: float) -> Surface:
+    """The mesh with its vertices moved along their normals, all by the same way, so that it has a volume."""
+    for _ in range(3):  # Newton's method: the derivative of the volume is the area
+        corners = surface.vertices[surface.faces]
+        normals = np.zeros_like(surface.vertices)
+        own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        for k in range(3):
+            np.add.at(normals, surface.faces[:, k], own)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        way = (volume - surface.volume) / surface.area
+        surface = Surface(surface.vertices + way * normals, surface.faces)
+    return surface
+
+
+def decimated(surface: Surface, faces: int) -> Surface:
+    """About this number of triangles, by the collapse of edges that moves the surface least (quadric errors)."""
+    from accelsurf.analysis.mesh_library import library
+
+    middle = surface.vertices.mean(axis=0)
+    simplify = library("fast_simplification").simplify
+    points, triangles = simplify(surface.vertices - middle, surface.faces, target_count=faces)
+    return Surface(np.asarray(points, np.float64) + middle, np.ascontiguousarray(triangles, np.int32))
+
+
+def coarsest(exact: Surface, surface: Surface, error: float) -> Surface:
+    """The mesh with the fewest triangles of those tried whose distance to the exact surface is at most the error."""
+    low, high, best = math.log(4.0), math.log(len(surface.faces)), surface
+    for _ in range(SEARCHES):
+        middle = (low + high) / 2
+        candidate = decimated(surface, round(math.exp(middle)))
+        if is_sound(candidate) and largest_distance(exact, candidate, error) <= error:
+            high, best = math.log(min(len(candidate.faces), math.exp(middle))), candidate
+        else:
+            low = middle
+    return best
+
+
+def remeshed(surface: Surface, side: float) -> Surface:
+    """Triangles of about the same size, with sides of a length in mm on average.
+
+    The number of triangles is that of equilateral ones on the same area. Their vertices are evened out on the surface:
+    each moves to the middle of its neighbours, and back to the nearest place of the surface.
+
+    Raises
+    ------
+    UsageError
+        When the mesh is coarser than that already.
+    """
+    count = max(4, round(surface.area / (math.sqrt(3) / 4 * side**2)))
+    if count > len(surface.faces):
+        raise UsageError(
+            f"mesh_faces: {side:g} mm was given, and the mesh's own sides are {mean_side(surface):.2g} mm long",
+            "give a longer one, or leave it out: a finer mesh would not say more",
+        )
+    coarse, index = decimated(surface, count), TriangleIndex(surface)
+    for _ in range(EVENING if is_sound(coarse) else 0):
+        edges, n = sides(coarse), len(coarse.vertices)
+        ones = np.ones(2 * len(edges))
+        beside = sparse.csr_matrix((ones, (edges.ravel("F"), edges[:, ::-1].ravel("F"))), shape=(n, n))
+        means = (beside @ coarse.vertices) / np.maximum(np.asarray(beside.sum(axis=1)), 1.0)
+        coarse = _moved(coarse, index.closest(means)[1])
+    return coarse
+
+
+def _moved(surface: Surface, points: Floats) -> Surface:
+    """The mesh with its vertices moved, but for those whose triangles would turn over or become slivers."""
+    before = surface.vertices[surface.faces]
+    old = np.cross(before[:, 1] - before[:, 0], before[:, 2] - before[:, 0])
+    points = points.copy()
+    for _ in range(20):
+        after = points[surface.faces]
+        new = np.cross(after[:, 1] - after[:, 0], after[:, 2] - after[:, 0])
+        lengths = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1)
+        turned = np.einsum("ij,ij->i", old, new) <= 0.7 * lengths
+        turned |= smallest_angles(after) < np.minimum(15.0, smallest_angles(before))
+        if not turned.any():
+            return Surface(points, surface.faces)
+        stay = np.unique(surface.faces[turned])
+        points[stay] = surface.vertices[stay]
+    return surface
+
+
+def smallest_angles(corners: Floats) -> Floats:
+    """The smallest angle of each triangle (n, 3, 3), degrees."""
+    along = np.roll(corners, -1, axis=1) - corners
+    back = -np.roll(along, 1, axis=1)
+    lengths = np.linalg.norm(along, axis=2) * np.linalg.norm(back, axis=2)
+    cosines = np.einsum("ijk,ijk->ij", along, back) / np.maximum(lengths, 1e-300)
+    angles: Floats = np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0)))
+    return angles

@@ -1,0 +1,121 @@
+"""The bytes of surface files: PLY, STL, OBJ, VTP. Without a label they have neither name nor colour."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.settings.labels import LabelEntry
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+def ply_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
+    """The bytes of a .ply file; ``space`` is LPS or RAS."""
+    named, colored, points = "", "", vertices.astype("<f4")
+    if label is not None:
+        named = f"comment NAME={ascii_name(label.name)}\n"
+        colored = "".join(f"property uchar {part}\n" for part in ("red", "green", "blue"))
+        painted = np.empty(len(vertices), dtype=[("place", "<f4", 3), ("color", "u1", 3)])
+        painted["place"], painted["color"] = points, label.color
+        points = painted
+    header = (
+        f"ply\nformat binary_little_endian 1.0\ncomment SPACE={space}\ncomment UNIT=mm\n{named}"
+        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n{colored}"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, faces
+    return header.encode() + points.tobytes() + rows.tobytes()
+
+
+def stl_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
+    """The bytes of a .stl file; ``space`` is LPS or RAS. The format keeps no name and no colour."""
+    rows = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    rows["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    rows["corners"] = corners
+    # The first word must not be "solid": readers take that for the text format.
+    header = f"accelsurf SPACE={space} UNIT=mm".encode().ljust(80)
+    return header + np.uint32(len(faces)).astype("<u4").tobytes() + rows.tobytes()
+
+
+def obj_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
+    """The bytes of a .obj file; ``space`` is LPS or RAS."""
+    head = f"# accelsurf SPACE={space} UNIT=mm\n"
+    if label is not None:
+        head += f"o {'_'.join(label.name.split())}\n"
+    points = ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel().tolist())
+    triangles = ("f %d %d %d\n" * len(faces)) % tuple((faces + 1).ravel().tolist())
+    return (head + points + triangles).encode()
+
+
+def vtp_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
+    """The bytes of a .vtp file; ``space`` is LPS or RAS."""
+    return polydata(vertices, faces.ravel(), np.arange(3, 3 * len(faces) + 1, 3), "Polys", space, label)
+
+
+def polydata(
+    points: Floats, numbers: NDArray[np.integer], ends: NDArray[np.integer], kind: str, space: str,
+    label: LabelEntry | None = None,
+) -> bytes:
+    """VTK's XML PolyData with raw appended arrays; written here so that saving a mesh does not load VTK.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        mm.
+    numbers : ndarray, shape (m,)
+        Point numbers of the cells, one cell after the other.
+    ends : ndarray
+        Where each cell ends in them.
+    kind : {"Polys", "Lines"}
+        What the cells are.
+    space : str
+        "LPS" or "RAS".
+    label : LabelEntry, optional
+        Its name and colour, which become field data.
+    """
+    arrays = [points.astype("<f8"), numbers.astype("<i8"), ends.astype("<i8")]
+    sorts = {"Verts": 0, "Lines": 0, "Strips": 0, "Polys": 0, kind: len(ends)}
+    counts = " ".join(f'NumberOf{name}="{count}"' for name, count in sorts.items())
+    blocks = [np.uint64(array.nbytes).astype("<u8").tobytes() + array.tobytes() for array in arrays]
+    at = [0, len(blocks[0]), len(blocks[0]) + len(blocks[1])]
+    field = "".join(
+        f'<Array type="String" Name="{name}" NumberOfTuples="1" format="ascii">{_codes(value)}</Array>'
+        for name, value in (("SPACE", space), ("UNIT", "mm"), *((("NAME", ascii_name(label.name)),) if label else ()))
+    )
+    if label is not None:
+        red, green, blue = label.color
+        field += (
+            '<DataArray type="UInt8" Name="COLOR" NumberOfComponents="3" NumberOfTuples="1" format="ascii">'
+            f"{red} {green} {blue}</DataArray>"
+        )
+    header = (
+        '<?xml version="1.0"?>\n'
+        '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
+        f'<PolyData><FieldData>{field}</FieldData>\n<Piece NumberOfPoints="{len(points)}" {counts}>\n'
+        f'<Points><DataArray type="Float64" Name="Points" NumberOfComponents="3" format="appended" offset="{at[0]}"/>'
+        f'</Points>\n<{kind}><DataArray type="Int64" Name="connectivity" format="appended" offset="{at[1]}"/>'
+        f'<DataArray type="Int64" Name="offsets" format="appended" offset="{at[2]}"/></{kind}>\n'
+        '</Piece></PolyData>\n<AppendedData encoding="raw">_'
+    )
+    return header.encode() + b"".join(blocks) + b"</AppendedData></VTKFile>\n"
+
+
+def _codes(text: str) -> str:
+    """A string as VTK's XML stores it: character codes, ended by 0."""
+    return " ".join(str(ord(letter)) for letter in text) + " 0"
+
+
+def ascii_name(name: str) -> str:
+    """A name in ASCII, for formats whose readers expect it; other letters become question marks.
+
+    Examples
+    --------
+    >>> ascii_name("niño")
+    'ni?o'
+    """
+    return name.encode("ascii", "replace").decode()

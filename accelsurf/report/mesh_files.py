@@ -1,0 +1,62 @@
+"""The meshes of a result as its settings want them: smoother or coarser, with names and colours, and their figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from accelsurf.settings.mesh_sizes import mesh_size
+from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.analysis.mesh_shaping import MeshWish
+    from accelsurf.analysis.surface_mesh import Surface
+
+
+@dataclass
+class MeshNotes:
+    """What is said of meshes that were made smoother or coarser.
+
+    Attributes
+    ----------
+    facts : dict of str to dict
+        Number of faces, largest distance to the surface, whether closed, smallest angle; by the name of the file.
+    warnings : list of str
+    """
+
+    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+def is_shaped(config: RunConfig) -> bool:
+    """Whether the settings want another mesh than the surface as it was extracted."""
+    return bool(config.mesh_smooth or config.mesh_faces or config.mesh_error)
+
+
+def wish_of(config: RunConfig) -> MeshWish:
+    """Return what the settings want of meshes."""
+    from accelsurf.analysis.mesh_shaping import MeshWish
+
+    faces, side = (None, None) if config.mesh_faces is None else mesh_size(config.mesh_faces)
+    return MeshWish(config.mesh_smooth, faces, side, config.mesh_error)
+
+
+def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any], tuple[str, ...]]:
+    """Return a surface as the settings want it, what the report says of it, and warnings.
+
+    Raises
+    ------
+    UsageError
+        When what the settings want cannot be had together; InputError when a package lacks.
+    """
+    from accelsurf.analysis.mesh_shaping import is_sound, shape, smallest_angles
+
+    mesh = shape(surface, wish_of(config))
+    own = mesh.surface
+    facts = {
+        "faces": len(own.faces),
+        "largest_distance_mm": mesh.distance_mm,
+        "closed": is_sound(own),
+        "smallest_angle_deg": float(smallest_angles(own.vertices[own.faces]).min()),
+    }
+    return own, facts, mesh.warnings

@@ -1,0 +1,104 @@
+"""The formats of meshes and contours: one entry each, with what it holds and what reads and writes it.
+
+From an entry follow the values and the help of ``--mesh``, ``accelsurf info`` and the reference page. Functions are
+named as in `accelsurf.settings.file_formats`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from accelsurf.settings.file_formats import Function
+from accelsurf.settings.registry import Registry
+
+_FORMATS = "accelsurf.io.formats"
+#: What a mesh file describes: the surface in a volume, or the contours in an image of one slice.
+Shape = Literal["surface", "contour"]
+
+
+@dataclass(frozen=True)
+class MeshFormat:
+    """All that is said about a format of surfaces and contours.
+
+    Attributes
+    ----------
+    name : str
+        As it is given to ``--mesh``; also the ending of its files.
+    help : str
+        What it is, in a few words.
+    surface : str or callable, optional
+        Of the vertices (n, 3) in mm, the triangles (m, 3), "LPS" or "RAS" and a LabelEntry or None, returns the bytes
+        of a file, without a label as without name and colour; None: the format holds no surfaces.
+    contour : str or callable, optional
+        Of a tuple of loops (n, 3) in mm and "LPS" or "RAS", returns the same.
+    auto : tuple of str
+        Of which of the two ``--mesh auto`` writes it.
+    read : str or callable, optional
+        Of the bytes of a file, returns points (n, 3) and triangles (m, 3); anything that it raises is reported as a
+        damaged file. None: starts cannot be read from it.
+    """
+
+    name: str
+    help: str
+    surface: Function | None = None
+    contour: Function | None = None
+    auto: tuple[Shape, ...] = ()
+    read: Function | None = None
+
+    @property
+    def suffix(self) -> str:
+        """The ending of its files."""
+        return f".{self.name}"
+
+    def writer(self, shape: Shape) -> Function | None:
+        """What makes a file of a surface or of contours; None where the format does not hold them."""
+        return self.surface if shape == "surface" else self.contour
+
+
+_SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.analysis.contours"
+_TRIMESH = f"{_FORMATS}.trimesh_files"
+
+MESH_FORMATS: Registry[MeshFormat] = Registry(
+    "mesh format",
+    MeshFormat("ply", "PLY, binary", f"{_SURFACE}:ply_bytes", auto=("surface",), read=f"{_TRIMESH}:read_ply"),
+    MeshFormat("stl", "STL, binary", f"{_SURFACE}:stl_bytes", read=f"{_TRIMESH}:read_stl"),
+    MeshFormat("obj", "Wavefront OBJ", f"{_SURFACE}:obj_bytes", read=f"{_TRIMESH}:read_obj"),
+    MeshFormat(
+        "vtp",
+        "VTK PolyData, triangles or lines",
+        f"{_SURFACE}:vtp_bytes",
+        f"{_CONTOUR}:vtp_bytes",
+        auto=("contour",),
+        read=f"{_FORMATS}.vtp:read",
+    ),
+    MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:write", read=f"{_FORMATS}.glb:read"),
+    MeshFormat("3mf", "3MF, of 3D printers", f"{_FORMATS}.three_mf:write", read=f"{_FORMATS}.three_mf:read"),
+    MeshFormat("csv", "a table of points", contour=f"{_CONTOUR}:csv_bytes", auto=("contour",)),
+)
+
+
+def mesh_formats(shape: Shape) -> tuple[str, ...]:
+    """Names of the formats that hold surfaces, or contours.
+
+    Examples
+    --------
+    >>> mesh_formats("surface"), mesh_formats("contour")
+    (('ply', 'stl', 'obj', 'vtp', 'glb', '3mf'), ('vtp', 'csv'))
+    """
+    return tuple(name for name, form in MESH_FORMATS.items() if form.writer(shape) is not None)
+
+
+def automatic_mesh_formats(shape: Shape) -> tuple[str, ...]:
+    """Names of the formats that ``--mesh auto`` writes."""
+    return tuple(name for name, form in MESH_FORMATS.items() if shape in form.auto)
+
+
+def mesh_help() -> str:
+    """The formats of surfaces and contours, as the help of ``--mesh`` says them."""
+    surface, contour = mesh_formats("surface"), mesh_formats("contour")
+    of_volume, of_slice = automatic_mesh_formats("surface"), automatic_mesh_formats("contour")
+    return (
+        f"of the surface: {', '.join(surface)}; of the contours of an image of one slice: {', '.join(contour)}. "
+        f"auto is {','.join(of_volume)}, or for one slice {','.join(of_slice)}."
+    )

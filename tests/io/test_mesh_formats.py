@@ -1,0 +1,142 @@
+"""Surface files with names and colours, and formats beyond PLY, STL, OBJ and VTP."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from accelsurf.analysis.surface_mesh import Surface
+from accelsurf.errors import InputError
+from accelsurf.io import meshes
+from accelsurf.settings.labels import LabelEntry
+from accelsurf.settings.mesh_formats import mesh_formats
+
+LIVER = LabelEntry(3, "left liver & <co>", (200, 100, 50))
+CORNERS = np.array([[10.0, 20, 30], [11, 20, 30], [10, 22, 30], [10, 20, 33]])
+TETRAHEDRON = Surface(CORNERS, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32))
+
+
+@pytest.mark.parametrize("kind", mesh_formats("surface"))
+@pytest.mark.parametrize("label", [None, LIVER])
+def test_a_surface_is_read_back_in_place(kind: str, label: LabelEntry | None, tmp_path: Path) -> None:
+    one, two = tmp_path / f"one.{kind}", tmp_path / f"two.{kind}"
+    TETRAHEDRON.write(one, label=label)
+    TETRAHEDRON.write(two, label=label)
+    assert one.read_bytes() == two.read_bytes()
+    points, triangles = meshes.read(one)
+    again = Surface(points, triangles.astype(np.int32))
+    assert again.volume == pytest.approx(1.0, rel=1e-5)  # positive: the triangles still face outward
+    np.testing.assert_allclose(again.bounds, TETRAHEDRON.bounds, atol=1e-5)
+
+
+def test_glb_in_another_program_is_in_metres_with_the_head_up(tmp_path: Path) -> None:
+    for space in ("lps", "ras"):
+        path = tmp_path / f"{space}.glb"
+        TETRAHEDRON.write(path, space, LIVER)
+        scene = trimesh.load_scene(path)
+        assert list(scene.graph.nodes_geometry) == [LIVER.name]
+        seen = scene.to_geometry()
+        # Left, head, front: x, z, -y of LPS.
+        np.testing.assert_allclose(seen.bounds, [[0.010, 0.030, -0.022], [0.011, 0.033, -0.020]], atol=1e-6)
+        assert seen.volume == pytest.approx(1e-9, rel=1e-3)
+        factor = next(iter(scene.geometry.values())).visual.material.baseColorFactor
+        expected = [((part / 255 + 0.055) / 1.055) ** 2.4 * 255 for part in LIVER.color]
+        np.testing.assert_allclose(factor[:3], expected, atol=1.0)
+
+
+def test_3mf_in_another_program_has_mm_and_the_name(tmp_path: Path) -> None:
+    path = tmp_path / "one.3mf"
+    TETRAHEDRON.write(path, label=LIVER)
+    scene = trimesh.load_scene(path)
+    assert scene.units == "millimeter"
+    assert [LIVER.name in name for name in scene.geometry] == [True]
+    np.testing.assert_allclose(scene.bounds, TETRAHEDRON.bounds, atol=1e-5)
+    with zipfile.ZipFile(path) as archive:
+        assert b'displaycolor="#C86432"' in archive.read("3D/3dmodel.model")
+
+
+def test_names_and_colours_of_ply_obj_and_vtp(tmp_path: Path) -> None:
+    pyvista = pytest.importorskip("pyvista")
+    for kind in ("ply", "obj", "vtp"):
+        TETRAHEDRON.write(tmp_path / f"one.{kind}", label=LIVER)
+    assert (trimesh.load_mesh(tmp_path / "one.ply").visual.vertex_colors[:, :3] == LIVER.color).all()
+    assert "o left_liver_&_<co>\n" in (tmp_path / "one.obj").read_text()
+    fields = pyvista.read(tmp_path / "one.vtp").field_data
+    assert list(fields["NAME"]) == [LIVER.name]
+    assert np.ravel(fields["COLOR"]).tolist() == list(LIVER.color)
+
+
+def _glb(change: dict[str, object]) -> bytes:
+    """A file whose description is changed."""
+    from accelsurf.io.formats import glb
+
+    content = glb.write(TETRAHEDRON.vertices, TETRAHEDRON.faces, "LPS")
+    length = struct.unpack_from("<I", content, 12)[0]
+    contents = json.loads(content[20 : 20 + length]) | change
+    text = json.dumps(contents).encode()
+    rest = content[20 + length :]
+    return content[:8] + struct.pack("<III", 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+
+
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        ({"nodes": [{"mesh": 0, "children": [0]}]}, "contain themselves"),
+        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "KHR_draco"),
+        ({"buffers": [{"uri": "/etc/passwd", "byteLength": 96}]}, "another file"),
+        ({"bufferViews": [{"buffer": 0, "byteLength": 10**12, "byteOffset": 10**12}] * 2}, "beyond its data"),
+        ({"scenes": [{"nodes": []}]}, "no mesh"),
+    ],
+)
+def test_damaged_glb_is_refused_by_name(change: dict[str, object], reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.glb"
+    path.write_bytes(_glb(change))
+    with pytest.raises(InputError, match=reason):
+        meshes.read(path)
+
+
+def test_nodes_of_a_glb_turn_scale_and_move(tmp_path: Path) -> None:
+    """A quarter turn about z, twice the size, then a step of a metre: read back by the same map as trimesh's."""
+    half = 0.5**0.5
+    node = {"mesh": 0, "rotation": [0, 0, half, half], "scale": [2, 2, 2], "translation": [1, 0, 0]}
+    path = tmp_path / "turned.glb"
+    path.write_bytes(_glb({"nodes": [{"children": [1]}, node]}))
+    points, _ = meshes.read(path)
+    # In glTF (x, y, z) -> (1 - 2 y, 2 x, 2 z) m; in LPS mm (x, -z, y) * 1000.
+    x, y, z = CORNERS.T
+    expected = 1000 * np.stack([1 - 2 * y, -2 * z, 2 * x], axis=1)
+    np.testing.assert_allclose(points, np.unique(expected, axis=0), rtol=1e-6)
+
+
+def _three_mf(text: str) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("3D/3dmodel.model", text)
+    return packed.getvalue()
+
+
+def test_3mf_with_entities_or_parts_is_refused_and_units_are_kept(tmp_path: Path) -> None:
+    from accelsurf.io.formats import three_mf
+
+    content = three_mf.write(TETRAHEDRON.vertices, TETRAHEDRON.faces, "LPS")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        model = archive.read("3D/3dmodel.model").decode()
+    path = tmp_path / "one.3mf"
+    path.write_bytes(_three_mf(model.replace("millimeter", "inch")))
+    np.testing.assert_allclose(meshes.read(path)[0].max(axis=0), 25.4 * CORNERS.max(axis=0))
+    path.write_bytes(_three_mf(model.replace('objectid="1"', 'objectid="1" transform="0 1 0 -1 0 0 0 0 1 5 0 0"')))
+    x, y, z = CORNERS.T
+    np.testing.assert_allclose(meshes.read(path)[0], np.unique(np.stack([5 - y, x, z], axis=1), axis=0))
+    path.write_bytes(_three_mf(model.replace("<model ", '<!DOCTYPE a [<!ENTITY b "c">]>\n<model ')))
+    with pytest.raises(InputError, match="entities"):
+        meshes.read(path)
+    path.write_bytes(_three_mf('<model xmlns="x"/>'))
+    with pytest.raises(InputError, match="no mesh"):
+        meshes.read(path)
