@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from accelsurf.report import object_files, output_names, result_sets
+from accelsurf.report import layouts, object_files, output_names, result_sets
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -68,7 +68,19 @@ class Place:
     def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
         """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
         names = output_names.names(config, self.label_format(config), is_2d)
-        return {kind: f"{self.name}_{name}" for kind, name in names.items()}
+        names = {kind: f"{self.name}_{name}" for kind, name in names.items()}
+        return layouts.renamed(config, self.source, self.name, names)
+
+    def laid_out(self, config: RunConfig) -> Place:
+        """Where the files go in the layout of the settings.
+
+        Raises
+        ------
+        UsageError
+            When the image cannot be in that layout.
+        """
+        layouts.check(config, self.source, self.folder, self.name)
+        return replace(self, folder=layouts.folder_of(config, self.source, self.folder))
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
         """Every possible output by kind, the report last; of several objects those that exist already."""

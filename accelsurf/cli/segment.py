@@ -68,8 +68,9 @@ def segment(
     place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
+        place = place.laid_out(run)
         if (image := work.image(place, run, parts)) is not None:
-            _refuse_switches(strict, profile)
+            _refuse_switches(strict, profile, run)
             from accelsurf.cli.object_work import run_objects
             return run_objects(place, run, image, work, resume, display)
         run, compute = computed(place, run, parts)
@@ -96,14 +97,16 @@ def _run(
     return _summed_up(place.name, done, display.quiet, profile)
 
 
-def _refuse_switches(strict: bool, profile: bool) -> None:
+def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     """Refuse what is not known of many objects that are run in groups.
 
     Raises
     ------
     UsageError
     """
-    for name in (name for name, given in (("--strict", strict), ("--profile", profile)) if given):
+    also, layout = bool(run.also), run.output_layout != "plain"
+    given = {"--strict": strict, "--profile": profile, "--also": also, "--output-layout": layout}
+    for name in (name for name, is_given in given.items() if is_given):
         raise UsageError(
             f"{name}: was given with objects of an image that is read in parts", "leave it out; the table has all ends"
         )

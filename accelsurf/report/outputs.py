@@ -15,7 +15,7 @@ from accelsurf import io
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import LABELS_KEY
-from accelsurf.report import object_files, preview, statistics_files, tables
+from accelsurf.report import layouts, object_files, preview, statistics_files, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.label_names import is_named, table_of
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
@@ -110,6 +110,9 @@ def _also_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     if not _has_surface(result):
         return
     table = table_of(result.config)
+    if layouts.SIDECAR in names:
+        text = layouts.sidecar(Path(result.volume.source or ""), result.config.energy)
+        yield layouts.SIDECAR, names[layouts.SIDECAR], lambda path: write_bytes(path, text.encode())
     for kind in (kind for kind in names if kind.startswith("also-")):
         name = kind.partition("-")[2]
         if name in LABEL_OUTPUTS:

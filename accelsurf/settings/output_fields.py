@@ -55,6 +55,12 @@ class OutputFields(ImageFields):
         "it with --resume, and ends with the same bytes; it is removed when the run has ended.",
         entry=SettingEntry(FILES, metavar="STEPS|TIME", fixed=True),
     )
+    output_layout: Literal["plain", "bids", "nnunet"] = setting(
+        "plain",
+        "Where the label map goes in the output folder, and its name: plain; bids is a data set of BIDS derivatives; "
+        "nnunet is CASE.nii.gz, as of nnU-Net.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
     name: Annotated[tuple[str, ...], BeforeValidator(checked_names)] = setting(
         (),
         "Name of an object in files: ID=NAME, or NAME where there is one object.",
