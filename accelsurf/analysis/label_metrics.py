@@ -66,7 +66,7 @@ class LabelAgreement:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class LabelMap:
     """A label map, and which of its labels count.
 
     Attributes
@@ -85,8 +85,8 @@ class Chosen:
 
     def __post_init__(self) -> None:
         found = label_boxes(self.volume.array, self.volume.source)
-        kept = {label: box for label, box in found.items() if not self.ids or holds(self.ids, label)}
-        object.__setattr__(self, "boxes", kept)
+        counted = {label: box for label, box in found.items() if not self.ids or holds(self.ids, label)}
+        object.__setattr__(self, "boxes", counted)
 
     def mask(self, label: int | None, box: Box) -> Mask:
         """Where in a box a label is, or any that counts."""
@@ -99,13 +99,13 @@ class Chosen:
 
 
 def evaluate_labels(
-    pred: Chosen, ref: Chosen, labels: IdRanges = (), tolerances: Sequence[float] = ()
+    pred: LabelMap, ref: LabelMap, labels: IdRanges = (), tolerances: Sequence[float] = ()
 ) -> list[LabelAgreement]:
     """Compare two label maps on the same grid, label by label.
 
     Parameters
     ----------
-    pred, ref : Chosen
+    pred, ref : LabelMap
         The map to judge, and the reference.
     labels : tuple of (int, int), optional
         Ranges of labels. Without any, all that one of the maps has; with some, those of them that one of the maps has,
@@ -127,7 +127,7 @@ def evaluate_labels(
     --------
     >>> a, b = np.zeros((2, 9, 9, 9), np.uint8)
     >>> a[2:5, 2:5, 2:5], b[2:5, 2:5, 2:5], b[6:, 6:, 6:] = 1, 1, 2
-    >>> found = evaluate_labels(Chosen(Volume.from_array(a)), Chosen(Volume.from_array(b)))
+    >>> found = evaluate_labels(LabelMap(Volume.from_array(a)), LabelMap(Volume.from_array(b)))
     >>> [(one.label, one.metrics.dice) for one in found]
     [(1, 1.0), (2, 0.0)]
     """
@@ -139,7 +139,7 @@ def evaluate_labels(
     return [_compare(pred, ref, label, tolerances) for label in sorted(found)]
 
 
-def evaluate_object(pred: Chosen, ref: Chosen, tolerances: Sequence[float] = ()) -> LabelAgreement:
+def evaluate_object(pred: LabelMap, ref: LabelMap, tolerances: Sequence[float] = ()) -> LabelAgreement:
     """Compare two label maps on the same grid; all labels that count are one object.
 
     Parameters and errors are those of `evaluate_labels`.
@@ -148,7 +148,7 @@ def evaluate_object(pred: Chosen, ref: Chosen, tolerances: Sequence[float] = ())
     return _compare(pred, ref, None, tolerances)
 
 
-def _compare(pred: Chosen, ref: Chosen, label: int | None, tolerances: Sequence[float]) -> LabelAgreement:
+def _compare(pred: LabelMap, ref: LabelMap, label: int | None, tolerances: Sequence[float]) -> LabelAgreement:
     there = [[one for one in side.boxes if label is None or one == label] for side in (pred, ref)]
     boxes = [side.boxes[one] for side, ids in zip((pred, ref), there, strict=True) for one in ids]
     geometry: Geometry = pred.volume.geometry

@@ -144,7 +144,7 @@ def in_table(path: Path) -> list[Pair]:
         try:
             columns = _columns(next(lines, []))
             base = path.parent.absolute()
-            pairs = [_row(columns, cells, lines.line_num, base) for cells in lines if any(map(str.strip, cells))]
+            pairs = [_pair_of(columns, cells, lines.line_num, base) for cells in lines if any(map(str.strip, cells))]
         except csv.Error as error:
             raise InputError(
                 f"line {lines.line_num}: not a line of a CSV file ({error})", "is a quote missing?"
@@ -162,7 +162,7 @@ def _columns(header: list[str]) -> list[str]:
     return names
 
 
-def _row(columns: list[str], cells: list[str], line: int, base: Path) -> Pair:
+def _pair_of(columns: list[str], cells: list[str], line: int, base: Path) -> Pair:
     given = {name: cell.strip() for name, cell in zip(columns, cells, strict=False) if cell.strip()}
     if len(cells) > len(columns) or not {PRED, REF} <= set(given):
         raise InputError(f"line {line}: not a {PRED} and a {REF}", "put a name with a comma in double quotes")

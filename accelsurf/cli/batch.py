@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from accelsurf.cli.interrupts import Interrupts, say
-from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, Settings, required, run_config
+from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, SettingsWithoutLayout, required, run_config
 from accelsurf.errors import UsageError
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ class BatchOptions:
 
     layout: Annotated[Literal["auto", "folder", "nnunet", "bids"], Parameter(group=BATCH)] = "auto"
     """How a folder is read; auto looks at its names."""
+
+    output_layout: Annotated[Literal["plain", "bids", "nnunet"] | None, Parameter(group=FILES)] = None
+    """How label maps are named and laid out, as --layout of accelsurf segment."""
 
     plan: Annotated[bool, _SWITCH] = False
     """Print what each case is thought to need and what would run at once, and run nothing."""
@@ -91,7 +94,7 @@ def batch(
     overwrite: Overwrite = False,
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     options: BatchOptions | None = None,
-    settings: Settings | None = None,  # type: ignore[valid-type]
+    settings: SettingsWithoutLayout | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
     """Segment many images, each as segment does.
@@ -124,7 +127,7 @@ def batch(
         say(note)
     found, words = read_cases(cases, options.layout)
     folder = Path() if options.plan else required(output, "-o DIR, the output folder,")
-    configs = _configs(found, settings, config)
+    configs = _configs(found, settings, config, options.output_layout)
     how = overwrite or options.resume, strict, is_outside_data_allowed(), options.resume
     tasks = [_task(case, folder.absolute(), one, how) for case, one in zip(found, configs, strict=True)]
     if shard is not None:
@@ -146,7 +149,7 @@ def _task(case: Case, folder: Path, config: RunConfig, how: tuple[bool, bool, bo
     from accelsurf.batch.outcome import CaseTask
     from accelsurf.report import layouts
 
-    if config.output_layout == "plain":
+    if config.layout == "plain":
         return CaseTask(case, folder / case.id, config, *how)
     try:
         layouts.check(config, case.image, folder, case.id)
@@ -156,7 +159,7 @@ def _task(case: Case, folder: Path, config: RunConfig, how: tuple[bool, bool, bo
     return CaseTask(case, own, config, *how, place=own.relative_to(folder).as_posix())
 
 
-def _configs(cases: Sequence[Case], settings: Any, file: Path | None) -> list[RunConfig]:
+def _configs(cases: Sequence[Case], settings: Any, file: Path | None, layout: str | None) -> list[RunConfig]:
     """The settings of each case.
 
     Raises
@@ -167,11 +170,12 @@ def _configs(cases: Sequence[Case], settings: Any, file: Path | None) -> list[Ru
     from accelsurf.settings import toml
 
     below = toml.read(file) if file is not None else {}
-    common = run_config(settings, below)
+    forced = {} if layout is None else {"layout": layout}
+    common = run_config(settings, below, **forced)
     configs = []
     for case in cases:
         try:
-            configs.append(run_config(settings, below, **case.settings) if case.settings else common)
+            configs.append(run_config(settings, below, **{**forced, **case.settings}) if case.settings else common)
         except UsageError as error:
             raise UsageError(f"{case.place}: {error.message}", error.hint) from None
     return configs

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from accelsurf.report.evaluation import CaseResult
 
 SOME_FAILED = 9
+#: A leading hyphen is allowed for `-`, which prints the table.
+Table = Annotated[str | None, Parameter(name="--csv", metavar="FILE", group=FILES, allow_leading_hyphen=True)]
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ def evaluate(
     pairs: Annotated[Path | None, Parameter(name="--pairs", metavar="TABLE")] = None,
     names: Annotated[Path | None, Parameter(name=("--label-table", "--names"), metavar="TABLE")] = None,
     as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
-    table: Annotated[str | None, Parameter(name="--csv", metavar="FILE", group=FILES, allow_leading_hyphen=True)] = None,
+    table: Table = None,
     overwrite: Overwrite = False,
 ) -> int:
     """Measure how well label maps agree: overlap, volume, and surface distances in mm.
@@ -153,7 +155,7 @@ def _try(pair: Pair, asked: Asked) -> CaseResult:
 def _result(pair: Pair, asked: Asked) -> CaseResult:
     """Compare a pair."""
     from accelsurf import io
-    from accelsurf.analysis.label_metrics import Chosen, evaluate_labels, evaluate_object
+    from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object
     from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.report.evaluation import CaseResult
 
@@ -161,7 +163,7 @@ def _result(pair: Pair, asked: Asked) -> CaseResult:
         raise InputError(f"there is no {'prediction' if pair.pred is None else 'reference'} of this name")
     for path in (pair.pred.path, pair.ref.path):
         finish_killed_runs(path.parent)
-    pred, ref = (Chosen(io.read_labels(side.path), side.ids) for side in (pair.pred, pair.ref))
+    pred, ref = (LabelMap(io.read_labels(side.path), side.ids) for side in (pair.pred, pair.ref))
     if asked.labels is None:
         agreements = [evaluate_object(pred, ref, asked.tolerances)]
     else:

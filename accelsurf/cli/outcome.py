@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
+from accelsurf.settings.wording import volume_text
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished
@@ -126,9 +127,15 @@ def _judgement(result: Result) -> list[str]:
     return lines
 
 
+def _in_words(result: Result) -> str:
+    """The volume in the unit that people use for its size, where that is another."""
+    text = volume_text(result.volume_mm3)
+    return "" if text.endswith(" mm3") else f" ({text})"
+
+
 def _measures(result: Result) -> str:
     is_2d = result.geometry.slice_axis is not None
-    sizes = f"volume {result.volume_mm3:.6g} mm3, area {result.area_mm2:.6g} mm2"
+    sizes = f"volume {result.volume_mm3:.6g} mm3{_in_words(result)}, area {result.area_mm2:.6g} mm2"
     if is_2d:
         sizes = f"area {result.enclosed_mm2:.6g} mm2, length {result.length_mm:.6g} mm"
     if result.has_ids:

@@ -40,7 +40,7 @@ class Watcher:
         self._bar = _Bar() if kind == "bar" else None
         self._interrupts = Interrupts.current()
         self._is_quiet, self._label = display.quiet, ""
-        self._has_told = False
+        self._has_noticed = False
         #: Warnings that have been printed before the first step.
         self.said: set[str] = set()
 
@@ -59,16 +59,16 @@ class Watcher:
             self._bar.start(label, max_steps)
         self._label = label
         try:
-            with self._interrupts.patience("finishing this step and writing the result"), self._compilation_told():
+            with self._interrupts.patience("finishing this step and writing the result"), self._compilation_notice():
                 yield self
         finally:
             if self._bar is not None:
                 self._bar.stop()
 
     @contextmanager
-    def _compilation_told(self) -> Iterator[None]:
+    def _compilation_notice(self) -> Iterator[None]:
         """Say before the first kernel is compiled what is waited for; once, also off a terminal."""
-        if self._is_quiet or self._has_told:
+        if self._is_quiet or self._has_noticed:
             yield
             return
         from accelsurf.kernels.compilation import first_compilation
@@ -79,7 +79,7 @@ class Watcher:
     def _on_compilation(self) -> None:
         from accelsurf.kernels.storage import STORAGE
 
-        self._has_told = True
+        self._has_noticed = True
         text = COMPILING_ANEW if STORAGE is None else COMPILING
         if self._show_json:
             print_json({"event": "compiling", "run": self._label, "message": text.removeprefix("note: ")})

@@ -104,8 +104,8 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     ------
     UsageError
     """
-    also, layout = bool(run.also), run.output_layout != "plain"
-    given = {"--strict": strict, "--profile": profile, "--also": also, "--output-layout": layout}
+    also, layout = bool(run.also), run.layout != "plain"
+    given = {"--strict": strict, "--profile": profile, "--also": also, "--layout": layout}
     for name in (name for name, is_given in given.items() if is_given):
         raise UsageError(
             f"{name}: was given with objects of an image that is read in parts", "leave it out; the table has all ends"

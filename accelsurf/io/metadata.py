@@ -10,5 +10,5 @@ LABELS_KEY = "labels"
 DICOM_KEY = "dicom_series"
 """The UID of the series that an image was read from; absent where it was no DICOM."""
 
-UNIT_KEY = "value_unit"
+VALUE_UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""

@@ -11,7 +11,7 @@ from numba.core import event
 _COMPILED = "numba:compile"
 
 
-class _First(event.Listener):  # type: ignore[misc]
+class _First(event.Listener):
     """Calls a function once, when the first compilation begins."""
 
     def __init__(self, tell: Callable[[], None]) -> None:

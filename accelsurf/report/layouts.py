@@ -38,7 +38,7 @@ _IGNORED = (
 )  # fmt: skip
 _PAIR, _SUFFIX = re.compile(r"([a-z]+)-([A-Za-z0-9]+)"), re.compile(r"[A-Za-z0-9]+")
 _CHANNEL = re.compile(r"(.+)_\d{4}")
-_HINT = "name the image as sub-01_T1w.nii.gz, or leave out --output-layout"
+_HINT = "name the image as sub-01_T1w.nii.gz, or leave out --layout"
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class BidsName:
         keys = [one.group(1) for one in found if one is not None]
         ordered = [key for key in ENTITIES if key in keys]
         if None in found or keys != ordered or keys[:1] != ["sub"] or _SUFFIX.fullmatch(suffix) is None:
-            raise UsageError(f"output_layout: bids was given, and {name[:80]} is no name of BIDS", _HINT)
+            raise UsageError(f"layout: bids was given, and {name[:80]} is no name of BIDS", _HINT)
         return cls({one.group(1): one.group(2) for one in found if one is not None}, suffix)
 
     @property
@@ -109,39 +109,39 @@ def check(config: RunConfig, source: Path, folder: Path, name: str) -> None:
     UsageError
         When the image has no name of BIDS, the format is another, or the label map would replace an image.
     """
-    if config.output_layout == "bids":
+    if config.layout == "bids":
         stem = split_name(source)[0]
         BidsName.of(stem)
         if name != stem:
             raise UsageError(
-                f"output_layout: bids was given, and the id {name[:80]} is not the name of the image {stem[:80]}",
-                "leave out the ids, or --output-layout",
+                f"layout: bids was given, and the id {name[:80]} is not the name of the image {stem[:80]}",
+                "leave out the ids, or the layout",
             )
         if config.format not in (None, *_NIFTI):
             raise UsageError(
                 f"format: {config.format} was given with the layout bids, expected {' or '.join(_NIFTI)}",
                 "leave out --format; --also writes the label map in further formats",
             )
-    if config.output_layout == "nnunet":
+    if config.layout == "nnunet":
         stem = _nnunet_stem(source, name)
         images = [source.absolute().resolve(), *(Path(one).absolute().resolve() for one in config.channel)]
         if any(one.parent == folder.absolute().resolve() and split_name(one)[0] == stem for one in images):
             raise UsageError(
-                f"output_layout: the label map {stem} would lie on the image", "choose another folder with -o"
+                f"layout: the label map {stem} would lie on the image", "choose another folder with -o"
             )
 
 
 def folder_of(config: RunConfig, source: Path, folder: Path) -> Path:
     """Where the files of an image go, in the folder that was given; nothing is made."""
-    return folder / BidsName.of(split_name(source)[0]).folder(source) if config.output_layout == "bids" else folder
+    return folder / BidsName.of(split_name(source)[0]).folder(source) if config.layout == "bids" else folder
 
 
 def renamed(config: RunConfig, source: Path, name: str, names: dict[str, str]) -> dict[str, str]:
     """Names of the files by kind as a layout has them; those of a failed run beside a result stay as they are."""
-    if config.output_layout == "plain" or name.endswith(FAILED):
+    if config.layout == "plain" or name.endswith(FAILED):
         return names
     ending = names["labels"].removeprefix(f"{name}_seg")
-    if config.output_layout == "nnunet":
+    if config.layout == "nnunet":
         return {**names, "labels": f"{_nnunet_stem(source, name)}{ending}"}
     stem = BidsName.of(split_name(source)[0]).label_map
     return {**names, "labels": f"{stem}{ending}", SIDECAR: f"{stem}.json", TABLE: f"{stem}.tsv"}
@@ -182,7 +182,7 @@ def complete(config: RunConfig, source: Path, folder: Path) -> None:
     OutputError
         When it cannot be written.
     """
-    if config.output_layout != "bids":
+    if config.layout != "bids":
         return
     inner = BidsName.of(split_name(source)[0]).folder(source).parts
     depth = len(inner)

@@ -39,7 +39,7 @@ def label_format(config: RunConfig, source_suffix: str) -> str:
     ('tif', 'png')
     """
     followed = image_format(source_suffix)
-    if config.output_layout == "bids" and (followed is None or not followed.name.startswith("nii")):
+    if config.layout == "bids" and (followed is None or not followed.name.startswith("nii")):
         followed = None  # BIDS has label maps in NIfTI
     return config.format or (DEFAULT_IMAGE_FORMAT if followed is None or followed.write is None else followed.name)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from accelsurf.analysis.statistics import statistics
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.metadata import VALUE_UNIT_KEY
 from accelsurf.report.document import to_json
 from accelsurf.report.tables import csv_text
 from accelsurf.settings.labels import LabelTable
@@ -39,12 +39,12 @@ def rows_of(result: Result, table: LabelTable) -> list[dict[str, Any]]:
 
 def statistics_json(rows: Sequence[Mapping[str, Any]], result: Result) -> str:
     """Return the figures as JSON, with the unit of the image's values."""
-    return to_json({"unit": result.volume.metadata.get(UNIT_KEY), "objects": list(rows)}) + "\n"
+    return to_json({"unit": result.volume.metadata.get(VALUE_UNIT_KEY), "objects": list(rows)}) + "\n"
 
 
 def statistics_csv(rows: Sequence[Mapping[str, Any]], result: Result) -> str:
     """Return the figures as a table, one row each; the columns of the image's values carry their unit."""
-    unit = result.volume.metadata.get(UNIT_KEY)
+    unit = result.volume.metadata.get(VALUE_UNIT_KEY)
     columns: list[str] = []
     cells = []
     for row in rows:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies.seeded.contest import block_means
+from accelsurf.grid.order_statistics import IntegerCounts
 from accelsurf.grid.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.kernels.blocks import count_changes
@@ -49,6 +50,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "windows": _in_windows,
         # Of boxes with many voxels, which no small run has.
         "coarse boxes": lambda: block_means(np.zeros((4, 4, 4), np.float32), (2, 2, 2)),
+        "counts of integers": _counted,
         # Of a part of an image, which an array of its own is not.
         "parts of images": lambda: count_changes(np.zeros((4, 4, 4), np.float32)[1:3, 1:3, 1:3], np.float32(1.0)),
     }
@@ -101,6 +103,12 @@ def _in_windows() -> Any:
     for values in (image.array, np.clip(100 * image.array, 0, 255).astype(np.uint8)):
         large = LargeImage((LazyVolume.of_array(image.with_array(values)),), sys.maxsize)
         segment_in_windows(large, config)
+
+
+def _counted() -> None:
+    """Values of images of integers that are read in parts."""
+    for kind in ("uint8", "int8", "uint16", "int16"):
+        IntegerCounts(np.dtype(kind)).add(np.zeros(4, kind))
 
 
 def _several() -> Any:

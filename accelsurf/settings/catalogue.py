@@ -83,10 +83,10 @@ def names_of(key: str) -> dict[str, str]:
     >>> list(names_of("mesh_space")), names_of("cfl")
     (['lps', 'ras'], {})
     """
-    told = entry(key).names
+    known = entry(key).names
     schema = SettingFields.model_json_schema()["properties"][key]
     words = dict.fromkeys(word for word in _enumerated(schema) if isinstance(word, str))
-    return {**dict.fromkeys(words, ""), **(told() if told is not None else {})}
+    return {**dict.fromkeys(words, ""), **(known() if known is not None else {})}
 
 
 def _enumerated(schema: Any) -> list[Any]:

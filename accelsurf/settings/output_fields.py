@@ -16,6 +16,8 @@ from accelsurf.settings.labels import checked_colors, checked_names
 from accelsurf.settings.written_values import all_split, checked_interval, split_commas
 
 FILES = SettingGroup.FILES
+#: How files are named and laid out.
+Layout = Literal["plain", "bids", "nnunet"]
 
 
 class OutputFields(ImageFields):
@@ -55,12 +57,6 @@ class OutputFields(ImageFields):
         "it with --resume, and ends with the same bytes; it is removed when the run has ended.",
         entry=SettingEntry(FILES, metavar="STEPS|TIME", fixed=True),
     )
-    output_layout: Literal["plain", "bids", "nnunet"] = setting(
-        "plain",
-        "Where the label map goes in the output folder, and its name: plain; bids is a data set of BIDS derivatives; "
-        "nnunet is CASE.nii.gz, as of nnU-Net.",
-        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
-    )
     name: Annotated[tuple[str, ...], BeforeValidator(checked_names)] = setting(
         (),
         "Name of an object in files: ID=NAME, or NAME where there is one object.",
@@ -81,4 +77,9 @@ class OutputFields(ImageFields):
         (),
         "Further files of the objects, separated by commas: {}.",
         entry=SettingEntry(FILES, metavar="NAMES", repeated=True, fixed=True, listed=also_help),
+    )
+    layout: Layout = setting(
+        "plain",
+        "How label maps are named and laid out: plain, bids (derivatives, with sidecars), or nnunet (CASE.nii.gz).",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
     )

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from accelsurf.analysis.label_metrics import Chosen, evaluate_labels, evaluate_object, label_boxes, over_cases
+from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object, label_boxes, over_cases
 from accelsurf.analysis.metrics import evaluate
 from accelsurf.analysis.surface_dice import surface_dice
 from accelsurf.errors import GeometryError, InputError
@@ -17,7 +17,7 @@ H = (2.5, 1.0, 0.5)
 
 
 def chosen(array, ids=(), spacing=H):
-    return Chosen(Volume.from_array(array, spacing), ids)
+    return LabelMap(Volume.from_array(array, spacing), ids)
 
 
 @pytest.fixture

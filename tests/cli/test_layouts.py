@@ -43,7 +43,7 @@ def files_in(folder):
 def test_a_data_set_of_bids_derivatives(tmp_path):
     source = scan(tmp_path / "raw/sub-01/ses-2/anat/sub-01_ses-2_run-1_T1w.nii.gz")
     out = tmp_path / "derivatives/accelsurf"
-    words = ("--output-layout", "bids", "--name", "liver", "--color", "#c83c3c", "--keep-state", "yes")
+    words = ("--layout", "bids", "--name", "liver", "--color", "#c83c3c", "--keep-state", "yes")
     assert segment(source, out, *words, "--also", "seg.nrrd,itk-snap,ctbl,tsv") == 0
     found = files_in(out)
     stem = "sub-01/ses-2/anat/sub-01_ses-2_run-1_seg-accelsurf_desc-T1w_dseg"
@@ -68,29 +68,29 @@ def test_a_description_that_is_there_stays(tmp_path):
     source = scan(tmp_path / "sub-01_T1w.nii.gz")
     (tmp_path / "out").mkdir()
     (tmp_path / "out/dataset_description.json").write_text("mine")
-    assert segment(source, tmp_path / "out", "--output-layout", "bids") == 0
+    assert segment(source, tmp_path / "out", "--layout", "bids") == 0
     assert (tmp_path / "out/dataset_description.json").read_text() == "mine"
     assert (tmp_path / "out/sub-01/anat/sub-01_seg-accelsurf_desc-T1w_dseg.nii.gz").is_file()
 
 
 def test_images_that_differ_in_their_suffix_have_two_label_maps(tmp_path):
     for suffix in ("T1w", "T2w"):
-        assert segment(scan(tmp_path / f"sub-01_{suffix}.nii.gz"), tmp_path / "out", "--output-layout", "bids") == 0
+        assert segment(scan(tmp_path / f"sub-01_{suffix}.nii.gz"), tmp_path / "out", "--layout", "bids") == 0
     assert len(list(tmp_path.glob("out/sub-01/anat/*_dseg.nii.gz"))) == 2
 
 
 @pytest.mark.parametrize("name", ["scan", "T1w", "ses-1_sub-01_T1w", "sub-01_T1w_brain", "sub-01_acq-a_acq-b_T1w"])
 def test_names_that_are_none_of_bids_are_refused(tmp_path, capsys, name):
-    assert segment(scan(tmp_path / f"{name}.nii.gz"), tmp_path / "out", "--output-layout", "bids") == 2
-    assert f"output_layout: bids was given, and {name} is no name of BIDS" in capsys.readouterr().err
+    assert segment(scan(tmp_path / f"{name}.nii.gz"), tmp_path / "out", "--layout", "bids") == 2
+    assert f"layout: bids was given, and {name} is no name of BIDS" in capsys.readouterr().err
     assert not list(tmp_path.glob("out/**/*_dseg*"))
 
 
 def test_another_format_than_nifti_is_refused_and_another_input_gives_nifti(tmp_path, capsys):
     source = scan(tmp_path / "sub-01_T1w.mha")
-    assert segment(source, tmp_path / "out", "--output-layout", "bids", "--format", "nrrd") == 2
+    assert segment(source, tmp_path / "out", "--layout", "bids", "--format", "nrrd") == 2
     assert "format: nrrd was given with the layout bids" in capsys.readouterr().err
-    assert segment(source, tmp_path / "out", "--output-layout", "bids", "--overwrite") == 0
+    assert segment(source, tmp_path / "out", "--layout", "bids", "--overwrite") == 0
     assert list(tmp_path.glob("out/sub-01/anat/*_dseg.nii.gz"))
 
 
@@ -100,10 +100,10 @@ def test_a_description_that_bids_knows_already_is_joined():
 
 def test_label_maps_of_nnunet_are_called_as_the_case(tmp_path, capsys):
     source = scan(tmp_path / "images/liver_001_0000.nii.gz")
-    assert segment(source, tmp_path / "labels", "--output-layout", "nnunet") == 0
+    assert segment(source, tmp_path / "labels", "--layout", "nnunet") == 0
     assert (tmp_path / "labels/liver_001.nii.gz").is_file()
     assert (tmp_path / "labels/liver_001_0000_report.json").is_file()
-    assert segment(scan(tmp_path / "one/a.nii.gz"), tmp_path / "one", "--output-layout", "nnunet", "--overwrite") == 2
+    assert segment(scan(tmp_path / "one/a.nii.gz"), tmp_path / "one", "--layout", "nnunet", "--overwrite") == 2
     assert "the label map a would lie on the image" in capsys.readouterr().err
     assert io.read(tmp_path / "one/a.nii.gz").array.max() == 100
 

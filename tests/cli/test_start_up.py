@@ -61,6 +61,9 @@ def ball(tmp_path):
         (("batch", "FOLDER/absent", "-o", "FOLDER/out"), 3),
         (("batch", "FOLDER", "-o", "FOLDER/out", "--shard", "2/1"), 2),
         (("refine", "FOLDER/absent", "--inside", "point:0,0,0"), 3),
+        (("evaluate", "FOLDER/absent.nii.gz"), 2),
+        (("evaluate", "--pairs", "FOLDER/absent.csv"), 3),
+        (("--install-completion", "-o", "FOLDER/script", "--shell", "bash"), 0),
     ],
 )
 def test_what_is_refused_or_told_at_once_loads_nothing_of_a_run(words, code, ball):

@@ -7,12 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.grid.volume import Volume
 from accelsurf.kernels import storage
 from accelsurf.phantoms import recipes
 from accelsurf.segmentation import warmup
+from accelsurf.settings.flow_specs import FLOWS
 
 PACKAGE = Path(cli.__file__).parents[1]
 
@@ -84,6 +87,66 @@ def test_without_a_folder_it_is_refused(monkeypatch, capsys):
     monkeypatch.setattr(warmup, "small_runs", lambda: {"one": pytest.fail})
     assert cli.execute(["warmup"]) == 7
     assert "NUMBA_CACHE_DIR" in capsys.readouterr().err
+
+
+#: Runs each command in one process, and prints the kernels that it stored, by the number of the command.
+RUNS = """
+import json, sys
+from accelsurf import cli
+from accelsurf.kernels import storage
+
+found, before = {}, storage.stored()
+for number, words in enumerate(json.loads(sys.argv[1])):
+    code = cli.execute(words)
+    assert code == 0, (code, words)
+    found[" ".join(words)] = sorted(storage.stored() - before)
+    before = storage.stored()
+print(json.dumps({words: new for words, new in found.items() if new}))
+"""
+
+
+def representative_commands(folder):
+    """Write images of several types, and return commands for each way of running that compiled code belongs to."""
+    z, y, x = np.indices((24, 28, 32))
+    ball = (z - 12) ** 2 * 2.25 + (y - 14) ** 2 + (x - 16) ** 2 < 9**2
+    grey = 100 * ball + np.random.default_rng(0).normal(50, 8, ball.shape)
+    starts = np.zeros(ball.shape, np.uint8)
+    starts[10:15, 12:17, 10:14], starts[10:15, 12:17, 18:22] = 2, 6
+    for name, values in (("f.nii.gz", grey.astype(np.float32)), ("t.nii.gz", ball.astype(np.uint8)),
+                         ("l.nii.gz", starts), ("i.ome.zarr", grey.astype(np.int16)),
+                         ("u.ome.zarr", grey.astype(np.uint16)), ("b.nii.gz", np.clip(grey, 0, 255).astype(np.uint8)),
+                         ("c.tif", np.clip(grey[12:13], 0, 255).astype(np.uint8))):
+        io.write(Volume.from_array(values, (1.0, 1.0, 1.0) if name == "c.tif" else (1.5, 1.0, 1.0)), folder / name)
+    (folder / "balls.csv").write_text("id,x,y,z,r\n1,12,14,18,4\n2,20,14,18,4\n")
+    ball, flat, few = "--start ball:16,14,12,5vox", "--start ball:16,14,0,5vox", "--max-steps 12 --quiet"
+    lines = [f"f.nii.gz {ball}", f"b.nii.gz {ball}", "f.nii.gz --start otsu --levels 2", f"c.tif {flat}",
+             "f.nii.gz --start label:t.nii.gz", "f.nii.gz --start seed:16,14,12,4vox",
+             "f.nii.gz --inside point:16,14,18", "f.nii.gz --inside label:l.nii.gz@2", "c.tif --inside point:16,14,0",
+             "f.nii.gz --inside point:16,14,18 --outside point:29,14,18", "f.nii.gz --objects l.nii.gz",
+             "f.nii.gz --inside point:16,14,18 --outside point:29,14,18 --energy partition",
+             "f.nii.gz --objects balls.csv --extension fast-marching", f"f.nii.gz --channel b.nii.gz {ball}",
+             f"f.nii.gz {ball} --noise 0.2 --seed 1", f"i.ome.zarr {ball} --max-memory 600MiB",
+             *(f"{name}.ome.zarr --objects balls.csv --jobs 1" for name in "iu"),
+             *(f"f.nii.gz {ball} --flow {flow}" for flow in FLOWS), *(f"c.tif {flat} --flow {flow}" for flow in FLOWS),
+             *(f"f.nii.gz {ball} --energy {term}" for term in ("local-region", "geodesic", "likelihood"))]
+    commands = [f"segment {line} -o out{number} {few}" for number, line in enumerate(lines)]
+    commands.insert(1, f"segment f.nii.gz --start mesh:out0/f_surface.ply -o outm {few}")
+    commands += ["refine out6 --outside point:16,24,18 --quiet", "refine out8 --inside point:16,20,0 --quiet",
+                 "evaluate out0/f_seg.nii.gz t.nii.gz --labels all --tolerance 1"]
+    return [command.split() for command in commands]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_after_it_no_way_of_running_compiles(tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    subprocess.run([sys.executable, "-m", "accelsurf", "warmup", "--quiet"], env=environment, check=True)
+    words = json.dumps(representative_commands(tmp_path))
+    done = subprocess.run(
+        [sys.executable, "-c", RUNS, words], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == {}
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 from tests.support.batch_jobs import InlinePool
+from tests.support.dicom_series import Series, save
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial" / "first-scan.md")
@@ -24,7 +25,7 @@ ON_SCANS = ROOT / "docs" / "tutorial" / "by-clicks.md"
 FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 #: What the tutorial shows of the output: size of a surface, rows of a comparison without their seconds, measures.
-SUMMARY = re.compile(r"^volume (\S+) mm3, area (\S+) mm2", re.MULTILINE)
+SUMMARY = re.compile(r"^volume (\S+) mm3(?: \([^)]*\))?, area (\S+) mm2", re.MULTILINE)
 TABLE = re.compile(r"^(gradient|constant-density) +(\d+) +\S+ +(\S+) +(0\.\d+)", re.MULTILINE)
 METRIC = re.compile(r"^(dice|\w+_mm3?) +([\d.]+)$", re.MULTILINE)
 
@@ -110,7 +111,7 @@ def test_every_script_of_the_page_exists_and_has_help(page):
 
 def folder_of_a_reader():
     """Make what the how-to pages take for granted: scans, labels, a picture, tables, a first result."""
-    for name in ("scan", "ct", "t2", "cells"):
+    for name in ("scan", "ct", "t2", "cells", "sub-01_T1w", "LIV_001_0000"):
         scan_in_place_of(Path(f"{name}.nii.gz"))
     labels = np.zeros(grid().shape, np.uint8)
     labels[20:28, 20:28, 8:14], labels[20:28, 20:28, 32:40] = 2, 6
@@ -118,16 +119,33 @@ def folder_of_a_reader():
         io.write(Volume(labels, grid()), name)
     y, x = np.indices((160, 200))
     io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
+    for folder in ("predicted", "reference"):
+        Path(folder).mkdir()
+        for name in ("anna", "bert"):
+            io.write(Volume(labels, grid()), f"{folder}/{name}.nii.gz")
     for path in (Path("scans/anna.nii.gz"), Path("scans/bert.nii.gz")):
         path.parent.mkdir(exist_ok=True)
         scan_in_place_of(path)
     z, y, x = np.indices((96, 96, 96)) - 47.5
     store = Geometry((96, 96, 96), (1.0, 1.0, 1.0), origin=(-47.5, -47.5, -47.5))
     io.write(Volume((100.0 * (x**2 + y**2 + z**2 < 30**2)).astype(np.float32), store), "ct.ome.zarr")
+    study_of_a_reader(Path("study"))
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
     first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
     assert cli.execute(first.split()) == 0
     Path("out/run.toml").write_text("max_steps = 2\n")
+
+
+def study_of_a_reader(folder):
+    """A folder of DICOM with two series; the second is a ball around the world's origin."""
+    Series(uid="1.2.1", changes={"SeriesNumber": 1}).stacked(4).write(folder / "thick")
+    ball = Series(rows=40, columns=40, spacing=(2.0, 2.0), uid="1.2.2", changes={"SeriesNumber": 2})
+    ball.stacked(40, 2.0, (-39.0, -39.0, -39.0))
+    for number, position in enumerate(ball.positions):
+        one = ball.dataset(number)
+        far = np.linalg.norm(ball.points(position), axis=-1)
+        one.PixelData = np.where(far < 24, 300, 0).astype(np.int16).tobytes()
+        save(one, folder / "thin" / f"{number:03d}.dcm")
 
 
 PLANE = Geometry((1, 160, 200), (1.0, 1.0, 1.0))

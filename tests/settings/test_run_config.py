@@ -76,6 +76,7 @@ ODD = RunConfig(
     color=["2=#102030"],
     label_table="names.csv",
     also="seg.nrrd,rtstruct",
+    layout="bids",
     stop_at_rest=True,
     end="present",
     refine=[

@@ -19,7 +19,7 @@ from accelsurf.io.dicom.slices import Slices, ordered
 from accelsurf.io.dicom.sources import SourceFiles, files_of, holds_dicom, is_dicom
 from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, counted, shown
 from accelsurf.io.memory import available_memory, check_memory
-from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY, WARNING_KEY
+from accelsurf.io.metadata import DICOM_KEY, VALUE_UNIT_KEY, WARNING_KEY
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 #: Series that a message lists.
@@ -172,7 +172,7 @@ def read(path: Path, header: DicomHeader, available: int) -> Volume:
     if notes:
         metadata[WARNING_KEY] = "; ".join(notes)
     if frames[0].labels["unit"]:
-        metadata[UNIT_KEY] = frames[0].labels["unit"]
+        metadata[VALUE_UNIT_KEY] = frames[0].labels["unit"]
     return Volume(values, header.geometry, metadata, path)
 
 
