@@ -107,9 +107,9 @@ def batch(
         A folder of images; a pattern in quotes; a table, FILE.csv, with columns image, id, reference and any setting
         (several clicks of one cell are separated by semicolons); nnU-Net's folder; a BIDS tree; or files.
     output
-        Folder for the outputs; made when missing. Each case has a folder DIR/ID, or that of
-        --output-layout. DIR/batch.csv has a row for each,
-        DIR/batch.html the pictures, the most doubtful first, DIR/batch_report.json everything.
+        Folder for the outputs; made when missing. Each case has a folder DIR/ID, or that of --output-layout.
+        DIR/batch.csv has a row for each, DIR/batch.html the pictures, the most doubtful first, DIR/batch_report.json
+        everything.
     config
         TOML file with settings; options override it, columns of a table override both.
     overwrite
@@ -118,6 +118,7 @@ def batch(
         A case that ends before it has converged, or whose result is doubtful, counts as failed.
     """
     from accelsurf.batch.cases import read_cases, shard_of
+    from accelsurf.batch.outcome import CaseTask
     from accelsurf.batch.run import Batch
     from accelsurf.io.headers import is_outside_data_allowed
 
@@ -129,7 +130,7 @@ def batch(
     folder = Path() if options.plan else required(output, "-o DIR, the output folder,")
     configs = _configs(found, settings, config, options.output_layout)
     how = overwrite or options.resume, strict, is_outside_data_allowed(), options.resume
-    tasks = [_task(case, folder.absolute(), one, how) for case, one in zip(found, configs, strict=True)]
+    tasks = [task_of(CaseTask(case, folder.absolute(), one, *how)) for case, one in zip(found, configs, strict=True)]
     if shard is not None:
         tasks = shard.of(tasks)
     work = Batch(*admitted(tasks, options), shard, words, sys.argv)
@@ -138,25 +139,25 @@ def batch(
     return _conclude(_run(work, folder, options, overwrite, display), folder, display)
 
 
-def _task(case: Case, folder: Path, config: RunConfig, how: tuple[bool, bool, bool, bool]) -> CaseTask:
-    """A case, in a folder of its own or where the layout of the settings has it.
+def task_of(task: CaseTask) -> CaseTask:
+    """The task of a case in the batch's folder put into a folder of its own, or where the layout has it.
 
     Raises
     ------
     UsageError
-        When it cannot be in that layout.
+        When the case cannot be in that layout.
     """
-    from accelsurf.batch.outcome import CaseTask
     from accelsurf.report import layouts
 
+    case, folder, config = task.case, task.folder, task.config
     if config.layout == "plain":
-        return CaseTask(case, folder / case.id, config, *how)
+        return replace(task, folder=folder / case.id)
     try:
         layouts.check(config, case.image, folder, case.id)
     except UsageError as error:
         raise UsageError(f"{case.place}: {error.message}", error.hint) from None
     own = layouts.folder_of(config, case.image, folder)
-    return CaseTask(case, own, config, *how, place=own.relative_to(folder).as_posix())
+    return replace(task, folder=own, place=own.relative_to(folder).as_posix())
 
 
 def _configs(cases: Sequence[Case], settings: Any, file: Path | None, layout: str | None) -> list[RunConfig]:
