@@ -44,30 +44,51 @@ def statistics(one: SegmentedObject, values: NDArray[Any]) -> dict[str, Any]:
         largest within one slice; ``sphere_mm``, the diameter of a ball of the same volume; ``sphericity``, the area of
         that ball by its own. Places and directions are (x, y, z), LPS; an undefined figure is None.
     """
-    inside = one.labels > 0
-    box = bounding_box(inside)
+    box = bounding_box(one.labels > 0)
     assert box is not None  # it has a voxel
-    index = np.argwhere(inside[box]) + [part.start for part in box]
-    world = one.geometry.index_to_world(index)
+    inside, corner = one.labels[box] > 0, np.array([part.start for part in box])
+    first = corner + [side.start or 0 for side in one.box]
+    count, middle, moments = _moments(inside)
+    ends = _row_ends(inside) + corner
     return {
         "volume_ml": one.volume_mm3 / 1000,
         "volume_mm3": one.volume_mm3,
         "area_mm2": one.area_mm2,
-        "voxels": len(index),
-        **_of_image(values[inside]),
-        "box_first": [int(part.start + side.start) for part, side in zip(reversed(box), _first(one), strict=True)],
-        "box_last": [int(part.stop - 1 + side.start) for part, side in zip(reversed(box), _first(one), strict=True)],
-        "centroid_mm": [float(part) for part in world.mean(axis=0)],
-        **_axes(world, one.geometry),
-        "diameter_mm": _diameter(_corners(index, one.geometry)),
-        "diameter_axial_mm": _axial_diameter(index, one.geometry),
+        "voxels": count,
+        **_of_image(values[box][inside]),
+        "box_first": [int(part) for part in first[::-1]],
+        "box_last": [int(part) for part in (first + inside.shape - 1)[::-1]],
+        "centroid_mm": [float(part) for part in one.geometry.index_to_world(middle + corner)],
+        **_axes(moments, one.geometry),
+        "diameter_mm": _diameter(_corners(ends, one.geometry)),
+        "diameter_axial_mm": _axial_diameter(ends, one.geometry),
         **_roundness(one.volume_mm3, one.area_mm2),
     }
 
 
-def _first(one: SegmentedObject) -> list[slice]:
-    """Where the object's box begins in the image, (x, y, z)."""
-    return [slice(side.start or 0, None) for side in reversed(one.box)]
+def _moments(inside: NDArray[np.bool_]) -> tuple[int, Floats, Floats]:
+    """How many voxels there are, their mean index (z, y, x), and the covariance of their indices.
+
+    By sums over the planes of two axes, which have all that second moments need.
+    """
+    planes = {(0, 1): inside.sum(axis=2), (0, 2): inside.sum(axis=1), (1, 2): inside.sum(axis=0)}
+    places = [np.arange(n, dtype=np.float64) for n in inside.shape]
+    along = [planes[0, 1].sum(axis=1), planes[0, 1].sum(axis=0), planes[0, 2].sum(axis=0)]
+    count = int(along[0].sum())
+    middle = np.array([float(weights @ place) for weights, place in zip(along, places, strict=True)]) / count
+    offsets = [place - mean for place, mean in zip(places, middle, strict=True)]
+    moments = np.diag([float(weights @ off**2) for weights, off in zip(along, offsets, strict=True)])
+    for (a, b), plane in planes.items():
+        moments[a, b] = moments[b, a] = offsets[a] @ plane @ offsets[b]
+    return count, middle, moments / count
+
+
+def _row_ends(inside: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Indices (n, 3) of the first and the last voxel of each row along x: no other can be one of the farthest two."""
+    rows = np.argwhere(inside.any(axis=2))
+    own = inside[rows[:, 0], rows[:, 1]]
+    begin, end = own.argmax(axis=1), inside.shape[2] - 1 - own[:, ::-1].argmax(axis=1)
+    return np.concatenate([np.column_stack([rows, begin]), np.column_stack([rows, end])])
 
 
 def _of_image(values: NDArray[Any]) -> dict[str, float]:
@@ -83,12 +104,11 @@ def _of_image(values: NDArray[Any]) -> dict[str, float]:
     }
 
 
-def _axes(world: Floats, geometry: Geometry) -> dict[str, Any]:
+def _axes(moments: Floats, geometry: Geometry) -> dict[str, Any]:
     """Lengths and directions of the ellipsoid that has the moments of the voxels, each taken as a filled block."""
-    offsets = world - world.mean(axis=0)
-    moments = offsets.T @ offsets / len(world)
-    moments += geometry.direction @ np.diag(np.square(geometry.spacing_xyz) / 12) @ geometry.direction.T
-    sizes, directions = np.linalg.eigh(moments)
+    steps = geometry.direction * geometry.spacing_xyz  # columns: a step along x, y, z
+    in_world = steps @ (moments[::-1, ::-1] + np.eye(3) / 12) @ steps.T
+    sizes, directions = np.linalg.eigh(in_world)
     longest_first = directions[:, ::-1].T
     # A direction and its opposite are the same axis: its largest part is positive.
     signs = np.sign(np.take_along_axis(longest_first, np.abs(longest_first).argmax(axis=1)[:, None], axis=1))
@@ -98,16 +118,11 @@ def _axes(world: Floats, geometry: Geometry) -> dict[str, Any]:
     }
 
 
-def _corners(index: NDArray[np.int64], geometry: Geometry) -> Floats:
-    """Corners of the voxels at the ends of each row along x, from which the farthest two points of all can be taken."""
-    order = np.lexsort((index[:, 2], index[:, 1], index[:, 0]))
-    ordered = index[order]
-    row = (np.diff(ordered[:, :2], axis=0) != 0).any(axis=1)
-    ends = np.concatenate([ordered[np.r_[True, row]], ordered[np.r_[row, True]]]).astype(np.float64)
+def _corners(ends: NDArray[Any], geometry: Geometry) -> Floats:
+    """The corners of voxels in world mm; those of an image of one slice have no thickness."""
     flat = np.array([0.5 if n > 1 else 0.0 for n in geometry.shape])
     signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
-    points = (ends[:, None, :] + signs * flat).reshape(-1, 3)
-    return np.asarray(geometry.index_to_world(np.unique(points, axis=0)))
+    return np.asarray(geometry.index_to_world((ends[:, None, :] + signs * flat).reshape(-1, 3)))
 
 
 def _diameter(points: Floats) -> float:
@@ -126,14 +141,12 @@ def _diameter(points: Floats) -> float:
     return float(pdist(points).max()) if len(points) > 1 else 0.0
 
 
-def _axial_diameter(index: NDArray[np.int64], geometry: Geometry) -> float:
+def _axial_diameter(ends: NDArray[np.int64], geometry: Geometry) -> float:
     """Largest distance of two points within one slice z."""
-    largest = 0.0
-    for slice_number in np.unique(index[:, 0]):
-        own = index[index[:, 0] == slice_number]
-        plane = Geometry((1, *geometry.shape[1:]), geometry.spacing, geometry.origin, geometry.direction)
-        largest = max(largest, _diameter(_corners(own * [0, 1, 1], plane)))
-    return largest
+    plane = Geometry((1, *geometry.shape[1:]), geometry.spacing, geometry.origin, geometry.direction)
+    order = np.argsort(ends[:, 0], kind="stable")
+    parts = np.split(ends[order], np.flatnonzero(np.diff(ends[order, 0])) + 1)
+    return max(_diameter(_corners(own * [0, 1, 1], plane)) for own in parts)
 
 
 def _roundness(volume_mm3: float, area_mm2: float) -> dict[str, float | None]:

@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from xml.sax.saxutils import unescape
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io.files import naming
@@ -20,6 +21,9 @@ from accelsurf.settings.labels import MAX_NAME, Color, LabelEntry, LabelTable, c
 _MAX_BYTES = 1 << 22
 _MAX_ID = 2**32 - 1
 _ITK_SNAP = re.compile(r'\s*(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+([\d.eE+-]+)\s+([01])\s+([01])\s+"(.*)"\s*')
+_CARET = 30
+_CARET_LABEL = re.compile(r"<Label ([^>]{1,400})>(.{0,400}?)</Label>", re.DOTALL)
+_ATTRIBUTE = re.compile(r'(\w+)="([^"]*)"')
 _SEGMENT = re.compile(r"Segment(\d+)_(Name|Color|LabelValue)\s*:?=\s*(.*)")
 _ID_COLUMNS, _NAME_COLUMNS = ("index", "id", "label", "labelvalue"), ("name", "label_name")
 _HEAD = "################################################\n# ITK-SnAP Label Description File\n"
@@ -32,7 +36,8 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
     ----------
     path : path-like
         Label descriptions of ITK-SNAP (.txt, .label), a colour table of 3D Slicer (.ctbl), a table with columns index
-        or id, name, and color or r, g, b (.tsv as of BIDS, .csv), or the header of a .seg.nrrd.
+        or id, name, and color or r, g, b (.tsv as of BIDS, .csv), the header of a .seg.nrrd, or the label table in that
+        of a .nii or .nii.gz.
 
     Raises
     ------
@@ -50,6 +55,8 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
     """
     path = Path(path)
     with naming(path):
+        if path.name.lower().endswith((".nii", ".nii.gz")) and path.is_file():
+            return LabelTable({entry.id: entry for entry in _of_nifti(path)})
         if not path.is_file():
             raise InputError("there is no such file", "check the path of the label table")
         with path.open("rb") as file:
@@ -165,6 +172,29 @@ def _of_seg_nrrd(text: str) -> Iterable[LabelEntry]:
         except (KeyError, ValueError, OverflowError):
             red, green, blue = default_color(int(label) if label.isdigit() else 1)
         yield _entry(int(number), label, keys.get("Name", f"Segment {number}"), (red, green, blue))
+
+
+def _of_nifti(path: Path) -> Iterable[LabelEntry]:
+    """The label table that Connectome Workbench and accelsurf put into the header."""
+    import nibabel
+
+    try:
+        found = [one for one in nibabel.load(path).header.extensions if one.get_code() == _CARET]  # type: ignore[attr-defined]
+        text = found[0].content if found else b""
+    except Exception as error:  # nibabel raises errors of many kinds about damaged files
+        raise InputError("the header is damaged", "save it again") from error
+    if not found:
+        raise InputError("no label table is in the header of this NIfTI", "give one with names, or a table")
+    for number, match in enumerate(_CARET_LABEL.finditer(text.decode("utf-8", "replace")), 1):
+        keys = dict(_ATTRIBUTE.findall(match.group(1)))
+        if keys.get("Key") == "0":
+            continue
+        try:
+            red, green, blue = (round(255 * float(keys[part])) for part in ("Red", "Green", "Blue"))
+        except (KeyError, ValueError, OverflowError):
+            raise InputError(f"label {number} of the header has no colour", "save it again") from None
+        name = match.group(2).removeprefix("<![CDATA[").removesuffix("]]>")
+        yield _entry(number, keys.get("Key", ""), unescape(name), (red, green, blue))
 
 
 def itk_snap_text(entries: Iterable[LabelEntry]) -> str:

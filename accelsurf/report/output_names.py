@@ -74,6 +74,8 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     if keeps_state(config):
         files |= {"state": "state.npz", "config": "run.toml"}
     files |= {f"also-{name}": ending_of(name) for name in config.also if name != labels}
+    if labels in ("nii", "nii.gz") and (config.name or config.color or config.label_table):
+        files["also-itk-snap"] = ending_of("itk-snap")  # which ITK-SNAP reads beside a NIfTI
     files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_RESTS + 1)}
     files |= {"trace": "trace.csv", "preview": "preview.png"}
     return files | {"statistics": "statistics.csv", "statistics-json": "statistics.json"}

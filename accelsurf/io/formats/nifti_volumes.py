@@ -18,10 +18,12 @@ from accelsurf.io.files import reserve
 from accelsurf.io.formats import itk_volumes, nifti, nifti_grid
 from accelsurf.io.formats.deflate import gzip_file
 from accelsurf.io.formats.nifti_boxes import NiftiBoxes
+from accelsurf.io.formats.nifti_labels import put_labels
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
 from accelsurf.io.lazy_volume import LazyVolume, Opening
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import WARNING_KEY
+from accelsurf.io.metadata import LABELS_KEY, WARNING_KEY
+from accelsurf.settings.labels import LabelTable
 
 #: Bytes before the voxels of a file that ITK writes.
 _MAX_HEADER_BYTES = 352
@@ -101,6 +103,8 @@ def write(volume: Volume, path: Path) -> None:
     itk.save(volume, path, nifti.ITK_NAME, compress=False)
     if (fields := volume.metadata.get(nifti_grid.METADATA_KEY)) is not None:
         itk_volumes.restore_grid(path, volume.geometry, nifti.ITK_NAME, lambda file: nifti_grid.put_grid(file, fields))
+    if (labels := volume.metadata.get(LABELS_KEY)) is not None:
+        put_labels(path, LabelTable.from_json(labels))
 
 
 def write_compressed(volume: Volume, path: Path) -> None:
