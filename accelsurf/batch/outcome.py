@@ -32,6 +32,8 @@ class CaseTask:
         Whether a header may name a data file in another folder.
     resume : bool
         Whether it goes on from the state that an earlier run has left.
+    place : str
+        Its folder within that of the batch; empty: the id of the case.
     """
 
     case: Case
@@ -41,6 +43,12 @@ class CaseTask:
     strict: bool = False
     outside_data: bool = False
     resume: bool = False
+    place: str = ""
+
+    @property
+    def shown_folder(self) -> str:
+        """Its folder within that of the batch."""
+        return self.place or self.case.id
 
 
 @dataclass(frozen=True)
@@ -95,12 +103,12 @@ class Outcome:
 COLUMNS = ("id", "status", "reason", "ml", "quality", "dice", "steps", "seconds", "folder")
 
 
-def of_report(id: str, report: Mapping[str, Any], dice: float | None) -> Outcome:
+def of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> Outcome:
     """Return the line of a case that has a result, from the report of its run.
 
     Parameters
     ----------
-    id : str
+    task : CaseTask
     report : mapping
         From `accelsurf.report.document.build`.
     dice : float or None
@@ -108,7 +116,7 @@ def of_report(id: str, report: Mapping[str, Any], dice: float | None) -> Outcome
     volume, error = report["volume_mm3"], report["error"]
     is_2d = report["enclosed_mm2"] is not None
     return Outcome(
-        id=id,
+        id=task.case.id,
         status="ok" if report["status"] == "ok" else "failed",
         reason=error["message"] if error else report["stop"]["reason"],
         ml=None if volume is None or is_2d else volume / 1000,
@@ -116,7 +124,7 @@ def of_report(id: str, report: Mapping[str, Any], dice: float | None) -> Outcome
         dice=dice,
         steps=report["stop"]["steps"],
         seconds=report["seconds"]["total"],
-        folder=id,
+        folder=task.shown_folder,
         picture=next((Path(one["path"]).name for one in report["outputs"] if one["kind"] == "preview"), ""),
         hint=error["hint"] if error else "",
         exit_code=report["exit_code"],

@@ -65,7 +65,7 @@ def finished(task: CaseTask) -> Outcome | None:
             return None
         if record.get("files", {}) != {str(path): io.sha256(path) for path in named_files(task.config)}:
             return None
-        return of_report(task.case.id, report, _dice(task, report, record))
+        return of_report(task, report, _dice(task, report, record))
     except (AccelsurfError, LookupError, TypeError, AttributeError):
         return None  # it is run again, and says what is wrong
 

@@ -131,7 +131,7 @@ class Batch:
 
     def tables(self, files: FileSet) -> Tables:
         """The tables of this batch, with every case waiting."""
-        waiting = [Outcome(task.case.id, folder=task.folder.name) for task in self.tasks]
+        waiting = [Outcome(task.case.id, folder=task.shown_folder) for task in self.tasks]
         return Tables(files, self.names, self._facts, waiting, {task.case.id: task.case.image for task in self.tasks})
 
     def run(self, pool: Pool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from accelsurf.cli.interrupts import Interrupts, say
-from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, Settings, required, run_config
+from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, SettingsWithoutLayout, required, run_config
 from accelsurf.errors import UsageError
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ class BatchOptions:
 
     layout: Annotated[Literal["auto", "folder", "nnunet", "bids"], Parameter(group=BATCH)] = "auto"
     """How a folder is read; auto looks at its names."""
+
+    output_layout: Annotated[Literal["plain", "bids", "nnunet"] | None, Parameter(group=FILES)] = None
+    """How label maps are named and laid out, as --layout of accelsurf segment."""
 
     plan: Annotated[bool, _SWITCH] = False
     """Print what each case is thought to need and what would run at once, and run nothing."""
@@ -91,7 +94,7 @@ def batch(
     overwrite: Overwrite = False,
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     options: BatchOptions | None = None,
-    settings: Settings | None = None,  # type: ignore[valid-type]
+    settings: SettingsWithoutLayout | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
     """Segment many images, each as segment does.
@@ -104,8 +107,9 @@ def batch(
         A folder of images; a pattern in quotes; a table, FILE.csv, with columns image, id, reference and any setting
         (several clicks of one cell are separated by semicolons); nnU-Net's folder; a BIDS tree; or files.
     output
-        Folder for the outputs; made when missing. Each case has a folder DIR/ID. DIR/batch.csv has a row for each,
-        DIR/batch.html the pictures, the most doubtful first, DIR/batch_report.json everything.
+        Folder for the outputs; made when missing. Each case has a folder DIR/ID, or that of --output-layout.
+        DIR/batch.csv has a row for each, DIR/batch.html the pictures, the most doubtful first, DIR/batch_report.json
+        everything.
     config
         TOML file with settings; options override it, columns of a table override both.
     overwrite
@@ -124,11 +128,9 @@ def batch(
         say(note)
     found, words = read_cases(cases, options.layout)
     folder = Path() if options.plan else required(output, "-o DIR, the output folder,")
-    configs = _configs(found, settings, config)
+    configs = _configs(found, settings, config, options.output_layout)
     how = overwrite or options.resume, strict, is_outside_data_allowed(), options.resume
-    tasks = [
-        CaseTask(case, folder.absolute() / case.id, one, *how) for case, one in zip(found, configs, strict=True)
-    ]
+    tasks = [task_of(CaseTask(case, folder.absolute(), one, *how)) for case, one in zip(found, configs, strict=True)]
     if shard is not None:
         tasks = shard.of(tasks)
     work = Batch(*admitted(tasks, options), shard, words, sys.argv)
@@ -137,7 +139,28 @@ def batch(
     return _conclude(_run(work, folder, options, overwrite, display), folder, display)
 
 
-def _configs(cases: Sequence[Case], settings: Any, file: Path | None) -> list[RunConfig]:
+def task_of(task: CaseTask) -> CaseTask:
+    """The task of a case in the batch's folder put into a folder of its own, or where the layout has it.
+
+    Raises
+    ------
+    UsageError
+        When the case cannot be in that layout.
+    """
+    from accelsurf.report import layouts
+
+    case, folder, config = task.case, task.folder, task.config
+    if config.layout == "plain":
+        return replace(task, folder=folder / case.id)
+    try:
+        layouts.check(config, case.image, folder, case.id)
+    except UsageError as error:
+        raise UsageError(f"{case.place}: {error.message}", error.hint) from None
+    own = layouts.folder_of(config, case.image, folder)
+    return replace(task, folder=own, place=own.relative_to(folder).as_posix())
+
+
+def _configs(cases: Sequence[Case], settings: Any, file: Path | None, layout: str | None) -> list[RunConfig]:
     """The settings of each case.
 
     Raises
@@ -148,11 +171,12 @@ def _configs(cases: Sequence[Case], settings: Any, file: Path | None) -> list[Ru
     from accelsurf.settings import toml
 
     below = toml.read(file) if file is not None else {}
-    common = run_config(settings, below)
+    forced = {} if layout is None else {"layout": layout}
+    common = run_config(settings, below, **forced)
     configs = []
     for case in cases:
         try:
-            configs.append(run_config(settings, below, **case.settings) if case.settings else common)
+            configs.append(run_config(settings, below, **{**forced, **case.settings}) if case.settings else common)
         except UsageError as error:
             raise UsageError(f"{case.place}: {error.message}", error.hint) from None
     return configs

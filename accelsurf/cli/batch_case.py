@@ -115,7 +115,7 @@ def _run(task: CaseTask) -> Outcome:
     dice = records.dice_with(done.result.labels_volume(), truth) if truth is not None else None
     if done.error is None:
         records.write_record(task, report, dice)
-    return of_report(task.case.id, report, dice)
+    return of_report(task, report, dice)
 
 
 def _truth_of(task: CaseTask) -> Volume | None:
@@ -129,5 +129,5 @@ def _truth_of(task: CaseTask) -> Volume | None:
 
 def _failed(task: CaseTask, message: str, hint: str, code: int, details: str = "") -> Outcome:
     return Outcome(
-        task.case.id, "failed", message, folder=task.folder.name, hint=hint, exit_code=code, details=details
+        task.case.id, "failed", message, folder=task.shown_folder, hint=hint, exit_code=code, details=details
     )

@@ -20,7 +20,7 @@ from accelsurf.cli.place import Place
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, label_files, output_folder, output_names, result_sets
+from accelsurf.report import document, label_files, layouts, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.report.mesh_files import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
@@ -173,6 +173,7 @@ def _write(
         code = watcher.exit_code(code)
         status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
         _write_report(target, config, log, status, code, error, result, files)
+        layouts.complete(config, target.source, target.folder)
         _commit(target, files, error is not None, gone)
     watcher.outcome = f"the {'result so far' if interrupted else 'result'} is written: {target.report_path.absolute()}"
     return Finished(target, config, result, log, code, error)

@@ -18,7 +18,7 @@ from accelsurf.batch.pool import Pool
 from accelsurf.batch.run import Batch, refuse_results
 from accelsurf.batch.tables import Tables
 from accelsurf.cli import batch_case
-from accelsurf.cli.batch import BatchOptions, admitted, made_pool
+from accelsurf.cli.batch import BatchOptions, admitted, made_pool, task_of
 from accelsurf.cli.interrupts import say
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.file_set import FileSet
@@ -187,7 +187,7 @@ def segment_many(
     found, words = _cases(cases)
     common, folder = (config or RunConfig()).replace(**options), Path(output)
     base = CaseTask(found[0], folder.absolute(), common, overwrite or resume, strict, resume=resume)
-    tasks = [replace(base, case=one, folder=base.folder / one.id, config=_config(one, common)) for one in found]
+    tasks = [task_of(replace(base, case=one, config=_config(one, common))) for one in found]
     work = Batch(*admitted(tasks, given), None, words, sys.argv)
     if not (overwrite or resume):
         refuse_results(folder, work)

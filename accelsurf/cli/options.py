@@ -66,6 +66,8 @@ def _completions(key: str, context: object) -> dict[str, str]:
 
 _WITHOUT_FILES = tuple(group for group in SettingGroup if group is not SettingGroup.FILES)
 Settings = _settings("Settings")
+#: For commands that read a folder in a layout of its own.
+SettingsWithoutLayout = _settings("SettingsWithoutLayout", leave_out=("layout",))
 #: For commands that write none of a run's files.
 RunSettings = _settings("RunSettings", groups=_WITHOUT_FILES)
 #: For commands that choose the flow and the files themselves.

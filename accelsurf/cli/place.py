@@ -26,8 +26,6 @@ class Place:
         Whether the run goes on from the checkpoint of an earlier one.
     has_checkpoint : bool
         Whether it may have one: a correction has none.
-    whole : Path or None
-        The folder of the outputs of all images, where a layout puts ``folder`` into it.
     """
 
     source: Path
@@ -36,7 +34,6 @@ class Place:
     overwrite: bool = False
     resume: bool = False
     has_checkpoint: bool = True
-    whole: Path | None = None
 
     @classmethod
     def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
@@ -46,17 +43,6 @@ class Place:
 
         named = source.absolute().parent if is_pattern(source) else source
         return cls(source, folder, split_name(named)[0], overwrite)
-
-    def laid_out(self, config: RunConfig) -> Place:
-        """The same where the settings want the files of an image.
-
-        Raises
-        ------
-        UsageError
-            When the image is not named as the layout asks for.
-        """
-        name, folder = layouts.place_of(config.layout, self.source, self.name, self.folder)
-        return replace(self, name=name, folder=folder, whole=self.folder)
 
     @property
     def report_path(self) -> Path:
@@ -84,7 +70,19 @@ class Place:
     def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
         """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
         names = output_names.names(config, self.label_format(config), is_2d)
-        return {kind: layouts.joined(self.name, name) for kind, name in names.items()}
+        names = {kind: f"{self.name}_{name}" for kind, name in names.items()}
+        return layouts.renamed(config, self.source, self.name, names)
+
+    def laid_out(self, config: RunConfig) -> Place:
+        """Where the files go in the layout of the settings.
+
+        Raises
+        ------
+        UsageError
+            When the image cannot be in that layout.
+        """
+        layouts.check(config, self.source, self.folder, self.name)
+        return replace(self, folder=layouts.folder_of(config, self.source, self.folder))
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
         """Every possible output by kind, the report last; of several objects those that exist already."""

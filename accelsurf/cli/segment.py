@@ -71,7 +71,7 @@ def segment(
         run, place = with_level(place.source, run, parts, display.quiet), place.laid_out(run)
         if (image := work.image(place, run, parts)) is not None:
             from accelsurf.cli.object_work import run_objects
-            _refuse_switches(strict, profile)
+            _refuse_switches(strict, profile, run)
             return run_objects(place, run, image, work, resume, display)
         run, compute = computed(place, run, parts)
     except AccelsurfError as error:
@@ -86,7 +86,6 @@ def _run(
     """Run a case, or go on with it; ``switches``: strict, profile."""
     from accelsurf.cli.case import run_case
     from accelsurf.cli.progress import Watcher
-    from accelsurf.report import layouts
 
     strict, profile = switches
     if resume:
@@ -95,18 +94,19 @@ def _run(
             return code
         place = taken_up(place, run)
     done = run_case(place, run, Watcher(display), strict, compute)
-    layouts.complete(run.layout, place.whole or place.folder)
     return _summed_up(place.name, done, display.quiet, profile)
 
 
-def _refuse_switches(strict: bool, profile: bool) -> None:
+def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     """Refuse what is not known of many objects that are run in groups.
 
     Raises
     ------
     UsageError
     """
-    for name in (name for name, given in (("--strict", strict), ("--profile", profile)) if given):
+    also, layout = bool(run.also), run.layout != "plain"
+    given = {"--strict": strict, "--profile": profile, "--also": also, "--layout": layout}
+    for name in (name for name, is_given in given.items() if is_given):
         raise UsageError(
             f"{name}: was given with objects of an image that is read in parts", "leave it out; the table has all ends"
         )

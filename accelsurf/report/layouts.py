@@ -1,138 +1,206 @@
-"""How the files of a run are named and laid out: as accelsurf does, as BIDS derivatives, or as nnU-Net has labels.
+"""Names and folders that other tools expect: BIDS derivatives, and folders of label maps as of nnU-Net.
 
-BIDS: the label map of ``sub-01_ses-2_T1w.nii.gz`` is ``sub-01/ses-2/anat/sub-01_ses-2_dseg.nii.gz``, with a sidecar and
-a table of labels, in a folder with a ``dataset_description.json``. ``.bidsignore`` has the files that BIDS has no name
-for.
-nnU-Net: the label map of ``CASE_0000.nii.gz`` is ``CASE.nii.gz``.
+Only the label map, and what BIDS wants beside it, gets another name. The other files of a run keep theirs: BIDS is told
+to leave them alone, by a ``.bidsignore``.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from accelsurf import __version__
 from accelsurf.errors import UsageError
+from accelsurf.io import split_name
 from accelsurf.io.files import write_bytes
-from accelsurf.settings.output_fields import Layout
+from accelsurf.report.result_sets import FAILED
+from accelsurf.settings.run_config import RunConfig
 
-if TYPE_CHECKING:
-    from accelsurf.segmentation.result import Result
-    from accelsurf.settings.labels import LabelTable
-
-#: Entities of a BIDS name in the order of the specification, then the suffix.
-_ENTITIES = re.compile(
-    r"(sub-[0-9A-Za-z]+)(_ses-[0-9A-Za-z]+)?((?:_(?:sample|task|acq|ce|trc|stain|rec|dir|run|echo|part|chunk|space|desc)"
-    r"-[0-9A-Za-z]+)*)_([0-9A-Za-z]+)"
-)
-_TYPES = ("anat", "func", "dwi", "fmap", "perf", "pet", "micr")
-_CHANNEL = re.compile(r"(.+)_[0-9]{4}")
+BIDS_VERSION = "1.9.0"
+#: Kinds of the files that BIDS has beside a label map.
+SIDECAR, TABLE = "sidecar", "also-tsv"
+#: Entities of the names of images, in the order that BIDS asks for; ``seg`` and ``desc`` are added here.
+ENTITIES = (
+    "sub", "ses", "sample", "task", "tracksys", "acq", "nuc", "voi", "ce", "trc", "stain", "rec", "dir", "run", "mod",
+    "echo", "flip", "inv", "mt", "part", "proc", "hemi", "space", "split", "recording", "chunk", "seg", "res", "den",
+    "label", "desc",
+)  # fmt: skip
+#: Formats of label maps in BIDS.
+_NIFTI = ("nii.gz", "nii")
+#: Files of a run that BIDS has no names for, and those of a batch.
 _IGNORED = (
-    "*_report.json", "*_statistics.*", "*_trace.csv", "*_preview.png", "*_surface*", "*_contour*", "*_objects.csv",
-    "*_state.npz", "*_run.toml", "*_sdf.*", "*_rest*", "*_seg.*", "*_segmentation.*", "*_labels.*", "*_checkpoint.npz",
-)
+    "*_surface*.*", "*_contour*.*", "*_report.json", "*_trace.csv", "*_preview.png", "*_statistics.*", "*_objects.csv",
+    "*_seg.*", "*_sdf.*", "*_state.npz", "*_run.toml", "*_checkpoint.npz", "*_case.json", "*_labels.*",
+    "*_segmentation.*", "*.dcm", "batch*.*",
+)  # fmt: skip
+_PAIR, _SUFFIX = re.compile(r"([a-z]+)-([A-Za-z0-9]+)"), re.compile(r"[A-Za-z0-9]+")
+_CHANNEL = re.compile(r"(.+)_\d{4}")
+_HINT = "name the image as sub-01_T1w.nii.gz, or leave out --layout"
 
 
-def place_of(layout: Layout, source: Path, name: str, folder: Path) -> tuple[str, Path]:
-    """Return the first part of the names of an image's files, and the folder for them.
+@dataclass(frozen=True)
+class BidsName:
+    """The name of an image in a BIDS data set.
+
+    Attributes
+    ----------
+    entities : dict of str to str
+        In the order of BIDS.
+    suffix : str
+        What was measured, as T1w.
+    """
+
+    entities: dict[str, str]
+    suffix: str
+
+    @classmethod
+    def of(cls, name: str) -> BidsName:
+        """Take a name apart, without its ending.
+
+        Raises
+        ------
+        UsageError
+            When it is no name of BIDS.
+
+        Examples
+        --------
+        >>> BidsName.of("sub-01_ses-2_run-1_T1w").label_map
+        'sub-01_ses-2_run-1_seg-accelsurf_desc-T1w_dseg'
+        """
+        *pairs, suffix = name.split("_")
+        found = [_PAIR.fullmatch(pair) for pair in pairs]
+        keys = [one.group(1) for one in found if one is not None]
+        ordered = [key for key in ENTITIES if key in keys]
+        if None in found or keys != ordered or keys[:1] != ["sub"] or _SUFFIX.fullmatch(suffix) is None:
+            raise UsageError(f"layout: bids was given, and {name[:80]} is no name of BIDS", _HINT)
+        return cls({one.group(1): one.group(2) for one in found if one is not None}, suffix)
+
+    @property
+    def label_map(self) -> str:
+        """Name of the label map, without its ending. The suffix of the image tells those of two images apart."""
+        entities = {**self.entities, "seg": "accelsurf", "desc": self.entities.get("desc", "") + self.suffix}
+        return "_".join([*(f"{key}-{entities[key]}" for key in ENTITIES if key in entities), "dseg"])
+
+    def folder(self, source: Path) -> Path:
+        """Where its files lie in a data set: subject, session, and sort of data as of the image's folder, else anat."""
+        parts = [f"{key}-{self.entities[key]}" for key in ("sub", "ses") if key in self.entities]
+        own = source.absolute().parent
+        return Path(*parts, own.name if own.parent.name == parts[-1] else "anat")
+
+
+def check(config: RunConfig, source: Path, folder: Path, name: str) -> None:
+    """Refuse what a layout cannot have, before anything is computed.
 
     Parameters
     ----------
-    layout : {"plain", "bids", "nnunet"}
+    config : RunConfig
     source : Path
         The image.
-    name : str
-        Its name without suffix.
     folder : Path
-        That was asked for.
+        Of its files.
+    name : str
+        What their names begin with.
 
     Raises
     ------
     UsageError
-        When the image is not named as BIDS asks for.
-
-    Examples
-    --------
-    >>> source = Path("raw/sub-01/ses-2/anat/sub-01_ses-2_run-1_T1w.nii.gz")
-    >>> name, place = place_of("bids", source, "sub-01_ses-2_run-1_T1w", Path("out"))
-    >>> name, place.as_posix()
-    ('sub-01_ses-2_run-1', 'out/sub-01/ses-2/anat')
-    >>> place_of("nnunet", Path("CASE_0000.nii.gz"), "CASE_0000", Path("out"))[0]
-    'CASE'
+        When the image has no name of BIDS, the format is another, or the label map would replace an image.
     """
-    if layout == "nnunet":
-        found = _CHANNEL.fullmatch(name)
-        return (found.group(1) if found else name), folder
-    if layout == "bids":
-        parts = _ENTITIES.fullmatch(name)
-        if parts is None:
+    if config.layout == "bids":
+        stem = split_name(source)[0]
+        BidsName.of(stem)
+        if name != stem:
             raise UsageError(
-                f"layout: bids was given for {source.name}, expected an image named as BIDS does",
-                "as sub-01_T1w.nii.gz, or leave --layout out",
+                f"layout: bids was given, and the id {name[:80]} is not the name of the image {stem[:80]}",
+                "leave out the ids, or the layout",
             )
-        kind = source.parent.name if source.parent.name in _TYPES else "anat"
-        session = [parts.group(2).lstrip("_")] if parts.group(2) else []
-        stem = name[: -len(parts.group(4)) - 1]
-        return stem, folder.joinpath(parts.group(1), *session, kind)
-    return name, folder
+        if config.format not in (None, *_NIFTI):
+            raise UsageError(
+                f"format: {config.format} was given with the layout bids, expected {' or '.join(_NIFTI)}",
+                "leave out --format; --also writes the label map in further formats",
+            )
+    if config.layout == "nnunet":
+        stem = _nnunet_stem(source, name)
+        images = [source.absolute().resolve(), *(Path(one).absolute().resolve() for one in config.channel)]
+        if any(one.parent == folder.absolute().resolve() and split_name(one)[0] == stem for one in images):
+            raise UsageError(
+                f"layout: the label map {stem} would lie on the image", "choose another folder with -o"
+            )
 
 
-def label_ending(layout: Layout, labels: str) -> str:
-    """Return the end of the name of the label map.
-
-    Examples
-    --------
-    >>> label_ending("plain", "nii.gz"), label_ending("bids", "nii.gz"), label_ending("nnunet", "nii.gz")
-    ('seg.nii.gz', 'dseg.nii.gz', '.nii.gz')
-    """
-    return {"plain": f"seg.{labels}", "bids": f"dseg.{labels}", "nnunet": f".{labels}"}[layout]
+def folder_of(config: RunConfig, source: Path, folder: Path) -> Path:
+    """Where the files of an image go, in the folder that was given; nothing is made."""
+    return folder / BidsName.of(split_name(source)[0]).folder(source) if config.layout == "bids" else folder
 
 
-def joined(name: str, ending: str) -> str:
-    """Return the name of a file.
+def renamed(config: RunConfig, source: Path, name: str, names: dict[str, str]) -> dict[str, str]:
+    """Names of the files by kind as a layout has them; those of a failed run beside a result stay as they are."""
+    if config.layout == "plain" or name.endswith(FAILED):
+        return names
+    ending = names["labels"].removeprefix(f"{name}_seg")
+    if config.layout == "nnunet":
+        return {**names, "labels": f"{_nnunet_stem(source, name)}{ending}"}
+    stem = BidsName.of(split_name(source)[0]).label_map
+    return {**names, "labels": f"{stem}{ending}", SIDECAR: f"{stem}.json", TABLE: f"{stem}.tsv"}
 
-    Examples
-    --------
-    >>> joined("CASE", ".nii.gz"), joined("scan", "seg.nii.gz")
-    ('CASE.nii.gz', 'scan_seg.nii.gz')
-    """
-    return name + ending if ending.startswith(".") else f"{name}_{ending}"
+
+def _nnunet_stem(source: Path, name: str) -> str:
+    """Name of a case: that of its file without the number of the channel, or the one that was given."""
+    numbered = _CHANNEL.fullmatch(name) if name == split_name(source)[0] else None
+    return name if numbered is None else numbered.group(1)
 
 
-def write_sidecar(result: Result, table: LabelTable, path: Path) -> None:
-    """Write what BIDS wants to know of a discrete segmentation."""
-    source = result.volume.source
+def sidecar(source: Path, energy: str) -> str:
+    """What BIDS wants to know of a label map: of what image it is, and that no person has drawn it."""
+    bids = BidsName.of(split_name(source)[0])
+    image = f"bids:raw:{bids.folder(source).as_posix()}/{source.name}"
     said = {
-        "Description": f"segmentation of {', '.join(table[one.id].name for one in result.objects)}",
+        "Description": f"Surface of accelsurf {__version__}, energy {energy}",
         "Manual": False,
-        "Sources": [source.name] if source is not None else [],
-        "SpatialReference": "orig",
-        "GeneratedBy": [{"Name": "accelsurf", "Version": __version__}],
+        "Sources": [image],
+        "SpatialReference": image,
     }
-    write_bytes(path, (json.dumps(said, indent=2) + "\n").encode())
+    return json.dumps(said, indent=2) + "\n"
 
 
-def complete(layout: Layout, folder: Path) -> None:
-    """Write what makes a folder a BIDS dataset, where that is the layout and it is not there.
+def complete(config: RunConfig, source: Path, folder: Path) -> None:
+    """Write what a data set of BIDS has once, where it is not there yet: its description, and what to leave alone.
+
+    Parameters
+    ----------
+    config : RunConfig
+    source : Path
+        The image.
+    folder : Path
+        Of its files, from `folder_of`.
 
     Raises
     ------
     OutputError
         When it cannot be written.
     """
-    if layout != "bids":
+    if config.layout != "bids":
         return
-    description = folder / "dataset_description.json"
-    if not description.exists():
-        said = {
-            "Name": "accelsurf segmentations",
-            "BIDSVersion": "1.9.0",
-            "DatasetType": "derivative",
-            "GeneratedBy": [{"Name": "accelsurf", "Version": __version__}],
-        }
-        write_bytes(description, (json.dumps(said, indent=2) + "\n").encode())
-    ignored = folder / ".bidsignore"
-    if not ignored.exists():
-        write_bytes(ignored, ("\n".join(_IGNORED) + "\n").encode())
+    inner = BidsName.of(split_name(source)[0]).folder(source).parts
+    depth = len(inner)
+    if folder.absolute().parts[-depth:] != inner:
+        return  # a corrected result in a folder of its own
+    top = folder.absolute().parents[depth - 1]
+    said: dict[str, object] = {
+        "Name": "Segmentations of accelsurf",
+        "BIDSVersion": BIDS_VERSION,
+        "DatasetType": "derivative",
+        "GeneratedBy": [{"Name": "accelsurf", "Version": __version__}],
+    }
+    whole = source.absolute()
+    if whole.parts[-depth - 1 : -1] == inner:  # the image lies in a data set itself
+        said["DatasetLinks"] = {"raw": Path(os.path.relpath(whole.parents[depth], top)).as_posix()}
+    for name, text in (
+        ("dataset_description.json", json.dumps(said, indent=2) + "\n"),
+        (".bidsignore", "\n".join(_IGNORED) + "\n"),
+    ):
+        if not (top / name).exists():
+            write_bytes(top / name, text.encode())

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import UsageError
-from accelsurf.report.layouts import label_ending
 from accelsurf.settings.budgets import MAX_RESTS
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
 from accelsurf.settings.label_outputs import ending_of
@@ -34,6 +33,8 @@ def label_format(config: RunConfig, source_suffix: str) -> str:
     ('tif', 'png')
     """
     followed = image_format(source_suffix)
+    if config.layout == "bids" and (followed is None or not followed.name.startswith("nii")):
+        followed = None  # BIDS has label maps in NIfTI
     return config.format or (DEFAULT_IMAGE_FORMAT if followed is None or followed.write is None else followed.name)
 
 
@@ -53,9 +54,7 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     >>> [name for kind, name in names(RunConfig(), "png", True).items() if kind.startswith("contour")]
     ['contour.vtp', 'contour.csv']
     """
-    files = {"labels": label_ending(config.layout, labels)}
-    if config.layout == "bids":
-        files |= {"sidecar": "dseg.json", "also-tsv": ending_of("tsv")}
+    files = {"labels": f"seg.{labels}"}
     if is_2d is not True:
         wanted = automatic_mesh_formats("surface") if config.mesh == "auto" else config.mesh
         files |= {f"surface-{kind}": f"surface.{kind}" for kind in wanted if kind in mesh_formats("surface")}

@@ -114,8 +114,9 @@ def _also_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     if not _has_surface(result):
         return
     table = table_of(result.config)
-    if "sidecar" in names:
-        yield "sidecar", names["sidecar"], functools.partial(layouts.write_sidecar, result, table)
+    if layouts.SIDECAR in names:
+        text = layouts.sidecar(Path(result.volume.source or ""), result.config.energy)
+        yield layouts.SIDECAR, names[layouts.SIDECAR], lambda path: write_bytes(path, text.encode())
     for kind in (kind for kind in names if kind.startswith("also-")):
         name = kind.partition("-")[2]
         if name in LABEL_OUTPUTS:

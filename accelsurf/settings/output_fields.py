@@ -103,6 +103,6 @@ class OutputFields(ImageFields):
     )
     layout: Layout = setting(
         "plain",
-        "How files are named and laid out: plain, bids (derivatives, with sidecars), or nnunet (CASE.nii.gz).",
+        "How label maps are named and laid out: plain, bids (derivatives, with sidecars), or nnunet (CASE.nii.gz).",
         entry=SettingEntry(FILES, metavar="NAME", fixed=True),
     )

@@ -189,6 +189,8 @@ def test_an_image_that_does_not_fit_is_read_in_parts(folder, tmp_path, capsys):
         (("--jobs", "0"), "--jobs: 0"),
         (("--jobs", "1", "--scheduler", "tcp://a:1"), "--scheduler"),
         (("--jobs", "1", "--strict"), "--strict"),
+        (("--jobs", "1", "--also", "itk-snap"), "--also"),
+        (("--jobs", "1", "--layout", "nnunet"), "--layout"),
         (("--jobs", "1", "--profile"), "--profile"),
         (("--jobs", "1", "--save-sdf"), "save-sdf"),
         (("--jobs", "1", "--levels", "2"), "levels"),

@@ -15,7 +15,6 @@ from accelsurf.report import (
     document,
     file_entries,
     label_files,
-    layouts,
     object_files,
     output_folder,
     output_names,
@@ -82,7 +81,7 @@ def save(
     with output_folder.opened_set(folder, name) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
         all_names = output_names.names(config, labels, run.volume.geometry.slice_axis is not None).items()
-        names = {kind: layouts.joined(name, last) for kind, last in all_names if _kind(kind) in what}
+        names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
         paths = _result_paths(result, folder, names)
         paths |= {"run": folder / RUN_FILE} if "run" in what else {}
         paths |= {"report": folder / result_sets.report_name(name)} if "report" in what else {}
