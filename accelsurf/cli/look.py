@@ -57,8 +57,10 @@ def look(
         Replace a picture that exists.
     """
     from accelsurf.io.files import write_bytes
+    from accelsurf.io.metadata import UNIT_KEY
     from accelsurf.report.grey_window import parse_window
     from accelsurf.report.output_folder import make_writable
+    from accelsurf.settings.wording import voxel_text
 
     source = required(input, "IMAGE")
     shown = parse_window(window)
@@ -73,10 +75,10 @@ def look(
     drawn = None if labels is None else _labels(labels, geometry)
     make_writable(path.parent)
     size = " x ".join(str(n) for n in geometry.size)
-    voxel = " x ".join(f"{h:.4g}" for h in geometry.spacing_xyz)
-    picture = look_png(volumes, f"{source.name}: {size} voxels of {voxel} mm", at=place, window=shown, labels=drawn)
+    voxel = voxel_text(geometry.spacing_xyz, volumes[0].metadata.get(UNIT_KEY, "mm"))
+    picture = look_png(volumes, f"{source.name}: {size} voxels of {voxel}", at=place, window=shown, labels=drawn)
     write_bytes(path, picture)
-    print(f"size     {size} voxels of {voxel} mm" + (f", {len(volumes)} channels" if len(volumes) > 1 else ""))
+    print(f"size     {size} voxels of {voxel}" + (f", {len(volumes)} channels" if len(volumes) > 1 else ""))
     for number, volume in enumerate(volumes, 1):
         which = f" of channel {number}" if len(volumes) > 1 else ""
         print(f"values   {volume.array.min():.6g} to {volume.array.max():.6g}{which}")

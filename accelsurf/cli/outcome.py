@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
-from accelsurf.settings.wording import volume_text
+from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished
@@ -127,17 +128,20 @@ def _judgement(result: Result) -> list[str]:
     return lines
 
 
-def _in_words(result: Result) -> str:
+def _in_words(result: Result, said: str) -> str:
     """The volume in the unit that people use for its size, where that is another."""
     text = volume_text(result.volume_mm3)
-    return "" if text.endswith(" mm3") else f" ({text})"
+    return "" if text.endswith(said.rpartition(" ")[2]) else f" ({text})"
 
 
 def _measures(result: Result) -> str:
     is_2d = result.geometry.slice_axis is not None
-    sizes = f"volume {result.volume_mm3:.6g} mm3{_in_words(result)}, area {result.area_mm2:.6g} mm2"
+    unit = result.volume.metadata.get(UNIT_KEY, "mm")
+    volume, area = size_text(result.volume_mm3, unit, 3), size_text(result.area_mm2, unit, 2)
+    sizes = f"volume {volume}{_in_words(result, volume)}, area {area}"
     if is_2d:
-        sizes = f"area {result.enclosed_mm2:.6g} mm2, length {result.length_mm:.6g} mm"
+        enclosed, length = result.enclosed_mm2 or 0.0, result.length_mm or 0.0
+        sizes = f"area {size_text(enclosed, unit, 2)}, length {size_text(length, unit)}"
     if result.has_ids:
         return f"{sizes} in all"
     parts = f"{result.components} component{'' if result.components == 1 else 's'}"

@@ -219,6 +219,22 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         listing=f"{_FORMATS}.dicom:listing",
     ),
     ImageFormat(
+        "mgz",
+        "MGH and MGZ of FreeSurfer; read only",
+        (".mgz", ".mgh"),
+        f"{_FORMATS}.other_volumes:parse_mgh",
+        f"{_FORMATS}.other_volumes:read_mgh",
+        is_anatomical=f"{_FORMATS}.other_volumes:is_anatomical",
+    ),
+    ImageFormat(
+        "gipl",
+        "GIPL; read only",
+        (".gipl",),
+        f"{_FORMATS}.other_volumes:parse_gipl",
+        f"{_FORMATS}.other_volumes:read_gipl",
+        keeps="spacing",
+    ),
+    ImageFormat(
         "slices",
         "a folder of slices in TIFF or PNG, or a pattern of such files",
         (),
@@ -294,7 +310,7 @@ def input_help() -> str:
     Examples
     --------
     >>> input_help()
-    '.nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .npy or .npz'
+    '.nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz, .gipl, .npy or .npz'
     """
     # .tiff is known where .tif is.
     *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values() if form.suffixes)

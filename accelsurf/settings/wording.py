@@ -67,6 +67,39 @@ def did_you_mean(given: Any, names: Iterable[str]) -> str:
     return f"did you mean {name}? " if name else ""
 
 
+#: How many of a unit of length are a mm.
+_IN_MM = {"nm": 1e6, "um": 1e3, "mm": 1.0}
+
+
+def size_text(mm: float, unit: str = "mm", power: int = 1) -> str:
+    """Return a length, an area (power 2) or a volume (power 3) in the unit of the file that it was measured in.
+
+    Parameters
+    ----------
+    mm : float
+        In mm, mm2 or mm3.
+    unit : {"mm", "um", "nm"}
+    power : int
+
+    Examples
+    --------
+    >>> size_text(0.0123456789, "um"), size_text(4.2e-7, "um", 3), size_text(34161.94, power=2)
+    ('12.3457 um', '420 um3', '34161.9 mm2')
+    """
+    return f"{mm * _IN_MM[unit] ** power:.6g} {unit}{power if power > 1 else ''}"
+
+
+def voxel_text(spacing_mm: Iterable[float], unit: str = "mm") -> str:
+    """Return the size of a voxel in the unit of the file.
+
+    Examples
+    --------
+    >>> voxel_text((0.0002, 0.0002, 0.001), "um")
+    '0.2 x 0.2 x 1 um'
+    """
+    return " x ".join(f"{size * _IN_MM[unit]:.4g}" for size in spacing_mm) + f" {unit}"
+
+
 def volume_text(mm3: float) -> str:
     """Return a volume in the unit that people use for its size.
 

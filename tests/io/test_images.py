@@ -210,7 +210,8 @@ def test_folder_instead_of_a_file(tmp_path):
 @pytest.mark.parametrize("name", ["a.jpg", "a.gz", "a", ".nii", "a.nii.bz2"])
 def test_unknown_suffix(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
-    known = ".nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .zip, .npy, .npz"
+    known = ".nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .zip, .mgz, .mgh"
+    known += ", .gipl, .npy, .npz"
     refuse(tmp_path / name, re.escape(f"unknown file type, one of {known} expected"))
 
 
