@@ -97,15 +97,15 @@ def shape(exact: Surface, wish: MeshWish) -> ShapedMesh:
     """
     surface, warnings = exact, list[str]()
     if wish.smooth:
-        surface = _kept(smoothed(surface, wish.smooth), surface, "mesh-smooth", warnings)
+        surface = _sound_or_old(smoothed(surface, wish.smooth), surface, "mesh-smooth", warnings)
     if wish.error is not None:
         _refuse_beyond(exact, surface, wish.error, "mesh-smooth", f"{wish.smooth:g} mm")
     if wish.faces is not None and wish.faces < len(surface.faces):
-        surface = _kept(decimated(surface, wish.faces), surface, "mesh-faces", warnings)
+        surface = _sound_or_old(decimated(surface, wish.faces), surface, "mesh-faces", warnings)
     elif wish.faces is not None and wish.faces > len(surface.faces):
         warnings.append(f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {wish.faces}")
     elif wish.side is not None:
-        surface = _kept(remeshed(surface, wish.side), surface, "mesh-faces", warnings)
+        surface = _sound_or_old(remeshed(surface, wish.side), surface, "mesh-faces", warnings)
     elif wish.error is not None and wish.faces is None:
         surface = coarsest(exact, surface, wish.error)
     if wish.error is not None and (wish.faces is not None or wish.side is not None):
@@ -148,7 +148,7 @@ def is_sound(surface: Surface) -> bool:
     return len(np.unique(start * len(surface.vertices) + end)) == len(start)
 
 
-def _kept(new: Surface, old: Surface, key: str, warnings: list[str]) -> Surface:
+def _sound_or_old(new: Surface, old: Surface, key: str, warnings: list[str]) -> Surface:
     """The new mesh if it is sound, else the old one, with a warning."""
     if is_sound(new) or (new.is_closed and new.volume > 0 and not is_sound(old)):
         return new
@@ -255,11 +255,11 @@ def remeshed(surface: Surface, side: float) -> Surface:
         ones = np.ones(2 * len(edges))
         beside = sparse.csr_matrix((ones, (edges.ravel("F"), edges[:, ::-1].ravel("F"))), shape=(n, n))
         means = (beside @ coarse.vertices) / np.maximum(np.asarray(beside.sum(axis=1)), 1.0)
-        coarse = _moved(coarse, index.closest(means)[1])
+        coarse = _displaced(coarse, index.closest(means)[1])
     return coarse
 
 
-def _moved(surface: Surface, points: Floats) -> Surface:
+def _displaced(surface: Surface, points: Floats) -> Surface:
     """The mesh with its vertices moved, but for those whose triangles would turn over or become slivers."""
     before = surface.vertices[surface.faces]
     old = np.cross(before[:, 1] - before[:, 0], before[:, 2] - before[:, 0])

@@ -92,11 +92,17 @@ def summary_lines(name: str, done: Finished) -> list[str]:
     result = done.result
     lines = _ending(name, result, done.log.seconds["total"])
     by_kind: dict[str, list[str]] = {}
+    shaped = [output for output in done.log.outputs if "largest_distance_mm" in output]
     for output in done.log.outputs:
         by_kind.setdefault(output["kind"], []).append(output["path"])
     if result.has_ids or {"surface", "contour"} & set(by_kind):
         lines.append(_measures(result))
     lines += [f"  {line}" for line in _judgement(result)]
+    if shaped:
+        furthest = max(shaped, key=lambda output: float(output["largest_distance_mm"]))
+        lines.append(
+            f"  mesh: {furthest['faces']} triangles, at most {furthest['largest_distance_mm']:.3g} mm from the surface"
+        )
     for kind, paths in by_kind.items():
         if result.has_ids:
             more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""

@@ -7,6 +7,7 @@ import json
 import struct
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def test_glb_in_another_program_is_in_metres_with_the_head_up(tmp_path: Path) ->
         TETRAHEDRON.write(path, space, LIVER)
         scene = trimesh.load_scene(path)
         assert list(scene.graph.nodes_geometry) == [LIVER.name]
-        seen = scene.to_geometry()
+        seen: Any = scene.to_geometry()
         # Left, head, front: x, z, -y of LPS.
         np.testing.assert_allclose(seen.bounds, [[0.010, 0.030, -0.022], [0.011, 0.033, -0.020]], atol=1e-6)
         assert seen.volume == pytest.approx(1e-9, rel=1e-3)
@@ -66,7 +67,8 @@ def test_names_and_colours_of_ply_obj_and_vtp(tmp_path: Path) -> None:
     pyvista = pytest.importorskip("pyvista")
     for kind in ("ply", "obj", "vtp"):
         TETRAHEDRON.write(tmp_path / f"one.{kind}", label=LIVER)
-    assert (trimesh.load_mesh(tmp_path / "one.ply").visual.vertex_colors[:, :3] == LIVER.color).all()
+    painted: Any = trimesh.load_mesh(tmp_path / "one.ply")
+    assert (painted.visual.vertex_colors[:, :3] == LIVER.color).all()
     assert "o left_liver_&_<co>\n" in (tmp_path / "one.obj").read_text()
     fields = pyvista.read(tmp_path / "one.vtp").field_data
     assert list(fields["NAME"]) == [LIVER.name]
