@@ -5,6 +5,7 @@ Every operation keeps the mesh closed and facing outward; one that does not is u
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -19,6 +20,8 @@ from accelsurf.errors import UsageError
 Floats = NDArray[np.float64]
 #: Rounds of smoothing, at most; more are needed where the length is more than about 12 sides of triangles.
 MAX_ROUNDS = 2000
+#: How eagerly the library collapses edges, its own default first.
+EAGERNESS = (7, 6, 5, 8)
 #: Tries of the search for the coarsest mesh within an error.
 SEARCHES = 9
 #: Rounds in which vertices are evened out after remeshing.
@@ -210,13 +213,23 @@ def _with_volume(surface: Surface, volume: float) -> Surface:
 
 
 def decimated(surface: Surface, faces: int) -> Surface:
-    """About this number of triangles, by the collapse of edges that moves the surface least (quadric errors)."""
+    """About this number of triangles, by the collapse of edges that moves the surface least (quadric errors).
+
+    The library may let a collapse join two sheets in an edge: then other ways and numbers nearby are tried.
+    """
     from accelsurf.analysis.mesh_library import library
 
     middle = surface.vertices.mean(axis=0)
-    simplify = library("fast_simplification").simplify
-    points, triangles = simplify(surface.vertices - middle, surface.faces, target_count=faces)
-    return Surface(np.asarray(points, np.float64) + middle, np.ascontiguousarray(triangles, np.int32))
+    simplify, first = library("fast_simplification").simplify, None
+    for count, eagerness in itertools.product((faces, faces + 2, faces - 2, faces + 6, faces - 6), EAGERNESS):
+        options = {"target_count": max(count, 4), "agg": eagerness}
+        points, triangles = simplify(surface.vertices - middle, surface.faces, **options)
+        coarse = Surface(np.asarray(points, np.float64) + middle, np.ascontiguousarray(triangles, np.int32))
+        if is_sound(coarse) and len(coarse.faces) <= faces + 6:
+            return coarse
+        first = coarse if first is None else first
+    assert first is not None
+    return first
 
 
 def coarsest(exact: Surface, surface: Surface, error: float) -> Surface:

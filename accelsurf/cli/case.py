@@ -20,7 +20,7 @@ from accelsurf.cli.place import Place
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, label_files, layouts, output_folder, output_names, result_sets
+from accelsurf.report import document, label_files, layouts, mesh_files, output_folder, output_names, result_sets
 from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.report.mesh_files import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
@@ -273,6 +273,7 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
     labels = place.label_format(config)
     output_names.check(config, labels, volume.geometry)
     label_files.check(config, volume)
+    mesh_files.check(config)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         keeps_size = IMAGE_FORMATS[labels].keeps != "none"
         what = "the size of a pixel but not" if keeps_size else "neither the size of a voxel nor"

@@ -57,10 +57,8 @@ def look(
         Replace a picture that exists.
     """
     from accelsurf.io.files import write_bytes
-    from accelsurf.io.metadata import UNIT_KEY
     from accelsurf.report.grey_window import parse_window
     from accelsurf.report.output_folder import make_writable
-    from accelsurf.settings.wording import voxel_text
 
     source = required(input, "IMAGE")
     shown = parse_window(window)
@@ -74,16 +72,24 @@ def look(
     place = None if at is None else _place(at, grid)
     drawn = None if labels is None else _labels(labels, geometry)
     make_writable(path.parent)
-    size = " x ".join(str(n) for n in geometry.size)
-    voxel = voxel_text(geometry.spacing_xyz, volumes[0].metadata.get(UNIT_KEY, "mm"))
-    picture = look_png(volumes, f"{source.name}: {size} voxels of {voxel}", at=place, window=shown, labels=drawn)
-    write_bytes(path, picture)
-    print(f"size     {size} voxels of {voxel}" + (f", {len(volumes)} channels" if len(volumes) > 1 else ""))
+    head = f"{source.name}: {_said_of(volumes)}"
+    write_bytes(path, look_png(volumes, head, at=place, window=shown, labels=drawn))
+    print(f"size     {_said_of(volumes)}" + (f", {len(volumes)} channels" if len(volumes) > 1 else ""))
     for number, volume in enumerate(volumes, 1):
         which = f" of channel {number}" if len(volumes) > 1 else ""
         print(f"values   {volume.array.min():.6g} to {volume.array.max():.6g}{which}")
     print(f"picture  {path.absolute()}")
     return 0
+
+
+def _said_of(volumes: list[Volume]) -> str:
+    """Size of an image, and of its voxels in the unit of the file."""
+    from accelsurf.io.metadata import UNIT_KEY
+    from accelsurf.settings.wording import voxel_text
+
+    grid = volumes[0].geometry
+    size = " x ".join(str(n) for n in grid.size)
+    return f"{size} voxels of {voxel_text(grid.spacing_xyz, volumes[0].metadata.get(UNIT_KEY, 'mm'))}"
 
 
 def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Volume], Geometry]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from accelsurf.errors import UsageError
 from accelsurf.settings.mesh_sizes import mesh_size
 from accelsurf.settings.run_config import RunConfig
 
@@ -33,6 +34,20 @@ def is_shaped(config: RunConfig) -> bool:
     return bool(config.mesh_smooth or config.mesh_faces or config.mesh_error)
 
 
+def check(config: RunConfig) -> None:
+    """Refuse meshes that cannot be made coarser here, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        When a package lacks.
+    """
+    if config.mesh_faces or config.mesh_error:
+        from accelsurf.analysis.mesh_library import library
+
+        library("fast_simplification")
+
+
 def wish_of(config: RunConfig) -> MeshWish:
     """Return what the settings want of meshes."""
     from accelsurf.analysis.mesh_shaping import MeshWish
@@ -44,14 +59,20 @@ def wish_of(config: RunConfig) -> MeshWish:
 def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any], tuple[str, ...]]:
     """Return a surface as the settings want it, what the report says of it, and warnings.
 
+    Where they cannot be had together, the surface stays as it was extracted, and a warning says what can: a result is
+    not thrown away for its mesh.
+
     Raises
     ------
-    UsageError
-        When what the settings want cannot be had together; InputError when a package lacks.
+    InputError
+        When a package lacks.
     """
-    from accelsurf.analysis.mesh_shaping import is_sound, shape, smallest_angles
+    from accelsurf.analysis.mesh_shaping import ShapedMesh, is_sound, shape, smallest_angles
 
-    mesh = shape(surface, wish_of(config))
+    try:
+        mesh = shape(surface, wish_of(config))
+    except UsageError as error:
+        mesh = ShapedMesh(surface, 0.0, (f"{error.message}; the mesh is the surface as it is; {error.hint}",))
     own = mesh.surface
     facts = {
         "faces": len(own.faces),

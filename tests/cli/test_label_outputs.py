@@ -109,6 +109,18 @@ def test_what_cannot_be_is_refused_before_anything_is_computed(scan, tmp_path, c
     assert said in capsys.readouterr().err and not (tmp_path / "a_seg.nii.gz").exists()
 
 
+def test_a_coarse_mesh_beyond_its_error_leaves_the_result_and_says_so(scan, tmp_path, capsys):
+    pytest.importorskip("fast_simplification")
+    assert run(scan, tmp_path, "--mesh-faces", "60", "--mesh-error", "0.01") == 0
+    said = capsys.readouterr().err
+    assert "mesh_error: 0.01 mm was given" in said and (tmp_path / "a_seg.nii.gz").exists()
+    assert run(scan, tmp_path / "fits", "--mesh-faces", "300", "--mesh-error", "5") == 0
+    report = json.loads((tmp_path / "fits" / "a_report.json").read_text())
+    shaped = [one for one in report["outputs"] if one["kind"] == "surface"]
+    assert len(shaped) == 2 and all(290 < one["faces"] < 310 and one["closed"] for one in shaped)
+    assert all(0 < one["largest_distance_mm"] < 5 for one in shaped)
+
+
 def test_the_same_run_writes_the_same_bytes(scan, tmp_path):
     for out in ("one", "two"):
         assert run(scan, tmp_path / out, "--also", "seg.nrrd,itk-snap,tsv,ctbl") == 0

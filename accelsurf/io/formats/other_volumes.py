@@ -7,7 +7,7 @@ import math
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -91,14 +91,14 @@ def parse_mgh(path: Path) -> VolumeHeader:
     InputError
         When it is none, or has several frames.
     """
-    image = _mgh(path)
-    shape = tuple(int(n) for n in image.shape)
+    head = _mgh(path)
+    shape = tuple(int(n) for n in head["dims"])
     frames = math.prod(shape[3:])
-    if len(shape) < 3 or min(shape) < 1 or math.prod(shape) > _MAX_VALUES:
+    if min(shape) < 1 or math.prod(shape) > _MAX_VALUES:
         raise InputError(f"a header of shape {shape} given, a volume expected", "copy it again")
     if frames > 1:
         raise InputError(f"a volume of {frames} frames given, one expected", "extract one frame first")
-    affine = np.asarray(image.affine, np.float64)
+    affine = np.asarray(head.get_affine(), np.float64)
     steps = _TO_LPS @ affine[:3, :3]
     if not np.isfinite(affine).all() or not (spacing := np.linalg.norm(steps, axis=0)).all():
         raise InputError("the header does not describe a grid", "copy it again")
@@ -107,7 +107,7 @@ def parse_mgh(path: Path) -> VolumeHeader:
         (shape[2], shape[1], shape[0]), tuple(map(float, spacing[::-1])),  # type: ignore[arg-type]
         tuple(map(float, origin)), steps / spacing,  # type: ignore[arg-type]
     )
-    return VolumeHeader(geometry, np.dtype(image.get_data_dtype()).newbyteorder("="))
+    return VolumeHeader(geometry, np.dtype(head.get_data_dtype()).newbyteorder("="))
 
 
 def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
@@ -120,11 +120,13 @@ def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
     """
     check_memory(header.geometry.size, 2 * header.dtype.itemsize, available)
     try:
-        values = np.asanyarray(_mgh(path).dataobj)
-    except Exception as error:  # nibabel, gzip and zlib raise errors of many kinds about damaged files
+        with _opened(path) as file:
+            file.seek(_MGH_HEADER)
+            content = file.read(header.values * header.dtype.itemsize)
+        stored = np.frombuffer(content, header.dtype.newbyteorder(">")).reshape(header.geometry.shape)
+    except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError("the voxels are incomplete or damaged", "copy it again") from error
-    array = np.ascontiguousarray(values.reshape(header.geometry.shape[::-1]).transpose(2, 1, 0), header.dtype)
-    return Volume(array, header.geometry, {"mgh": "scanner"}, path)
+    return Volume(stored.astype(header.dtype), header.geometry, {"mgh": "scanner"}, path)
 
 
 def is_anatomical(metadata: dict[str, str]) -> bool:
@@ -132,17 +134,22 @@ def is_anatomical(metadata: dict[str, str]) -> bool:
     return "mgh" in metadata
 
 
+def _opened(path: Path) -> IO[bytes]:
+    """The file, unpacked where its name says that it is packed."""
+    return gzip.open(path) if path.suffix.lower() == ".mgz" else path.open("rb")  # type: ignore[return-value]
+
+
 def _mgh(path: Path) -> Any:
-    import nibabel
+    """The header by nibabel."""
+    from nibabel.freesurfer.mghformat import MGHHeader
 
     try:
-        with (gzip.open(path) if path.suffix.lower() == ".mgz" else path.open("rb")) as file:
-            begin = file.read(_MGH_HEADER)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError("this is not an MGH file, or damaged", "is it the right one?") from error
-    if len(begin) < _MGH_HEADER or begin[:4] != _MGH_VERSION:
-        raise InputError("this is not an MGH file", "is it the right one?")
-    try:
-        return nibabel.freesurfer.mghformat.MGHImage.from_filename(path)
+        with _opened(path) as file:
+            if file.read(len(_MGH_VERSION)) != _MGH_VERSION:
+                raise InputError("this is not an MGH file", "is it the right one?")
+            file.seek(0)
+            return MGHHeader.from_header(MGHHeader(file.read(_MGH_HEADER).ljust(_MGH_HEADER, b"\0")))
+    except InputError:
+        raise
     except Exception as error:  # nibabel, gzip and zlib raise errors of many kinds about damaged files
         raise InputError("this is not an MGH file, or damaged", "is it the right one?") from error
