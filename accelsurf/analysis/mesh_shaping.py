@@ -142,8 +142,9 @@ def is_sound(surface: Surface) -> bool:
     --------
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     >>> faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
-    >>> is_sound(Surface(corners, faces)), is_sound(Surface(corners, faces[:3])), is_sound(Surface(corners, -faces + 3))
-    (True, False, False)
+    >>> inside_out = faces[:, ::-1]
+    >>> [is_sound(Surface(corners, some)) for some in (faces, faces[:3], inside_out)]
+    [True, False, False]
     """
     if len(surface.faces) < 4 or not surface.is_closed or surface.volume <= 0:
         return False

@@ -225,7 +225,7 @@ def test_every_setting_is_an_option(capsys):
         (("--smoothness", "-1"), "smoothness: -1 was given, expected a number at least 0"),
         (("--cfl", "fast"), "cfl: fast was given"),
         (("--flow", "sobolov"), "gradient, sobolev or momentum"),
-        (("--mesh", "ply,glb"), "one or more of ply, stl, obj, vtp"),
+        (("--mesh", "ply,wrl"), "one or more of ply, stl, obj, vtp"),
         (("--friction", "0"), "a number greater than 0, or t"),
         (("--smothness", "1"), "Did you mean --smoothness"),
         (("--progress", "dots"), '"bar", "json", "none"'),

@@ -14,9 +14,9 @@ import numpy as np
 from pydicom.uid import RLELossless
 
 from accelsurf import io as files
-from accelsurf.analysis import surface_mesh
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.io.formats import glb, surface_files, three_mf
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import mutators
 from tests.support import dicom_series
@@ -218,8 +218,10 @@ def _meshes():
     quads = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
     triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
     for name in ("ply", "stl", "obj", "vtp"):
-        content = getattr(surface_mesh, f"{name}_bytes")(points, triangles, "LPS")
+        content = getattr(surface_files, f"{name}_bytes")(points, triangles, "LPS")
         yield Input("mesh", f".{name}", {"obj": "text", "vtp": "mixed", "ply": "mixed"}.get(name, "binary"), content)
+    yield Input("mesh", ".glb", "mixed", glb.write(points, triangles, "LPS"))
+    yield Input("mesh", ".3mf", "binary", three_mf.write(points, triangles, "LPS"))
     import trimesh
 
     cube = trimesh.Trimesh(points, triangles, process=False)

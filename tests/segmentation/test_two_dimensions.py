@@ -120,7 +120,7 @@ def test_what_is_written(done):
     assert sorted(path.name for path in done.iterdir()) == sorted(f"disc_{name}" for name in names)
     document = report_of(done, "disc")
     kinds = [output["kind"] for output in document["outputs"]]
-    assert kinds == ["labels", "contour", "contour", "sdf", "trace", "preview"]
+    assert kinds == ["labels", "contour", "contour", "sdf", "trace", "preview", "statistics", "statistics"]
     assert document["length_mm"] == pytest.approx(2 * np.pi * 14, rel=0.05)
     assert document["enclosed_mm2"] == pytest.approx(np.pi * 14**2, rel=0.05)
     assert document["warnings"] == []
