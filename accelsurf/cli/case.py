@@ -175,6 +175,8 @@ def _write(
         _write_report(target, config, log, status, code, error, result, files)
         layouts.complete(config, target.source, target.folder)
         _commit(target, files, error is not None, gone)
+    if config.label_group is not None and error is None:
+        log.timed("write", lambda: label_files.into_image(result, target.source, target.overwrite))
     watcher.outcome = f"the {'result so far' if interrupted else 'result'} is written: {target.report_path.absolute()}"
     return Finished(target, config, result, log, code, error)
 
@@ -272,7 +274,7 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
         log.warnings.append(note)
     labels = place.label_format(config)
     output_names.check(config, labels, volume.geometry)
-    label_files.check(config, volume)
+    label_files.check(config, volume, place.overwrite)
     mesh_files.check(config)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         keeps_size = IMAGE_FORMATS[labels].keeps != "none"

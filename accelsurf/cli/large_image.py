@@ -145,9 +145,8 @@ def for_windows(place: Place, config: RunConfig) -> RunConfig:
             f"format: {config.format} was given, and the image is read in parts, expected {' or '.join(STORES)}",
             "leave it out, or let the image be read into memory (more --max-memory)",
         )
-    whole = (("save_sdf", config.save_sdf), ("keep_state", config.keep_state == "yes"), ("also", bool(config.also)))
-    shaping = [(key, bool(getattr(config, key))) for key in ("mesh_smooth", "mesh_faces", "mesh_error")]
-    for name, given in (*whole, *shaping):
+    keys = ("save_sdf", "also", "label_group", "mesh_smooth", "mesh_faces", "mesh_error")
+    for name, given in (("keep_state", config.keep_state == "yes"), *((key, bool(getattr(config, key))) for key in keys)):
         if given:
             raise UsageError(
                 f"{name.replace('_', '-')}: it was given, and the image is read in parts", "leave it out, or give --roi"

@@ -104,8 +104,8 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     ------
     UsageError
     """
-    also, layout = bool(run.also), run.layout != "plain"
-    given = {"--strict": strict, "--profile": profile, "--also": also, "--layout": layout}
+    also, layout, group = bool(run.also), run.layout != "plain", run.label_group is not None
+    given = {"--strict": strict, "--profile": profile, "--also": also, "--layout": layout, "--label-group": group}
     for name in (name for name, is_given in given.items() if is_given):
         raise UsageError(
             f"{name}: was given with objects of an image that is read in parts", "leave it out; the table has all ends"

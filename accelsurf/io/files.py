@@ -162,7 +162,8 @@ def sha256(path: str | os.PathLike[str]) -> str:
 
 def _folder_sha256(folder: Path) -> str:
     names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    return _files_sha256(folder, sorted(names))
+    # What is written about an image, in its labels, is not the image.
+    return _files_sha256(folder, sorted(name for name in names if not name.startswith("labels/")))
 
 
 def _files_named(path: Path) -> tuple[Path, list[str]]:

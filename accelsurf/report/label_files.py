@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from accelsurf.errors import UsageError
 from accelsurf.io.files import write_bytes
-from accelsurf.io.metadata import DICOM_KEY
+from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY
 from accelsurf.settings.label_outputs import LABEL_OUTPUTS
 from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.registry import load
@@ -26,7 +26,7 @@ def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:
     return [table[one.id] for one in result.objects]
 
 
-def check(config: RunConfig, volume: Volume) -> None:
+def check(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
     """Refuse what cannot be made of an image, before anything is computed.
 
     Raises
@@ -38,6 +38,8 @@ def check(config: RunConfig, volume: Volume) -> None:
     from accelsurf.report.label_names import table_of
 
     table_of(config)
+    if config.label_group is not None:
+        load("accelsurf.io.formats.ome_labels:check")(volume.source or Path(), config.label_group, overwrite)
     for name in config.also:
         if name not in LABEL_OUTPUTS or not LABEL_OUTPUTS[name].needs_dicom:
             continue
@@ -46,6 +48,25 @@ def check(config: RunConfig, volume: Volume) -> None:
                 f"also: {name} was given, and the image is no DICOM", "leave it out, or give the DICOM of the image"
             )
         library("highdicom")
+
+
+def into_image(result: Result, image: Path, overwrite: bool) -> None:
+    """Write the label map into the labels of its image.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written; the other files are complete.
+    """
+    from accelsurf import io
+    from accelsurf.report.label_names import table_of
+
+    table, labels = table_of(result.config), result.labels_volume()
+    named = LabelTable({entry.id: entry for entry in entries_of(result, table)})
+    kind = io.label_type(int(labels.array.max()))
+    volume = labels.with_array(labels.array.astype(kind))
+    volume.metadata[LABELS_KEY] = named.to_json()
+    load("accelsurf.io.formats.ome_labels:put")(image, volume, result.config.label_group, overwrite)
 
 
 def seg_nrrd(result: Result, table: LabelTable, path: Path) -> None:

@@ -101,6 +101,12 @@ class OutputFields(ImageFields):
         "Further files of the objects, separated by commas: {}.",
         entry=SettingEntry(FILES, metavar="NAMES", repeated=True, fixed=True, listed=also_help),
     )
+    label_group: str | None = setting(
+        None,
+        "Also write the label map into the labels of the image, an OME-Zarr 0.5, under this name; the image is not "
+        "touched.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
     layout: Layout = setting(
         "plain",
         "How label maps are named and laid out: plain, bids (derivatives, with sidecars), or nnunet (CASE.nii.gz).",

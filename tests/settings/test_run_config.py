@@ -80,6 +80,7 @@ ODD = RunConfig(
     label_table="names.csv",
     also="seg.nrrd,rtstruct",
     layout="bids",
+    label_group="cells",
     stop_at_rest=True,
     end="present",
     refine=[

@@ -1,0 +1,123 @@
+"""A label map in the ``labels`` group of its image, an OME-Zarr 0.5. The image itself is never touched.
+
+The label map is complete under a hidden name before it gets its own, and the group's list names it last: a reader never
+finds a name without its label map.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+from accelsurf.errors import OutputError, UsageError
+from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.volume import Volume
+from accelsurf.io.files import write_bytes
+from accelsurf.io.formats import ome_zarr
+from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
+from accelsurf.io.headers import check_within_store
+
+_NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z_.-]{0,63}")
+_VERSION, _GROUP, _MARK = "0.5", "labels", "zarr.json"
+
+
+def check(image: Path, name: str, overwrite: bool) -> None:
+    """Refuse beforehand what cannot be written.
+
+    Parameters
+    ----------
+    image : Path
+        The OME-Zarr that was read.
+    name : str
+        Of the label map in its group.
+    overwrite : bool
+        Whether one of this name may be replaced.
+
+    Raises
+    ------
+    UsageError
+        When the image is no OME-Zarr 0.5, or the name is none.
+    OutputError
+        When there is a label map of this name, or the store cannot be written to.
+    """
+    if _NAME.fullmatch(name) is None:
+        raise UsageError(
+            f"label_group: {name[:80]} was given, expected letters, digits, _ - and .", "as --label-group cells"
+        )
+    if not image.is_dir():
+        raise UsageError("label_group: it was given, and the image is no OME-Zarr", "leave it out")
+    header = ome_zarr.parse(image)
+    if header.ome.version != _VERSION or not (header.folder / _MARK).is_file():
+        raise UsageError(
+            f"label_group: it was given, and the image is OME-Zarr {header.ome.version}, expected {_VERSION}",
+            "leave it out: the label map is written beside it",
+        )
+    group = header.folder / _GROUP
+    check_within_store(image, group)
+    if not os.access(group if group.is_dir() else header.folder, os.W_OK):
+        raise OutputError(f"{group}: cannot be written to", "may the store be written to?")
+    if (group / name).exists() and not overwrite:
+        raise OutputError(f"{group / name}: exists already", "choose another --label-group, or add --overwrite")
+
+
+def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
+    """Write a label map into the group of its image, with all its levels, colours and names.
+
+    Parameters
+    ----------
+    image, name, overwrite
+        As of `check`.
+    labels : Volume
+        On the grid of the image or of one of its levels, of an unsigned type.
+
+    Returns
+    -------
+    Path
+        Its folder.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written; the image and the other label maps are as they were.
+    """
+    check(image, name, overwrite)
+    group = ome_zarr.parse(image).folder / _GROUP
+    draft, old = group / f".{name}.accelsurf", group / f".{name}.old.accelsurf"
+    try:
+        group.mkdir(exist_ok=True)
+        for path in (draft, old):
+            shutil.rmtree(path, ignore_errors=True)
+        pyramid = ZarrPyramid(draft, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../")
+        for first in range(0, labels.array.shape[0], CHUNK):
+            box = (slice(first, min(first + CHUNK, labels.array.shape[0])), *whole_box(labels.array.shape)[1:])
+            pyramid.write(box, labels.array[box])
+        pyramid.finish()
+        if (group / name).exists():
+            (group / name).rename(old)
+        draft.rename(group / name)
+        shutil.rmtree(old, ignore_errors=True)
+        _list(group, name)
+    except OSError as error:
+        shutil.rmtree(draft, ignore_errors=True)
+        reason = error.strerror or str(error)
+        raise OutputError(f"{group / name}: cannot be written ({reason})", "is there space on the disk?") from error
+    return group / name
+
+
+def _list(group: Path, name: str) -> None:
+    """Name a label map in the list of its group."""
+    mark = group / _MARK
+    node: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": {}}
+    if mark.is_file():
+        try:
+            node = json.loads(mark.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise OutputError(f"{mark}: is damaged", "repair the store") from error
+    ome = node.setdefault("attributes", {}).setdefault("ome", {"version": _VERSION})
+    known = [one for one in ome.get("labels", []) if isinstance(one, str)]
+    ome["labels"] = known if name in known else [*known, name]
+    write_bytes(mark, (json.dumps(node, indent=2) + "\n").encode())
