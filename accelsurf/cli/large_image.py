@@ -146,7 +146,8 @@ def for_windows(place: Place, config: RunConfig) -> RunConfig:
             "leave it out, or let the image be read into memory (more --max-memory)",
         )
     keys = ("save_sdf", "also", "label_group", "mesh_smooth", "mesh_faces", "mesh_error")
-    for name, given in (("keep_state", config.keep_state == "yes"), *((key, bool(getattr(config, key))) for key in keys)):
+    asked = {key: bool(getattr(config, key)) for key in keys} | {"keep_state": config.keep_state == "yes"}
+    for name, given in asked.items():
         if given:
             raise UsageError(
                 f"{name.replace('_', '-')}: it was given, and the image is read in parts", "leave it out, or give --roi"
