@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import numba
 import numpy as np
 import pytest
 
@@ -19,6 +20,8 @@ from accelsurf.kernels._jit import kernel
 def compile_now(tmp_path, monkeypatch):
     """A function that compiles a kernel which nobody has stored, twice for two types."""
     monkeypatch.setattr("accelsurf.kernels._jit.STORAGE", None)
+    # Numba reads the environment again where it compiles; tests before may have begun with another number of threads.
+    monkeypatch.setenv("NUMBA_NUM_THREADS", str(numba.config.NUMBA_NUM_THREADS))
 
     def call():
         def fresh(values):
