@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io
+from accelsurf.analysis import shared_walls
 from accelsurf.analysis.contours import Contours
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
@@ -164,10 +165,11 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
     if not kinds or not _has_surface(result):
         return
     is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
+    common = {} if is_2d or result.config.mesh_walls == "own" else shared_walls.extract(result.objects, result.geometry)
     for one in result.objects:
         if not one.has_surface:
             continue
-        mesh, facts = one.contours if is_2d else one.surface, None
+        mesh, facts = one.contours if is_2d else common.get(one.id, one.surface), None
         if not is_2d and is_shaped(result.config):
             mesh, facts, warnings = shaped(one.surface, result.config)
             notes.warnings += [f"object {one.id}: {line}" if result.has_ids else line for line in warnings]
