@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from accelsurf.batch import csv_table
 from accelsurf.batch.case import FILE_KINDS, PLACES, Case
 from accelsurf.errors import InputError
 from accelsurf.io import split_name
-from accelsurf.io.files import naming
-from accelsurf.settings import budgets
 from accelsurf.settings.catalogue import entry
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.wording import did_you_mean, shown
@@ -41,22 +38,7 @@ def read(path: Path) -> list[Case]:
     InputError
         With the line and what is wrong in it.
     """
-    with naming(path):
-        budgets.CASES.check(path.stat().st_size, "the table")
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError:
-            raise InputError("the table is not text in UTF-8", "save it as CSV UTF-8") from None
-        lines = csv.reader(io.StringIO(text), delimiter="\t" if path.suffix.lower() == ".tsv" else ",", strict=True)
-        try:
-            columns = _columns(next(lines, []))
-            cases = list(_cases(path, columns, lines))
-        except csv.Error as error:
-            message = f"line {lines.line_num}: not a line of a CSV file ({error})"
-            raise InputError(message, "is a quote missing?") from None
-        if not cases:
-            raise InputError("the table has no row below its header", "write a row for each image")
-    return cases
+    return csv_table.read(path, "image", lambda header, lines: list(_cases(path, _columns(header), lines)))
 
 
 def _columns(header: list[str]) -> list[str]:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from accelsurf.batch import csv_table
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io import image_suffixes, is_stored, split_name
 from accelsurf.io.files import naming
-from accelsurf.settings import budgets
 from accelsurf.settings.label_ids import IdRanges, parse_ids
 from accelsurf.settings.wording import shown
 
@@ -134,24 +133,13 @@ def in_table(path: Path) -> list[Pair]:
     InputError
         With the line and what is wrong in it.
     """
-    with naming(path):
-        budgets.CASES.check(path.stat().st_size, "the table")
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError:
-            raise InputError("the table is not text in UTF-8", "save it as CSV UTF-8") from None
-        lines = csv.reader(io.StringIO(text), delimiter="\t" if path.suffix.lower() == ".tsv" else ",", strict=True)
-        try:
-            columns = _columns(next(lines, []))
-            base = path.parent.absolute()
-            pairs = [_pair_of(columns, cells, lines.line_num, base) for cells in lines if any(map(str.strip, cells))]
-        except csv.Error as error:
-            raise InputError(
-                f"line {lines.line_num}: not a line of a CSV file ({error})", "is a quote missing?"
-            ) from None
-        if not pairs:
-            raise InputError("the table has no row below its header", "write a row for each pair")
-    return pairs
+    base = path.parent.absolute()
+
+    def pairs(header: list[str], lines: Any) -> list[Pair]:
+        columns = _columns(header)
+        return [_pair_of(columns, cells, lines.line_num, base) for cells in lines if any(map(str.strip, cells))]
+
+    return csv_table.read(path, "pair", pairs)
 
 
 def _columns(header: list[str]) -> list[str]:

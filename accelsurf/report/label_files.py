@@ -61,11 +61,10 @@ def into_image(result: Result, image: Path, overwrite: bool) -> None:
     from accelsurf import io
     from accelsurf.report.label_names import table_of
 
-    table, labels = table_of(result.config), result.labels_volume()
-    named = LabelTable({entry.id: entry for entry in entries_of(result, table)})
+    labels = result.labels_volume()
     kind = io.label_type(int(labels.array.max()))
     volume = labels.with_array(labels.array.astype(kind))
-    volume.metadata[LABELS_KEY] = named.to_json()
+    volume.metadata[LABELS_KEY] = table_of(result.config).of(one.id for one in result.objects).to_json()
     load("accelsurf.io.formats.ome_labels:put")(image, volume, result.config.label_group, overwrite)
 
 

@@ -24,7 +24,7 @@ from accelsurf.report.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.segmentation.state_file import state_bytes
 from accelsurf.settings.label_outputs import LABEL_OUTPUTS
-from accelsurf.settings.labels import LabelEntry, LabelTable
+from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.registry import load
 from accelsurf.settings.wording import volume_text
 
@@ -99,9 +99,7 @@ def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
     """Write labels on the image's grid; of a result in a window they are 0 beyond it."""
     volume, window = result.labels_volume().with_array(labels), result.window
     if is_named(result.config):
-        table = table_of(result.config)
-        named = LabelTable({one.id: table[one.id] for one in result.objects})
-        volume.metadata[LABELS_KEY] = named.to_json()
+        volume.metadata[LABELS_KEY] = table_of(result.config).of(one.id for one in result.objects).to_json()
     if window is None:
         io.write_labels(volume, path)
         return
@@ -166,9 +164,11 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
         return
     is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
     common = {} if is_2d or result.config.mesh_walls == "own" else shared_walls.extract(result.objects, result.geometry)
+    table = table_of(result.config) if is_named(result.config) else None
     for one in result.objects:
         if not one.has_surface:
             continue
+        label = None if table is None else table[one.id]
         mesh, facts = one.contours if is_2d else common.get(one.id, one.surface), None
         if not is_2d and is_shaped(result.config):
             mesh, facts, warnings = shaped(one.surface, result.config)
@@ -177,12 +177,7 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
             name = object_files.name_of(names[kind], one.id) if result.has_ids else names[kind]
             if facts is not None:
                 notes.facts[name] = facts
-            yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label_of(result, one.id))
-
-
-def label_of(result: Result, own: int) -> LabelEntry | None:
-    """The name and colour of an object in its mesh; None where the settings name nothing."""
-    return table_of(result.config)[own] if is_named(result.config) else None
+            yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label)
 
 
 def _write_mesh(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -63,6 +63,16 @@ class LabelTable:
 
     def __iter__(self) -> Iterator[LabelEntry]:
         return iter(self.entries[label] for label in sorted(self.entries))
+
+    def of(self, labels: Iterable[int]) -> LabelTable:
+        """An entry for each of these labels, and no others.
+
+        Examples
+        --------
+        >>> [one.name for one in LabelTable().of([2, 5])]
+        ['object 2', 'object 5']
+        """
+        return LabelTable({label: self[label] for label in labels})
 
     def with_settings(self, names: Sequence[str], colors: Sequence[str]) -> LabelTable:
         """The same with names and colours as settings give them: ``1=liver``, ``1=#c83c3c``.
@@ -150,19 +160,20 @@ def _parted(key: str, text: str) -> tuple[int, str]:
 
 def checked_names(value: Any) -> Any:
     """Check names of labels as settings give them."""
-    value = (value,) if isinstance(value, str) else value
-    for text in value if isinstance(value, (list, tuple)) else ():
-        if isinstance(text, str):
-            named(text)
-    return value
+    return _checked(value, named)
 
 
 def checked_colors(value: Any) -> Any:
     """Check colours of labels as settings give them."""
+    return _checked(value, colored)
+
+
+def _checked(value: Any, parse: Callable[[str], Any]) -> Any:
+    """A tuple of texts each of which can be parsed; what is none is left to the type of the setting."""
     value = (value,) if isinstance(value, str) else value
     for text in value if isinstance(value, (list, tuple)) else ():
         if isinstance(text, str):
-            colored(text)
+            parse(text)
     return value
 
 
