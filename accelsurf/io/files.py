@@ -162,8 +162,9 @@ def sha256(path: str | os.PathLike[str]) -> str:
 
 def _folder_sha256(folder: Path) -> str:
     names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    # What is written about an image, in its labels, is not the image.
-    return _files_sha256(folder, sorted(name for name in names if not name.startswith("labels/")))
+    # What is written about an OME-Zarr image, in its labels, is not the image; in other folders all files count.
+    besides = "labels/" if (folder / "zarr.json").is_file() else None
+    return _files_sha256(folder, sorted(name for name in names if besides is None or not name.startswith(besides)))
 
 
 def _files_named(path: Path) -> tuple[Path, list[str]]:

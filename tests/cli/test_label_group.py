@@ -61,6 +61,14 @@ def test_names_that_leave_the_group_are_refused(image, tmp_path, capsys, name, s
     assert said in capsys.readouterr().err
 
 
+def test_a_folder_that_is_no_store_counts_whole(tmp_path):
+    (tmp_path / "scan" / "labels").mkdir(parents=True)
+    (tmp_path / "scan" / "labels" / "IM1").write_bytes(b"one")
+    before = io.sha256(tmp_path / "scan")
+    (tmp_path / "scan" / "labels" / "IM1").write_bytes(b"two")
+    assert io.sha256(tmp_path / "scan") != before
+
+
 def test_other_images_are_refused(image, tmp_path, capsys):
     io.write(io.read(image), tmp_path / "a.nii")
     assert segment(tmp_path / "a.nii", tmp_path / "out", "--label-group", "cells") == 2
