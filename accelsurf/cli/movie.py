@@ -161,7 +161,7 @@ def _scene(volume: Volume, reference: Path | None, look: Look, size: tuple[int, 
     truth = None if reference is None else io.read_labels(reference)
     scene = Scene(volume, theme=look.theme, reference=truth, size=size)
     scene.color_by(look.color)
-    scene.look_from(look.view)
+    scene.tiles.look_from(look.view)
     scene.show_volume(look.volume)
     scene.show_planes(look.planes)
     return scene

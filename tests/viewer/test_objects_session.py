@@ -15,8 +15,8 @@ from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.requests import RequestHandler
 from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.workplace import Workplace
 from tests.support import two_balls, viewing
 from tests.support.steering import at, labels_of, views
 
@@ -203,8 +203,8 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
     viewing.needs_graphics()
     scene = Scene(session.volume, size=(640, 360))
     try:
-        handler = RequestHandler(session, scene, tmp_path)
-        handler.request("mode", "add")
+        handler = Workplace(session, scene, tmp_path)
+        handler.request("tool", "grow")
         for asked, own in (("8", 8), (3, 3), ("nearest", None)):
             handler.request("object", asked)
             assert handler.object_id == own and not handler.message
@@ -213,7 +213,7 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
             handler.request("object", bad)
             assert handler.object_id == 8 and "was given" in handler.message
         handler.request("radius", 3.0)
-        handler.request("press", 0.625, 0.25, False)
+        handler.request("press", 0.625, 0.25)
         handler.request("release")
         assert session.wait(60)
         handler.collect_results()
@@ -227,17 +227,23 @@ def test_the_panel_offers_the_objects():
     code = """
 from PySide6.QtWidgets import QApplication
 application = QApplication([])
-from accelsurf.grid.geometry import Geometry
-from accelsurf.viewer.frontends.controls import Panel
-panel = Panel(Geometry((8, 9, 10), (1.0, 1.0, 1.0)))
-panel.show_objects(())
-print(panel.object.isVisibleTo(panel), panel.object_id)
-panel.show_objects((3, 8))
-print(panel.object.isVisibleTo(panel), [panel.object.itemText(k) for k in range(panel.object.count())], panel.object_id)
+from types import SimpleNamespace
+from accelsurf.viewer.frontends.panels.tools import ToolsPanel
+from accelsurf.viewer.workplace.tools import Look
+asked = []
+state = {"tool": "look", "radius": 2.0, "radius_least": 0.5, "radius_most": 9.0, "objects": [], "object": "nearest"}
+workplace = SimpleNamespace(
+    tools={"look": Look(None)}, state=lambda: state, request=lambda *request: asked.append(request)
+)
+panel = ToolsPanel(workplace)
+panel.show_state(state)
+print(panel.object.isVisibleTo(panel))
+panel.show_state(state | {"objects": ["nearest", "3", "8"]})
+print(panel.object.isVisibleTo(panel), [panel.object.itemText(k) for k in range(panel.object.count())])
 panel.object.setCurrentText("8")
-panel.show_objects((3, 8))
-print(panel.object_id)
+panel.object.activated.emit(2)
+print(asked)
 """
     environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
-    assert done.stdout.splitlines() == ["False None", "True ['nearest', '3', '8'] None", "8"], done.stderr
+    assert done.stdout.splitlines() == ["False", "True ['nearest', '3', '8']", "[('object', '8')]"], done.stderr

@@ -8,8 +8,11 @@ import pytest
 
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.requests import MAX_SIZE, MIN_SIZE, SETTINGS, RequestHandler
 from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.picture import MAX_SIZE, MIN_SIZE
+from accelsurf.viewer.workplace.settings import SETTINGS
+from accelsurf.viewer.workplace.workplace import Workplace
 from tests.support import viewing
 
 
@@ -32,7 +35,9 @@ def scene_and_session():
 @pytest.fixture
 def handler(scene_and_session, tmp_path):
     scene, session = scene_and_session
-    made = RequestHandler(session, scene, tmp_path / "out")
+    made = Workplace(session, scene, tmp_path / "out")
+    scene.tiles.lay_out("one", "space", True)
+    scene.tiles.show_whole()
     session.pause().result(60)
     session.go_to(0).result(60)
     session.wait(60)
@@ -76,8 +81,8 @@ def test_run_pause_back_change_undo_save(handler, tmp_path):
     assert handler.session.status.settings.flow == "constant-density"
     handler.request("save")
     finish(handler)
-    assert handler.message == "" and {"run.toml", "ball_seg.nii.gz"} <= set(handler.files)
-    assert {path.parent for path in handler.files.values()} == {tmp_path / "out"}
+    assert handler.message == "" and {"run.toml", "ball_seg.nii.gz"} <= set(handler.feature(FilesFeature).files)
+    assert {path.parent for path in handler.feature(FilesFeature).files.values()} == {tmp_path / "out"}
     handler.request("restart")
     finish(handler)
     assert handler.session.status.step == 0
@@ -129,17 +134,17 @@ def test_dragging_turns_the_camera_and_moves_slices(handler):
     handler.request("size", 800, 448)
     draw(handler)
     before = handler.scene.screenshot()
-    for name, values in (("press", (0.2, 0.5, False)), ("move", (0.3, 0.45)), ("release", ())):
+    for name, values in (("press", (0.2, 0.5, 0)), ("move", (0.3, 0.45)), ("release", ())):
         handler.request(name, *values)
         assert not handler.message
     turned = handler.scene.screenshot()
     assert (turned != before).mean() > 0.01
-    handler.request("press", 0.2, 0.5, True)
+    handler.request("press", 0.2, 0.5, 0, True)
     handler.request("move", 0.25, 0.5)
     handler.request("release")
     assert (handler.scene.screenshot() != turned).any()
     cursor = handler.scene.cursor
-    handler.request("press", 0.6, 0.27, False)
+    handler.request("press", 0.6, 0.27, 0)
     handler.request("release")
     assert np.linalg.norm(handler.scene.cursor - cursor) > 1
     cursor = handler.scene.cursor
@@ -156,19 +161,19 @@ def test_a_ball_is_placed_where_the_mouse_is(handler):
     draw(handler)
     volume_before = handler.session.next_view() or handler.session.status
     assert volume_before is not None
-    for mode in ("add", "remove", "start"):
-        handler.request("mode", mode)
+    for tool, kind in (("grow", "add"), ("shrink", "remove"), ("ball", "")):
+        handler.request("tool", tool)
         handler.request("radius", 3.0)
-        handler.request("press", 0.625, 0.25, False)  # the middle of the axial slice
+        handler.request("press", 0.625, 0.25)  # the middle of the axial slice
         handler.request("move", 0.626, 0.25)
         handler.request("release")
         finish(handler)
         assert handler.message == ""
         status = handler.session.status
-        if mode == "start":
+        if not kind:
             assert status.settings.start[0].startswith("ball:") and status.settings.start[0].endswith(",3")
         else:
-            assert getattr(status.edits[-1], mode).startswith("ball:")
+            assert getattr(status.edits[-1], kind).startswith("ball:")
     handler.request("undo")
     finish(handler)
 
@@ -178,9 +183,9 @@ def test_clicks_say_what_is_inside_and_what_is_not(handler):
     draw(handler)
     for mode, across in (("inside", 0.625), ("outside", 0.70)):
         before = handler.scene.screenshot()
-        handler.request("mode", mode)
+        handler.request("tool", mode)
         handler.request("radius", 1.0)
-        handler.request("press", across, 0.25, False)
+        handler.request("press", across, 0.25)
         handler.request("release")
         finish(handler)
         assert handler.message == ""
@@ -194,13 +199,13 @@ def test_clicks_say_what_is_inside_and_what_is_not(handler):
 def test_a_size_is_drawn_out_and_a_run_begins_with_it(handler):
     handler.request("size", 800, 448)
     plain = draw(handler)
-    handler.request("mode", "size")
+    handler.request("tool", "size")
     handler.request("radius", 2.0)
-    handler.request("press", 0.625, 0.25, False)
+    handler.request("press", 0.625, 0.25)
     finish(handler)
     handler.request("move", 0.655, 0.25)
     shown = handler.scene.screenshot()
-    assert (shown != plain).any() and handler.mouse.drag_mm > 1
+    assert (shown != plain).any() and handler.tools["size"].drag_mm > 1
     handler.request("move", 0.670, 0.25)
     assert (handler.scene.screenshot() != shown).any()
     handler.request("release")

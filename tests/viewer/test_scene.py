@@ -179,10 +179,10 @@ def test_switches_change_the_picture(scene_of):
     assert (scene.screenshot() != plain).any()
     scene.mark_ball(None)
     assert np.array_equal(scene.screenshot(), plain)
-    scene.orbit(30.0)
+    scene.tiles.orbit(30.0)
     turned = scene.screenshot()
     assert (turned != plain).any()
-    scene.orbit(-30.0)
+    scene.tiles.orbit(-30.0)
     assert (scene.screenshot() != plain).mean() < 0.002  # but for rounding
     scene.paint("light")
     assert np.median(scene.screenshot()) == 255

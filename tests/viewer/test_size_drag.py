@@ -82,7 +82,7 @@ def test_more_is_computed_when_a_drag_comes_near_the_end_of_what_is_known():
         assert np.array_equal(small.times[shown], found.times[shown])
 
 
-def test_releasing_begins_the_run_that_the_same_settings_begin(tmp_path):
+def test_releasing_begins_the_run_that_the_same_settings_before_picture(tmp_path):
     volume, own = scan()
     with Session(volume, RunConfig(start="ball:5,5,5,2", max_steps=60, levels=1)) as session:
         drag = session.press(PRESS).result()
@@ -166,18 +166,18 @@ def test_while_a_size_is_dragged_the_slices_alone_are_drawn(pressed):
     space = (slice(None), slice(None, 320))
     before = scene.screenshot()
     scene.mark_size(drag, 6.0)
-    scene.look_from("front")  # would change the picture in 3D
+    scene.space.look_from("front")  # would change the picture in 3D
     first = scene.screenshot()
     assert np.array_equal(first[space], before[space]) and not np.array_equal(first[slices], before[slices])
     scene.mark_size(drag, 9.0)
     second = scene.screenshot()
     assert np.array_equal(second[space], before[space]) and not np.array_equal(second[slices], first[slices])
     scene.smooth_edges(True)  # while the button is held: a new picture, in which nothing may be missing
-    scene.look_from("corner")
+    scene.tiles.look_from("corner")
     assert (scene.screenshot()[space].std(axis=(0, 1)) > 0).all()
     scene.smooth_edges(False)
     scene.mark_size(None)
     assert np.array_equal(scene.screenshot(), before)
-    scene.look_from("front")
+    scene.tiles.look_from("front")
     assert not np.array_equal(scene.screenshot()[space], before[space])
     scene.close()

@@ -154,6 +154,13 @@ class SurfaceFrame:
         counts = [inside.sum(axis=tuple(other for other in range(3) if other != axis)) for axis in range(3)]
         return self.to_image([np.average(np.arange(len(c)), weights=c) for c in counts])
 
+    def contains(self, index: ArrayLike) -> bool:
+        """Whether the voxel of the image at this index (z, y, x) is inside."""
+        place = np.rint(self.from_image(index)).astype(int)
+        if (place < 0).any() or (place >= self.psi.shape).any():
+            return False
+        return bool(self.psi[tuple(place)] < 0)
+
     def overlap(self, labels: NDArray[np.bool_]) -> tuple[int, int]:
         """Voxels of the image that the object has in common with ``labels`` (nz, ny, nx), and its voxels.
 

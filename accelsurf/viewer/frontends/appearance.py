@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from PySide6.QtGui import QColor, QPalette
 
 from accelsurf.viewer.scene.colors import SURFACE
+from accelsurf.viewer.workplace.feature import Key
+from accelsurf.viewer.workplace.help import help_rows
 
 
 class ControlColors(NamedTuple):
@@ -27,38 +30,14 @@ CONTROL_COLORS = {
 #: Of error messages, which also begin with a word that says so.
 ALARM = {"dark": "#FF9A7A", "light": "#B03A00"}
 
-_KEYS = (
-    ("Space", "run, pause"),
-    ("Right, Left", "one step, back one step"),
-    ("Home", "restart with the settings in force"),
-    ("Ctrl+Z", "undo the last change"),
-    ("Ctrl+Shift+Z", "make it again"),
-    ("Ctrl+S", "save labels, mesh, picture, run.toml"),
-    ("V  S  I  X", "look, size, inside, outside"),
-    ("B  P  G  K", "ball, points, grow, shrink"),
-    ("[  ]", "smaller, larger ball and brush"),
-    ("C", "colour by the next quantity"),
-    ("O  L", "volume, slices in 3D"),
-    ("R", "camera as at first"),
-    ("T", "dark, light"),
-    ("F1, H", "this page"),
-    ("Ctrl+Q", "close"),
-)
-_MOUSE = (
-    ("surface", "left turns, middle moves, wheel zooms"),
-    ("slices", "drag moves the slices, wheel changes the slice"),
-    ("size", "press in the object, drag outwards until it fits"),
-    ("inside, outside", "click what is, or is not, in the object"),
-    ("ball, points", "press (and drag) where the run starts"),
-    ("grow, shrink", "drag over the surface or in a slice"),
-)
-
-
-def _rows(lines: tuple[tuple[str, str], ...]) -> str:
-    return "".join(f"<tr><td><b>{a}</b>&nbsp;&nbsp;</td><td>{b}</td></tr>" for a, b in lines)
-
-
-HELP = f"<h3>Keys</h3><table>{_rows(_KEYS)}</table><h3>Mouse</h3><table>{_rows(_MOUSE)}</table>"
+def page_of_help(keys: Mapping[str, Key]) -> str:
+    """Return what keys and mouse do, as rich text."""
+    own = [("F1  H", "this page"), ("Escape", "look"), ("Ctrl+Q", "close")]
+    rows = [*help_rows(keys), *own]
+    half = -(-len(rows) // 2)
+    columns = ("".join(f"<tr><td><b>{a}</b>&nbsp;&nbsp;</td><td>{b}</td></tr>" for a, b in part)
+               for part in (rows[:half], rows[half:]))
+    return "<table><tr>" + "".join(f"<td><table>{column}</table></td>" for column in columns) + "</tr></table>"
 
 
 def palette(theme: str) -> QPalette:
@@ -90,6 +69,8 @@ def sheet(theme: str) -> str:
     QPushButton:disabled {{ color: {ui.weak}; }}
     QPushButton:checked, QPushButton#play {{ background: {SURFACE}; color: #101010; border-color: {SURFACE}; }}
     QPushButton#play:disabled {{ background: {ui.raised}; color: {ui.weak}; }}
+    QToolButton#section {{ border: none; color: {ui.weak}; font-weight: bold; padding: 3px 0; }}
+    QToolButton#section:focus, QPushButton:focus {{ color: {SURFACE}; }}
     QSlider::groove:horizontal {{ height: 4px; border-radius: 2px; background: {ui.lines}; }}
     QSlider::sub-page:horizontal {{ background: {SURFACE}; border-radius: 2px; }}
     QSlider::sub-page:horizontal:disabled {{ background: {ui.lines}; }}

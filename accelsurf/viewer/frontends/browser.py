@@ -57,7 +57,6 @@ def serve(
         stack.callback(scene.close)
         home = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-")))
         page = Page(session, scene, home, host, port, overwrite)
-        page.requests.theme = theme
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(_serve(page, on_ready))
 

@@ -18,7 +18,7 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.orientation import LETTERS
 from accelsurf.io.files import write_bytes
 from accelsurf.viewer.scene.colors import REFERENCE, SHADES, color_range, object_color
-from accelsurf.viewer.scene.grey_images import png_bytes
+from accelsurf.viewer.scene.pictures import png_bytes
 from accelsurf.viewer.scene.scene import Scene
 
 

@@ -120,10 +120,10 @@ def pictures(run: Run, scene: Scene, movie: MovieSettings, on_step: OnStep | Non
             if number % movie.every == 0 or run.stop is not None:
                 scene.update(Frame.of_run(run), histories_of_run(run))
                 yield scene.screenshot()
-                scene.orbit(turn)
+                scene.tiles.orbit(turn)
     for _ in range(math.ceil(movie.hold * movie.fps)):
         yield scene.screenshot()
-        scene.orbit(turn)
+        scene.tiles.orbit(turn)
 
 
 def run_to_last(run: Run, scene: Scene, on_step: OnStep | None = None) -> None:

@@ -17,8 +17,8 @@ from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import Result
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.frontends.export import html_page, write_html
-from accelsurf.viewer.scene.grey_images import png_bytes
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
+from accelsurf.viewer.scene.pictures import png_bytes
 from accelsurf.viewer.scene.scene import SIZE, Scene
 
 #: PyVista's backends for notebooks.

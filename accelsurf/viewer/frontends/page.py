@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import html
 import io
 import secrets
 import socket
@@ -25,15 +26,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.settings.energy_terms import examples
-from accelsurf.settings.flow_specs import FLOWS
-from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.frontends.display import INSTALL
 from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
-from accelsurf.viewer.frontends.requests import SETTINGS, RequestHandler
 from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.help import help_rows
+from accelsurf.viewer.workplace.workplace import Workplace
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
 POLL_SECONDS = 0.02
@@ -61,7 +60,7 @@ class Page:
 
     Attributes
     ----------
-    requests : RequestHandler
+    workplace : Workplace
     token : str
         Whoever has it can change the run.
     address : str
@@ -83,9 +82,9 @@ class Page:
         overwrite: bool = False,
     ) -> None:
         self.session, self.scene = session, scene
-        self.requests = RequestHandler(session, scene, folder, overwrite)
+        self.workplace = Workplace(session, scene, folder, overwrite)
         self.token, self.address = secrets.token_hex(24), ""
-        self._guard = PageGuard(host, self.token, self.requests.files)
+        self._guard = PageGuard(host, self.token, self.workplace.feature(FilesFeature).files)
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
@@ -98,50 +97,38 @@ class Page:
     def _make_server(self) -> Any:
         get_server, layout, style = _import_trame()
         server = get_server(f"accelsurf-{self.token[:8]}", client_type="vue3")
-        server.state.update(self._state(self.session.status) | {
+        tools = self.workplace.tools.values()
+        server.state.update(self._state() | {
             "trame__title": "accelsurf", "picture": "", "title": self.scene.title or "accelsurf",
-            "flows": list(FLOWS), "colors": list(COLORS),
-            "radius_most": 0.5 * float(max(self.scene.geometry.extent_mm)),
+            "tools": [{"name": one.name, "key": one.key, "text": one.text, "tip": one.tip} for one in tools],
+            "keys": list(self.workplace.keys),
+            "help": [list(row) for row in help_rows(self.workplace.keys)],
         })
         server.trigger("ask")(self._ask)
         server.trigger("shown")(self._was_shown)
         server.controller.on_server_bind.add(self._guard.install)
-        files = resources.files("accelsurf.viewer")
         with layout(server) as page:
-            page.root.add_child(style(files.joinpath("page.css").read_text(encoding="utf-8")))
-            page.root.add_child(files.joinpath("page.html").read_text(encoding="utf-8"))
+            page.root.add_child(style(_read_text("page.css")))
+            page.root.add_child(_document())
         return server
 
-    def _state(self, status: Status) -> dict[str, Any]:
+    def _state(self) -> dict[str, Any]:
         """What the page shows beside the picture."""
-        requests, settings = self.requests, status.settings
         link = f"files/{{}}?secret={self.token}"
-        return {
-            "step": status.step, "last": max((status.step, *status.checkpoints)), "playing": status.playing,
-            "state_word": status.word, "undoable": status.undoable, "redoable": status.redoable,
-            "message": requests.message or status.message,
-            "failed": bool(requests.message) or status.failed,
-            **{key: getattr(settings, key) for key in SETTINGS},
-            # The run's energy may be an expression that is not in the list.
-            "energies": list(dict.fromkeys((*examples(), settings.energy))),
-            "objects": ["nearest", *map(str, status.objects)] if status.objects else [],
-            "object": str(requests.object_id or "nearest"),
-            "mode": requests.mouse.mode, "radius": requests.mouse.radius, "color": requests.color,
-            "theme": requests.theme, "volume": requests.volume, "planes": requests.planes,
-            "files": [{"name": name, "link": link.format(name)} for name in sorted(requests.files)],
-        }
+        state = self.workplace.state()
+        return state | {"files": [{"name": name, "link": link.format(name)} for name in state["saved"]]}
 
     def _ask(self, *request: Any, **_: Any) -> None:
-        self.requests.request(*request[:8])
+        self.workplace.request(*request[:8])
 
     def _was_shown(self, *size: Any, **_: Any) -> None:
         """The page shows the last picture, in a window of this size."""
         self._is_shown = True
         before = tuple(self.scene.plotter.render_window.GetSize())
-        changed = self.requests.changed
-        self.requests.request("size", *size[:2])
+        changed = self.workplace.changed
+        self.workplace.request("size", *size[:2])
         if tuple(self.scene.plotter.render_window.GetSize()) == before:
-            self.requests.changed = changed
+            self.workplace.changed = changed
 
     # -- serving ------------------------------------------------------------------------------------------
 
@@ -181,21 +168,21 @@ class Page:
     def _update(self) -> None:
         """Draw what is new, and send it to the page."""
         now = time.perf_counter()
-        self.requests.collect_results()
+        self.workplace.collect_results()
         view = self.session.next_view(min(self._drawing))
         if view is not None:
-            self.scene.update(view.frame, view.histories)
-        if view is not None or self.requests.changed:
+            self.workplace.update(view)
+        if view is not None or self.workplace.changed:
             self._changed_at, self._is_smooth = now, False
             may_send = self._may_send(now)
             if may_send:
                 self._drawing.append(self._draw(smooth=False))
-            self.requests.changed = not may_send
+            self.workplace.changed = not may_send
         elif not self._is_smooth and now - self._changed_at > SMOOTH_DELAY and self._may_send(now):
             self._draw(smooth=True)
             self._is_smooth = True
         with self._server.state as state:
-            state.update(self._state(self.session.status))
+            state.update(self._state())
 
     def _may_send(self, now: float) -> bool:
         """Whether the page has shown the last picture; a slow page does not get more than it can show."""
@@ -209,6 +196,34 @@ class Page:
         self._server.state.picture = "data:image/jpeg;base64," + base64.b64encode(data).decode()
         self._sent_at, self._is_shown = time.perf_counter(), False
         return self._sent_at - began
+
+
+#: The panels of the page, in their order, that of the window.
+PANELS = ("head", "tools", "settings", "slices", "picture", "files", "help")
+#: A key by Qt's name of it; keys that are typed into a field, or turn a control, are left to it.
+_ON_KEY = """
+  const typed = ['INPUT', 'SELECT', 'TEXTAREA', 'BUTTON', 'SUMMARY', 'A'].includes($event.target.tagName);
+  const names = {' ': 'Space', ArrowRight: 'Right', ArrowLeft: 'Left', ArrowUp: 'Up', ArrowDown: 'Down'};
+  const key = names[$event.key] || ($event.key.length === 1 ? $event.key.toUpperCase() : $event.key);
+  const name = ($event.ctrlKey ? 'Ctrl+' : '') + ($event.shiftKey && $event.ctrlKey ? 'Shift+' : '') + key;
+  const copies = {'Ctrl+C': as_point, 'Ctrl+Shift+C': as_ball}[name];
+  if (copies && $event.view.getSelection().isCollapsed && $event.view.navigator.clipboard) {
+    $event.view.navigator.clipboard.writeText(copies); }
+  if (!$event.altKey && !$event.metaKey && ($event.ctrlKey || !typed) && keys.includes(name)) {
+    $event.preventDefault(); trigger('ask', ['key', name]); }
+"""
+
+
+def _document() -> str:
+    """The page: panels and the picture."""
+    panels = "\n".join(_read_text(f"{name}.html") for name in PANELS)
+    on_key = html.escape(" ".join(_ON_KEY.split()))
+    return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{on_key}">
+<aside aria-label="panels">{panels}</aside>{_read_text("canvas.html")}</div>"""
+
+
+def _read_text(name: str) -> str:
+    return resources.files("accelsurf.viewer").joinpath("page", name).read_text(encoding="utf-8")
 
 
 def _jpeg(picture: NDArray[np.uint8]) -> bytes:

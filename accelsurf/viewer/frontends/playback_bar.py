@@ -1,34 +1,31 @@
-"""The bar below the scene: restart, back, play, forward, and the slider over checkpoints. Knows no session."""
+"""The bar below the scene: restart, back, play, forward, and the slider over checkpoints."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSlider, QWidget
 
-from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.workplace.workplace import Workplace
 
 
 class PlaybackBar(QWidget):
-    """Buttons and a slider to move over the steps of a run; emits what is asked for.
+    """Buttons and a slider to move over the steps of a run.
 
     Attributes
     ----------
-    restart_wanted, back_wanted, play_wanted, forward_wanted, help_wanted : Signal
-        A button was clicked.
-    step_wanted : Signal(int)
-        The slider was moved to the checkpoint of this step.
+    help_wanted : Signal
+        The button of the help was clicked.
     """
 
-    restart_wanted = Signal()
-    back_wanted = Signal()
-    play_wanted = Signal()
-    forward_wanted = Signal()
     help_wanted = Signal()
-    step_wanted = Signal(int)
 
-    def __init__(self) -> None:
+    def __init__(self, workplace: Workplace) -> None:
         super().__init__()
-        self._status: Status | None = None
+        self._steps: list[int] = []
+        self._workplace = workplace
         self.restart = _button("|<", "Restart: from the start, with the settings in force (Home)")
         self.back = _button("<", "Back one step (Left)")
         self.play = _button("Run", "Run or pause (Space)")
@@ -49,31 +46,30 @@ class PlaybackBar(QWidget):
         line.addWidget(self.timeline, 1)
         line.addWidget(self.where)
         line.addWidget(self.help)
-        for button, signal in (
-            (self.restart, self.restart_wanted), (self.back, self.back_wanted), (self.play, self.play_wanted),
-            (self.forward, self.forward_wanted), (self.help, self.help_wanted),
+        for button, name in (
+            (self.restart, "restart"), (self.back, "back"), (self.play, "toggle"), (self.forward, "step"),
         ):
-            button.clicked.connect(signal)
+            button.clicked.connect(lambda _=False, name=name: workplace.request(name))
+        self.help.clicked.connect(self.help_wanted)
         self.timeline.valueChanged.connect(self._slid)
 
-    def show_status(self, status: Status) -> None:
-        """Show the status of a session."""
-        self._status = status
-        self.play.setText("Pause" if status.playing else "Run")
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the state of the workplace."""
+        self._steps = list(state["checkpoints"])
+        self.play.setText("Pause" if state["playing"] else "Run")
         for part in (self.play, self.forward, self.restart):
-            part.setEnabled(status.ready)
-        self.back.setEnabled(status.step > 0)
+            part.setEnabled(state["ready"])
+        self.back.setEnabled(state["step"] > 0)
         with QSignalBlocker(self.timeline):
-            self.timeline.setRange(0, max(len(status.checkpoints) - 1, 0))
-            if not self.timeline.isSliderDown() and status.step in status.checkpoints:
-                self.timeline.setValue(status.checkpoints.index(status.step))
-        edits = f", {len(status.edits)} edit{'' if len(status.edits) == 1 else 's'}" if status.edits else ""
-        self.where.setText(f"step {status.step}{edits}")
+            self.timeline.setRange(0, max(len(self._steps) - 1, 0))
+            if not self.timeline.isSliderDown() and state["step"] in self._steps:
+                self.timeline.setValue(self._steps.index(state["step"]))
+        edits = f", {state['edits']} edit{'' if state['edits'] == 1 else 's'}" if state["edits"] else ""
+        self.where.setText(f"step {state['step']}{edits}")
 
     def _slid(self, place: int) -> None:
-        steps = () if self._status is None else self._status.checkpoints
-        if place < len(steps):
-            self.step_wanted.emit(steps[place])
+        if place < len(self._steps) and self._steps[place] != self._workplace.session.status.step:
+            self._workplace.request("go_to", self._steps[place])
 
 
 def _button(text: str, tip: str) -> QPushButton:

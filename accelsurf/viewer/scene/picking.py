@@ -22,5 +22,7 @@ def place_in_renderer(renderer: pv.Renderer, x: float, y: float) -> tuple[float,
     """Place of a pixel of the window in a renderer, each coordinate from 0 to 1; None outside it."""
     width, height = renderer.GetRenderWindow().GetSize()
     left, bottom, right, top = renderer.GetViewport()
+    if right <= left or top <= bottom:
+        return None
     place = ((x / width - left) / (right - left), (y / height - bottom) / (top - bottom))
     return place if all(0 <= part < 1 for part in place) else None

@@ -1,13 +1,5 @@
 """The scene: surfaces in 3D, three slices, chart of the energies; the same for desktop, browser, movie and preview.
 
-    +---------------+-------+-------+
-    |               | axial | coro- |
-    | surfaces, mm  |       | nal   |      an image of one slice:      +-----------+------+
-    |               +-------+-------+                                  |   slice   | ener-|
-    |               | sagit-| ener- |                                  |           | gies |
-    |               | tal   | gies  |                                  +-----------+------+
-    +---------------+-------+-------+
-
 A scene draws `Frame`s and knows no solver. Nothing is rendered before `render` or `screenshot` is called.
 """
 
@@ -24,25 +16,26 @@ from numpy.typing import ArrayLike, NDArray
 from accelsurf.errors import UsageError, check_known
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.scene.captions import caption, legend_lines, measure
 from accelsurf.viewer.scene.chart import EnergyChart
-from accelsurf.viewer.scene.colors import REFERENCE, Theme, object_color, theme_named
-from accelsurf.viewer.scene.grey_images import grab, grey_values, png_bytes
+from accelsurf.viewer.scene.colors import Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
+from accelsurf.viewer.scene.pictures import grab, png_bytes
 from accelsurf.viewer.scene.reference import Reference
 from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
-from accelsurf.viewer.scene.space import VIEWS, SpaceTile
+from accelsurf.viewer.scene.space import SpaceTile
+from accelsurf.viewer.scene.tiles import Tiles
 
-#: Lines of the legend at most.
-MAX_LEGEND = 20
 #: Samples of a pixel where edges are drawn smoothly.
 SAMPLES = 8
 #: Size of a window or picture unless another is asked for, pixels.
@@ -67,12 +60,16 @@ class Scene:
         Width and height, pixels, of the plotter that is made.
     title : str, optional
         First line over the picture; the file's name unless given.
+    window : GreyWindow, optional
+        Which values of the image are black and white; percentiles of all of it unless given.
 
     Attributes
     ----------
     plotter : pyvista.Plotter
     frame : Frame or None
         What is drawn now.
+    tiles : Tiles
+        How the tiles lie, and what part of the image each shows.
 
     Raises
     ------
@@ -93,12 +90,15 @@ class Scene:
         plotter: pv.Plotter | None = None,
         size: tuple[int, int] = SIZE,
         title: str | None = None,
+        window: GreyWindow | None = None,
     ) -> None:
-        self._theme = theme_named(theme)
+        self._theme, self.theme_name = theme_named(theme), theme
         self._reference = None if reference is None else Reference(reference, volume.geometry)
         self.volume, self.geometry = volume, volume.geometry
         self.frame: Frame | None = None
         self._color = "plain"
+        self._window = window_of(volume.array) if window is None else window
+        self._is_interpolated = True
         self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
@@ -108,8 +108,10 @@ class Scene:
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
         self.plotter = plotter
         self._build()
+        self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
+        self._redraw = self.tiles.redraw
         self.paint(theme)
-        self.plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
+        plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
 
     @staticmethod
     def layout(geometry: Geometry) -> dict[str, Any]:
@@ -119,19 +121,19 @@ class Scene:
         return {"shape": (2, 4), "groups": [([0, 1], [0, 1])], "border": False}
 
     def _build(self) -> None:
-        plotter, upright, grey = self.plotter, DisplayOrientation.of(self.geometry), grey_values(self.volume)
+        plotter, upright, image = self.plotter, DisplayOrientation.of(self.geometry), self.volume.array
         flat = self.geometry.slice_axis
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
-            self.space = SpaceTile(plotter, self.geometry, grey, self.anatomical, self._theme)
+            self.space = SpaceTile(plotter, self.geometry, image, self._window, self.anatomical, self._theme)
             if self._reference is not None:
                 self.space.show_reference(label_surface(self._reference.inside, self.geometry))
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
-            tile = SliceTile(plotter.renderer, grey, upright, plane, self.anatomical, self._theme)
+            tile = SliceTile(plotter.renderer, image, self._window, upright, plane, self.anatomical, self._theme)
             self.slice_tiles[TILES[plane]] = tile
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
@@ -140,7 +142,10 @@ class Scene:
         plotter.subplot(0, 0)
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
         self._legend = Legend(largest)
-        self._show_slices()
+        for tile in self.slice_tiles.values():
+            tile.show(self._cursor)
+            if self._reference is not None:
+                tile.draw_reference(self._reference.contour_function)
 
     # -- what is drawn ------------------------------------------------------------------------------------
 
@@ -161,6 +166,7 @@ class Scene:
             self._show_slices()
         self._show_frame()
         self._chart.update(histories)
+        self._redraw.mark_all()
 
     def _show_frame(self) -> None:
         frame = self.frame
@@ -170,33 +176,12 @@ class Scene:
             self.space.show(frame, self._color)
         for tile in self.slice_tiles.values():
             tile.draw_objects(frame)
-        self._legend.show(self._legend_lines(frame))
-        lines = [line for line in (self.title, *self._caption(frame)) if line]
+        self._legend.show(legend_lines(frame, self._theme.ink, self.dice))
+        lines = [line for line in (self.title, *caption(frame, self.geometry)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
             next(iter(self.slice_tiles.values())).title.text = "   ".join(lines)
-
-    def _legend_lines(self, frame: Frame) -> list[tuple[str, str]]:
-        """Text and colour of each line of the legend; none for one object without a reference."""
-        several = len(frame.surfaces) > 1
-        if not several and self._reference is None:
-            return []
-        lines = [
-            (f"object {surface.id}" if several else "surface", object_color(position))
-            for position, surface in enumerate(frame.surfaces[:MAX_LEGEND])
-        ]
-        if len(frame.surfaces) > MAX_LEGEND:
-            lines.append((f"and {len(frame.surfaces) - MAX_LEGEND} more", self._theme.ink))
-        return lines if self._reference is None else [*lines, (f"reference, Dice {self.dice:.3f}", REFERENCE)]
-
-    def _caption(self, frame: Frame) -> list[str]:
-        """Step, level, and the volume (of an image of one slice the area) of the objects."""
-        step = f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
-        axis = self.geometry.slice_axis
-        if axis is None:
-            return [step, f"volume {_number(frame.volume_mm3)} mm3"]
-        return [step, f"area {_number(frame.volume_mm3 / self.geometry.spacing[axis])} mm2"]
 
     @property
     def theme(self) -> Theme:
@@ -226,16 +211,62 @@ class Scene:
         check_known("color", name, COLORS)
         self._color = name
         self._show_frame()
+        self._redraw.mark_all()
+
+    @property
+    def color(self) -> str:
+        """What the surfaces are coloured by, where they have it."""
+        return self._color
 
     def show_volume(self, on: bool) -> None:
         """Draw the image itself in 3D, translucent, or not; an image of one slice has no such picture."""
         if self.space is not None:
             self.space.show_volume(on)
+            self._redraw.mark(self.space.renderer)
+
+    @property
+    def shows_volume(self) -> bool:
+        """Whether the image is drawn in 3D."""
+        return self.space is not None and self.space.shows_volume
 
     def show_planes(self, on: bool) -> None:
         """Draw the three slices in 3D, or not."""
         if self.space is not None:
             self.space.show_planes(on, self._cursor)
+            self._redraw.mark(self.space.renderer)
+
+    @property
+    def shows_planes(self) -> bool:
+        """Whether the three slices are drawn in 3D."""
+        return self.space is not None and self.space.shows_planes
+
+    @property
+    def window(self) -> GreyWindow:
+        """Which values of the image are black and white."""
+        return self._window
+
+    @window.setter
+    def window(self, window: GreyWindow) -> None:
+        self._window = window
+        for tile in self.slice_tiles.values():
+            tile.use_window(window)
+            self._redraw.mark(tile.renderer)
+        if self.space is not None:
+            self.space.use_window(window, self._cursor)
+            if self.shows_planes or self.shows_volume:
+                self._redraw.mark(self.space.renderer)
+
+    @property
+    def is_interpolated(self) -> bool:
+        """Whether slices are drawn smoothly between voxels, not each voxel as a rectangle."""
+        return self._is_interpolated
+
+    def interpolate(self, on: bool) -> None:
+        """Draw slices smoothly between voxels, or each voxel as a rectangle."""
+        self._is_interpolated = on
+        for tile in self.slice_tiles.values():
+            tile.interpolate(on)
+            self._redraw.mark(tile.renderer)
 
     @property
     def cursor(self) -> NDArray[np.float64]:
@@ -250,7 +281,6 @@ class Scene:
         self._cursor = np.clip(self.geometry.world_to_index(place), 0.0, np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = True
         self._show_slices()
-        self._show_frame()
 
     def step_slice(self, name: str, count: int) -> None:
         """Go ``count`` slices further in a tile, one of ``slice_tiles``, towards larger world coordinates."""
@@ -261,40 +291,40 @@ class Scene:
         self.cursor = self.geometry.index_to_world(index)
 
     def _show_slices(self) -> None:
+        """Go to the cursor: contours are drawn anew only in the tiles whose slice has changed."""
         for tile in self.slice_tiles.values():
+            before = tile.index
             tile.show(self._cursor)
-            if self._reference is not None:
-                tile.draw_reference(self._reference.contour_function)
-        if self.space is not None:
+            if tile.index != before:
+                if self._reference is not None:
+                    tile.draw_reference(self._reference.contour_function)
+                if self.frame is not None:
+                    tile.draw_objects(self.frame)
+            self._redraw.mark(tile.renderer)
+        if self.space is not None and self.space.shows_planes:
             self.space.move_planes(self._cursor)
+            self._redraw.mark(self.space.renderer)
 
     def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
         """Draw a ball that is being placed (world mm), in 3D and where it cuts the slices; None removes it."""
         middle = None if center is None else np.asarray(center, float)
         if self.space is not None:
             self.space.mark_ball(middle, radius)
+            self._redraw.mark(self.space.renderer)
         for tile in self.slice_tiles.values():
             tile.mark_ball(middle, radius, self.geometry)
+            self._redraw.mark(tile.renderer)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
         """Draw in the slices what belongs to the object if it has the size that a drag stands for; None removes it.
 
-        Until then only the slices are drawn, which change: the surface, and still more the image in 3D, takes longer
-        where there is no graphics card.
+        Only the slices are drawn: the surface, and still more the image in 3D, takes longer where there is no graphics
+        card.
         """
         volume = None if drag is None else drag.volume_of(drag_mm)
-        self._draw_beside_slices(drag is None)
-        if drag is None:
-            self._show_slices()
-            self._show_frame()
         for tile in self.slice_tiles.values():
-            tile.mark_size(drag, volume, "" if volume is None else f"size {_number(volume)} mm3")
-
-    def _draw_beside_slices(self, on: bool) -> None:
-        """Draw everything from now on, or the slices alone: what was drawn beside them stays as it was."""
-        slices = [tile.renderer for tile in self.slice_tiles.values()]
-        for renderer in self.plotter.renderers:
-            renderer.SetDraw(on or renderer in slices)
+            tile.mark_size(drag, volume, "" if volume is None else f"size {measure(volume)} mm3")
+            self._redraw.mark(tile.renderer)
 
     def paint(self, theme: str) -> None:
         """Use a theme.
@@ -304,7 +334,8 @@ class Scene:
         UsageError
             For an unknown one.
         """
-        self._theme = theme_named(theme)
+        self._theme, self.theme_name = theme_named(theme), theme
+        self._redraw.mark_all()
         for renderer in self.plotter.renderers:
             renderer.background_color = self._theme.background
         for tile in (self.space, *self.slice_tiles.values(), self._chart):
@@ -312,23 +343,6 @@ class Scene:
                 tile.paint(self._theme)
 
     # -- pictures -----------------------------------------------------------------------------------------
-
-    def look_from(self, view: str) -> None:
-        """Look at the whole image from one of `space.VIEWS`: corner, front, back, left, right, top or bottom.
-
-        Raises
-        ------
-        UsageError
-            For another view.
-        """
-        check_known("view", view, VIEWS)
-        if self.space is not None:
-            self.space.look_from(view)
-
-    def orbit(self, degrees: float) -> None:
-        """Turn the camera around the vertical axis."""
-        if self.space is not None:
-            self.space.orbit(degrees)
 
     def pick(self, x: float, y: float) -> Picked:
         """What lies under a pixel, counted from the lower left corner of the window."""
@@ -350,11 +364,11 @@ class Scene:
         window, samples = self.plotter.render_window, SAMPLES if on else 0
         if window.GetMultiSamples() != samples:
             window.SetMultiSamples(samples)
-            self._draw_beside_slices(True)  # the next picture begins empty
+            self._redraw.mark_all()  # the next picture begins empty
 
     def resize(self, width: int, height: int) -> None:
         """Change the size of the picture, pixels."""
-        self._draw_beside_slices(True)
+        self._redraw.mark_all()
         before = None if self.space is None else self.space.fitted_scale()
         self.plotter.render_window.SetSize(width, height)
         if self.space is not None and before is not None:
@@ -362,7 +376,7 @@ class Scene:
 
     def render(self) -> None:
         """Draw what has changed."""
-        self.plotter.render_window.Render()
+        self._redraw.draw()
 
     def screenshot(self, path: str | Path | None = None) -> NDArray[np.uint8]:
         """Render, and return the picture (height, width, 3), uint8; with a path write it there as PNG."""
@@ -384,8 +398,3 @@ class Scene:
                 tile.fit(height)
         self._legend.fit(height)
         self._chart.fit(height)
-
-
-def _number(value: float) -> str:
-    """A measure with four digits, or all before the point, in groups of three."""
-    return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}".replace(",", " ")

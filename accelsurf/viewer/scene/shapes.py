@@ -131,6 +131,10 @@ class GreyTexture:
         self.texture.SetColorModeToDirectScalars()
         self.show(np.zeros((2, 2), np.uint8))
 
+    def interpolate(self, on: bool) -> None:
+        """Draw smoothly between voxels, or each voxel as a rectangle."""
+        self.texture.SetInterpolate(on)
+
     def show(self, rows: NDArray[np.uint8]) -> None:
         """Show a picture, its first row at the lower edge of the quad."""
         image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrientation
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
@@ -17,6 +20,8 @@ from accelsurf.viewer.scene.shapes import GreyTexture, contour, slice_of
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
 FILL = 0.82
+#: Largest enlargement, and smallest, of what fits the tile.
+MAX_ZOOM, MIN_ZOOM = 40.0, 0.5
 #: Length of the arms of a click's mark, of the longer side of the image.
 ARM = 0.012
 #: Directions of the arms of a mark: + for inside, x for outside.
@@ -34,8 +39,9 @@ class SliceTile:
     Parameters
     ----------
     renderer : pyvista.Renderer
-    image : ndarray (nz, ny, nx), uint8
-        Grey values as shown.
+    image : ndarray (nz, ny, nx)
+    window : GreyWindow
+        Which of its values are black and white.
     upright : DisplayOrientation
     plane : int
         0 is axial, 1 coronal, 2 sagittal.
@@ -47,7 +53,8 @@ class SliceTile:
     def __init__(
         self,
         renderer: pv.Renderer,
-        image: NDArray[np.uint8],
+        image: NDArray[Any],
+        window: GreyWindow,
         upright: DisplayOrientation,
         plane: int,
         anatomical: bool,
@@ -55,7 +62,7 @@ class SliceTile:
     ) -> None:
         self.renderer, self.plane = renderer, plane
         self._up, self._anatomical, self._theme = upright, anatomical, theme
-        self._image = upright.reorient(image)
+        self._image, self._window = upright.reorient(image), window
         self._vertical, self._horizontal = IN_PLANE[plane]
         #: Array axis of the volume that this slice cuts.
         self.axis = upright.order[plane]
@@ -64,7 +71,8 @@ class SliceTile:
         self._drawn_objects = 0
         self._texture = GreyTexture()
         left, right, bottom, top = self.extent
-        middle = (0.5 * (left + right), 0.5 * (bottom + top), 0.0)
+        self._middle, self._zoom = np.array([0.5 * (left + right), 0.5 * (bottom + top)]), 1.0
+        middle = (*self._middle, 0.0)
         quad = pv.Plane(center=middle, i_size=right - left, j_size=top - bottom, i_resolution=1, j_resolution=1)
         self._add(quad, "white").SetTexture(self._texture.texture)
         camera = renderer.camera
@@ -131,9 +139,7 @@ class SliceTile:
         turned = n - 1 - index if self._up.flips[self.plane] else index
         if turned != self._index:
             self._index = turned
-            grey = self._image.take(turned, axis=self.plane)
-            # The texture's first row is at the bottom of the quad.
-            self._texture.show(grey[::-1] if self._down else grey)
+            self._show_grey()
         left, right, bottom, top = self.extent
         x, y = self.to_tile(np.asarray(cursor, float))
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
@@ -141,6 +147,25 @@ class SliceTile:
         name = PLANES[self.plane] if self._anatomical else "Slice"
         where = self._up.coordinate(self.plane, turned)
         self.title.text = f"{name}  {self._up.names[self.plane]} = {where:.4g} mm"
+
+    def _show_grey(self) -> None:
+        grey = self._window.grey(self._image.take(self._index, axis=self.plane))
+        # The texture's first row is at the bottom of the quad.
+        self._texture.show(grey[::-1] if self._down else grey)
+
+    def use_window(self, window: GreyWindow) -> None:
+        """Draw other values black and white."""
+        self._window = window
+        self._show_grey()
+
+    def interpolate(self, on: bool) -> None:
+        """Draw smoothly between voxels, or each voxel as a rectangle."""
+        self._texture.interpolate(on)
+
+    @property
+    def count(self) -> int:
+        """How many slices there are."""
+        return int(self._image.shape[self.plane])
 
     @property
     def index(self) -> int:
@@ -231,12 +256,50 @@ class SliceTile:
         width, height = self.renderer.GetSize()
         if not width or not height:
             return
-        left, right, bottom, top = self.extent
-        scale = max(top - bottom, (right - left) * height / width) / FILL
-        self.renderer.camera.parallel_scale = 0.5 * scale
-        if self._letters:
-            self._place_letters((right - left) * height / width / scale, (top - bottom) / scale)
+        self._aim()
         self._bar.fit(window_height)
+        if self._letters:
+            left, right, bottom, top = self.extent
+            scale = 2.0 * self.renderer.camera.parallel_scale
+            self._place_letters((right - left) * height / width / scale, (top - bottom) / scale)
+
+    # -- zoom and pan -------------------------------------------------------------------------------------
+
+    def _fitted(self) -> float:
+        """Half the mm that the tile must be high for the whole slice to be seen."""
+        width, height = self.renderer.GetSize()
+        left, right, bottom, top = self.extent
+        return 0.5 * max(top - bottom, (right - left) * height / max(width, 1)) / FILL
+
+    def _aim(self) -> None:
+        camera = self.renderer.camera
+        camera.parallel_scale = self._fitted() / self._zoom
+        x, y = (float(part) for part in self._middle)
+        camera.focal_point, camera.position = (x, y, 0.0), (x, y, 100.0)
+
+    def zoom(self, factor: float, right: float = 0.5, up: float = 0.5) -> None:
+        """Enlarge by a factor; what is at this place of the tile, each coordinate from 0 to 1, stays there."""
+        before = np.array(self.to_plane(right, up))
+        self._zoom = float(np.clip(self._zoom * factor, MIN_ZOOM, MAX_ZOOM))
+        self._aim()
+        self.shift(*(before - self.to_plane(right, up)))
+
+    def shift(self, right_mm: float, up_mm: float) -> None:
+        """Move the camera by mm in the tile's plane; never so far that the slice is out of sight."""
+        left, right, bottom, top = self.extent
+        moved = self._middle + np.array([right_mm, up_mm])
+        self._middle = np.clip(moved, [left, bottom], [right, top])
+        self._aim()
+
+    def show_whole(self) -> None:
+        """Show the whole slice, as at first."""
+        left, right, bottom, top = self.extent
+        self._middle, self._zoom = np.array([0.5 * (left + right), 0.5 * (bottom + top)]), 1.0
+        self._aim()
+
+    def mm_per_pixel(self) -> float:
+        """How many mm a pixel of the picture is."""
+        return 2.0 * self.renderer.camera.parallel_scale / max(self.renderer.GetSize()[1], 1)
 
     def paint(self, theme: Theme) -> None:
         """Use another theme."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
@@ -9,6 +11,7 @@ from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import MARK, REFERENCE, SHADES, Theme, color_range, object_color
 from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
@@ -37,18 +40,25 @@ class SpaceTile:
         Its active renderer is the tile's.
     geometry : Geometry
         Of the image.
-    grey : ndarray (nz, ny, nx), uint8
-        The image as shown.
+    image : ndarray (nz, ny, nx)
+    window : GreyWindow
+        Which of its values are black and white.
     anatomical : bool
         Whether directions may be named by letters.
     theme : Theme
     """
 
     def __init__(
-        self, plotter: pv.Plotter, geometry: Geometry, grey: NDArray[np.uint8], anatomical: bool, theme: Theme
+        self,
+        plotter: pv.Plotter,
+        geometry: Geometry,
+        image: NDArray[Any],
+        window: GreyWindow,
+        anatomical: bool,
+        theme: Theme,
     ) -> None:
         self.renderer, self._plotter = plotter.renderer, plotter
-        self._geometry, self._grey = geometry, grey
+        self._geometry, self._image, self._window = geometry, image, window
         self._meshes: list[pv.PolyData] = []
         self._color = "plain"
         self._surfaces = [self._add_surface(0)]
@@ -143,8 +153,8 @@ class SpaceTile:
             self._volume.SetVisibility(on)
 
     def _make_volume(self) -> pv.Volume:
-        stride = [max(1, -(-n // MAX_ALONG)) for n in self._grey.shape]
-        grey = np.ascontiguousarray(self._grey[tuple(slice(None, None, s) for s in stride)])
+        stride = [max(1, -(-n // MAX_ALONG)) for n in self._image.shape]
+        grey = self._window.grey(self._image[tuple(slice(None, None, s) for s in stride)])
         steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
         image = pv.ImageData(dimensions=grey.shape[::-1], spacing=steps[::-1])
         image.point_data["grey"] = grey.ravel()
@@ -159,6 +169,25 @@ class SpaceTile:
         turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
         volume.user_matrix = turn
         return volume
+
+    def use_window(self, window: GreyWindow, cursor: NDArray[np.float64]) -> None:
+        """Draw other values black and white."""
+        self._window = window
+        self.move_planes(cursor)
+        if self._volume is not None:
+            shown = bool(self._volume.GetVisibility())
+            self.renderer.remove_actor(self._volume, reset_camera=False, render=False)
+            self._volume = self._make_volume() if shown else None
+
+    @property
+    def shows_volume(self) -> bool:
+        """Whether the image is drawn."""
+        return self._volume is not None and bool(self._volume.GetVisibility())
+
+    @property
+    def shows_planes(self) -> bool:
+        """Whether the three slices are drawn."""
+        return self._planes_on
 
     def show_planes(self, on: bool, cursor: NDArray[np.float64]) -> None:
         """Draw the three slices through an index (z, y, x), or not."""
@@ -179,14 +208,14 @@ class SpaceTile:
         if not self._planes_on:
             return
         for axis, (actor, texture) in enumerate(self._planes):
-            index = int(np.clip(round(float(cursor[axis])), 0, self._grey.shape[axis] - 1))
-            texture.show(np.asarray(self._grey.take(index, axis=axis)))
+            index = int(np.clip(round(float(cursor[axis])), 0, self._image.shape[axis] - 1))
+            texture.show(self._window.grey(self._image.take(index, axis=axis)))
             down, along = (other for other in range(3) if other != axis)
             # The quad's corners in the order of pyvista.Plane: along the second axis first.
             corners = np.zeros((4, 3))
             corners[:, axis] = index
-            corners[:, along] = np.array([0, 1, 0, 1]) * self._grey.shape[along] - 0.5
-            corners[:, down] = np.array([0, 0, 1, 1]) * self._grey.shape[down] - 0.5
+            corners[:, along] = np.array([0, 1, 0, 1]) * self._image.shape[along] - 0.5
+            corners[:, down] = np.array([0, 0, 1, 1]) * self._image.shape[down] - 0.5
             quad = pv.Plane(i_resolution=1, j_resolution=1)
             quad.points = self._geometry.index_to_world(corners).astype(np.float32)
             actor.mapper.SetInputData(quad)
@@ -266,6 +295,14 @@ class SpaceTile:
         if not any(mesh.n_points for mesh in self._meshes) or not picker.Pick(x, y, 0.0, self.renderer):
             return None
         return np.asarray(picker.GetPickPosition())
+
+    def place_cube(self, on: bool) -> None:
+        """Draw the cube of directions where the tile lies now, or not."""
+        widget = self.renderer.axes_widget
+        widget.SetEnabled(False)
+        if on:
+            widget.SetEnabled(True)
+            widget.InteractiveOff()
 
     # -- theme and size -----------------------------------------------------------------------------------
 

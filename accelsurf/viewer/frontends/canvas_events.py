@@ -1,0 +1,96 @@
+"""Mouse events of the window's scene, as requests of the workplace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt
+from PySide6.QtGui import QMouseEvent, QNativeGestureEvent, QWheelEvent
+from pyvistaqt import QtInteractor
+
+from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, ZOOM, MouseFeature
+from accelsurf.viewer.workplace.workplace import Workplace
+
+#: Names of renderers without a graphics card.
+SOFTWARE = ("llvmpipe", "softpipe", "SWR", "Software")
+_BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}
+_PRESSES = (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick)
+_KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease)
+
+
+class CanvasEvents(QObject):
+    """Passes the events of the canvas on to the workplace; VTK gets none of the mouse's.
+
+    Parameters
+    ----------
+    workplace : Workplace
+    canvas : pyvistaqt.QtInteractor
+    refresh : callable
+        Draws what has changed, at once.
+    """
+
+    def __init__(self, workplace: Workplace, canvas: QtInteractor, refresh: Callable[[], None]) -> None:
+        super().__init__(canvas)
+        self._workplace, self._canvas, self._refresh = workplace, canvas, refresh
+        self._is_software: bool | None = None
+        canvas.setMouseTracking(True)
+        canvas.installEventFilter(self)
+
+    # -- edges --------------------------------------------------------------------------------------------
+
+    @property
+    def is_software(self) -> bool:
+        """Whether the processor draws, not a graphics card."""
+        if self._is_software is None:
+            capabilities = self._canvas.render_window.ReportCapabilities()
+            self._is_software = any(name in capabilities for name in SOFTWARE)
+        return self._is_software
+
+    def smooth_edges(self, on: bool) -> None:
+        """Smooth edges while nothing moves; a processor that draws needs three times as long for it."""
+        self._workplace.scene.smooth_edges(on or not self.is_software)
+
+    # -- events -------------------------------------------------------------------------------------------
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Mouse and keys on the canvas; False passes an event on to VTK."""
+        if event.type() in _KEYS:
+            # VTK has keys of its own, which close windows and change how things are drawn.
+            return True
+        if isinstance(event, QWheelEvent):
+            zoom = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
+            turned = event.angleDelta().y()
+            if turned:
+                self._ask("wheel", event.position(), turned / 120.0, zoom)
+            return True
+        if isinstance(event, QNativeGestureEvent):
+            if event.gestureType() == Qt.NativeGestureType.ZoomNativeGesture:
+                self._ask("wheel", event.position(), event.value() / (ZOOM - 1.0), True)
+            return True
+        if isinstance(event, QMouseEvent):
+            self._mouse(event)
+            return True
+        return bool(super().eventFilter(watched, event))
+
+    def _mouse(self, event: QMouseEvent) -> None:
+        kind, place = event.type(), event.position()
+        if kind == QEvent.Type.MouseButtonDblClick and event.button() == Qt.MouseButton.LeftButton:
+            self._ask("double", place)
+        if kind in _PRESSES and event.button() in _BUTTONS:
+            self.smooth_edges(False)
+            shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
+            self._ask("press", place, _BUTTONS[event.button()], shift)
+        elif kind == QEvent.Type.MouseMove:
+            is_dragging = self._workplace.feature(MouseFeature).is_dragging
+            self._ask("move" if is_dragging else "hover", place)
+        elif kind == QEvent.Type.MouseButtonRelease:
+            self._workplace.request("release")
+            self.smooth_edges(not self._workplace.session.status.playing)
+            self._refresh()
+
+    def _ask(self, name: str, place: QPointF, *more: object) -> None:
+        """A request with a place as parts of the canvas; a drag may leave it."""
+        across = place.x() / max(self._canvas.width() - 1, 1)
+        down = place.y() / max(self._canvas.height() - 1, 1)
+        self._workplace.request(name, min(max(across, 0.0), 1.0), min(max(down, 0.0), 1.0), *more)
+        self._refresh()

@@ -1,0 +1,76 @@
+"""The panel of slices: grey values, layout, place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from PySide6.QtCore import QSignalBlocker
+from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QLabel
+
+from accelsurf.viewer.frontends.panels.section import Section, button, choice, show_choice, show_switch, switch
+from accelsurf.viewer.workplace.slices import MAX_GREY
+from accelsurf.viewer.workplace.workplace import Workplace
+
+#: What the list of windows shows where level and width were set by hand.
+BY_HAND = "by hand"
+
+
+class SlicesPanel(Section):
+    """Grey values and layout."""
+
+    def __init__(self, workplace: Workplace) -> None:
+        super().__init__("Slices", workplace)
+        grid = QGridLayout(self.body)
+        grid.setSpacing(4)
+        grid.setContentsMargins(8, 2, 8, 6)
+        self.window_word = choice(label="grey values")
+        self.window_word.setToolTip("Values that are drawn black and white; in a slice: drag with the right button")
+        self.window_word.activated.connect(self._named)
+        self.level, self.width_ = _number(-MAX_GREY), _number(0.0)
+        for box in (self.level, self.width_):
+            box.valueChanged.connect(lambda _: self.ask("window", self.level.value(), self.width_.value()))
+        self.layout_ = choice(label="layout")
+        self.layout_.activated.connect(lambda _: self.ask("layout", self.layout_.currentText()))
+        self.chart = switch("Chart", "The energies at each step")
+        self.chart.toggled.connect(lambda on: self.ask("chart", on))
+        self.interpolate = switch("Smooth", "Slices smooth between voxels, or each voxel as a rectangle")
+        self.interpolate.toggled.connect(lambda on: self.ask("interpolate", on))
+        self.whole = button("Whole", "The whole image in each tile (R)")
+        self.whole.clicked.connect(lambda: self.ask("whole"))
+        grid.addWidget(QLabel("Grey values"), 0, 0)
+        grid.addWidget(self.window_word, 0, 1, 1, 3)
+        for column, (text, box) in enumerate({"Level": self.level, "Width": self.width_}.items()):
+            grid.addWidget(QLabel(text), 1, 2 * column)
+            grid.addWidget(box, 1, 2 * column + 1)
+        grid.addWidget(QLabel("Layout"), 2, 0)
+        grid.addWidget(self.layout_, 2, 1, 1, 3)
+        grid.addWidget(self.chart, 3, 0)
+        grid.addWidget(self.interpolate, 3, 1, 1, 2)
+        grid.addWidget(self.whole, 3, 3)
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the grey values and the layout."""
+        word = state["window_word"]
+        show_choice(self.window_word, [*state["windows"], *([] if word else [BY_HAND])], word or BY_HAND)
+        for box, key in ((self.level, "level"), (self.width_, "width")):
+            if not box.hasFocus():
+                with QSignalBlocker(box):
+                    box.setDecimals(0 if state["width"] >= 50 else 4)
+                    box.setSingleStep(max(state["width"] / 20, 1e-4))
+                    box.setValue(state[key])
+        show_choice(self.layout_, state["layouts"], state["layout"])
+        show_switch(self.chart, state["chart"])
+        show_switch(self.interpolate, state["interpolate"])
+
+    def _named(self) -> None:
+        if self.window_word.currentText() != BY_HAND:
+            self.ask("window_named", self.window_word.currentText())
+
+
+def _number(low: float) -> QDoubleSpinBox:
+    box = QDoubleSpinBox()
+    box.setRange(low, MAX_GREY)
+    box.setKeyboardTracking(False)
+    box.setMinimumWidth(70)
+    return box

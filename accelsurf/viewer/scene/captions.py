@@ -1,0 +1,53 @@
+"""What is written over the picture: step, level and volume, and what each colour is."""
+
+from __future__ import annotations
+
+from accelsurf.grid.geometry import Geometry
+from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.scene.colors import REFERENCE, object_color
+
+#: Lines of the legend at most.
+MAX_LEGEND = 20
+
+
+def caption(frame: Frame, geometry: Geometry) -> list[str]:
+    """Return step, level, and the volume (of an image of one slice the area) of the objects."""
+    step = f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
+    axis = geometry.slice_axis
+    if axis is None:
+        return [step, f"volume {measure(frame.volume_mm3)} mm3"]
+    return [step, f"area {measure(frame.volume_mm3 / geometry.spacing[axis])} mm2"]
+
+
+def legend_lines(frame: Frame, ink: str, dice: float | None) -> list[tuple[str, str]]:
+    """Return text and colour of each line of the legend; none for one object without a reference.
+
+    Parameters
+    ----------
+    frame : Frame
+    ink : str
+        Colour of text that is about no surface.
+    dice : float, optional
+        Of the objects and the reference; None without one.
+    """
+    several = len(frame.surfaces) > 1
+    if not several and dice is None:
+        return []
+    lines = [
+        (f"object {surface.id}" if several else "surface", object_color(position))
+        for position, surface in enumerate(frame.surfaces[:MAX_LEGEND])
+    ]
+    if len(frame.surfaces) > MAX_LEGEND:
+        lines.append((f"and {len(frame.surfaces) - MAX_LEGEND} more", ink))
+    return lines if dice is None else [*lines, (f"reference, Dice {dice:.3f}", REFERENCE)]
+
+
+def measure(value: float) -> str:
+    """Return a measure with four digits, or all before the point, in groups of three.
+
+    Examples
+    --------
+    >>> measure(0.123456), measure(1234567.8)
+    ('0.1235', '1 234 568')
+    """
+    return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}".replace(",", " ")

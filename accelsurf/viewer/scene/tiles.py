@@ -1,0 +1,135 @@
+"""The tiles of the scene: how they lie, what part of the image each shows, which are drawn anew."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pyvista as pv
+
+from accelsurf.errors import check_known
+from accelsurf.viewer.scene.layouts import viewports
+from accelsurf.viewer.scene.redraw import Redraw
+from accelsurf.viewer.scene.slices import SliceTile
+from accelsurf.viewer.scene.space import VIEWS, SpaceTile
+
+
+class Tiles:
+    """The tiles of a scene.
+
+    Parameters
+    ----------
+    plotter : pyvista.Plotter
+    space : SpaceTile or None
+        The picture in 3D.
+    slices : mapping of str to SliceTile
+    chart : pyvista.Renderer
+        Where the energies are drawn.
+
+    Attributes
+    ----------
+    layout : str
+        How they lie, one of `layouts.LAYOUTS`.
+    large : str
+        The tile that the layouts ``one`` and ``single`` show large.
+    shows_chart : bool
+        Whether the chart of the energies is shown.
+    redraw : Redraw
+    """
+
+    def __init__(
+        self, plotter: pv.Plotter, space: SpaceTile | None, slices: Mapping[str, SliceTile], chart: pv.Renderer
+    ) -> None:
+        self._space, self._slices, self._chart = space, slices, chart
+        self.redraw = Redraw(plotter.render_window, plotter.renderers)
+        self.layout, self.shows_chart = "one", True
+        self.large = "space" if space is not None else next(iter(slices))
+        self.lay_out()
+
+    # -- layout -------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All that show the image, slices first."""
+        return (*self._slices, *(("space",) if self._space is not None else ()))
+
+    def lay_out(self, layout: str | None = None, large: str | None = None, chart: bool | None = None) -> None:
+        """Change how the tiles lie; what is not given stays.
+
+        Raises
+        ------
+        UsageError
+            For an unknown layout or tile.
+        """
+        layout, large = layout or self.layout, large or self.large
+        check_known("tile", large, self.names)
+        chart = self.shows_chart if chart is None else chart
+        places = viewports(layout, self.names, large, chart)
+        self.layout, self.large, self.shows_chart = layout, large, chart
+        renderers = {"energies": self._chart, **{name: self.renderer(name) for name in self.names}}
+        for name, renderer in renderers.items():
+            # A tile that is not shown has no place, so that nothing is picked in it.
+            renderer.SetViewport(*places.get(name, (0.0, 0.0, 0.0, 0.0)))
+        self.redraw.show_only(renderers[name] for name in places)
+        if self._space is not None:
+            self._space.place_cube("space" in places)
+
+    def renderer(self, name: str) -> pv.Renderer:
+        """The renderer of a tile."""
+        return self._space.renderer if self._space is not None and name == "space" else self._slices[name].renderer
+
+    # -- what each shows ----------------------------------------------------------------------------------
+
+    def zoom_slice(self, name: str, factor: float, right: float = 0.5, up: float = 0.5) -> None:
+        """Enlarge a slice; what is at this place of its tile, each coordinate from 0 to 1, stays there."""
+        self._slices[name].zoom(factor, right, up)
+        self.redraw.mark(self._slices[name].renderer)
+
+    def shift_slice(self, name: str, right: float, up: float) -> None:
+        """Move a slice by pixels of the picture."""
+        tile = self._slices[name]
+        tile.shift(-right * tile.mm_per_pixel(), -up * tile.mm_per_pixel())
+        self.redraw.mark(tile.renderer)
+
+    def show_whole(self) -> None:
+        """Show the whole image in all tiles, as at first."""
+        for tile in self._slices.values():
+            tile.show_whole()
+        self.look_from("corner")
+        self.redraw.mark_all()
+
+    def look_from(self, view: str) -> None:
+        """Look at the whole image in 3D from one of `space.VIEWS`.
+
+        Raises
+        ------
+        UsageError
+            For another view.
+        """
+        check_known("view", view, VIEWS)
+        if self._space is not None:
+            self._space.look_from(view)
+            self.redraw.mark(self._space.renderer)
+
+    def orbit(self, degrees: float) -> None:
+        """Turn the camera around the vertical axis."""
+        if self._space is not None:
+            self._space.orbit(degrees)
+            self.redraw.mark(self._space.renderer)
+
+    def turn(self, degrees: float, up: float) -> None:
+        """Turn the camera around the middle, sideways and up."""
+        if self._space is not None:
+            self._space.turn(degrees, up)
+            self.redraw.mark(self._space.renderer)
+
+    def shift(self, right: float, up: float) -> None:
+        """Shift the picture in 3D by pixels."""
+        if self._space is not None:
+            self._space.shift(right, up)
+            self.redraw.mark(self._space.renderer)
+
+    def zoom(self, factor: float) -> None:
+        """Enlarge the picture in 3D."""
+        if self._space is not None:
+            self._space.zoom(factor)
+            self.redraw.mark(self._space.renderer)

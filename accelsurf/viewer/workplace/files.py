@@ -1,0 +1,65 @@
+"""Saves the files of a run, and lists those that were saved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from accelsurf.errors import UsageError
+from accelsurf.viewer.core.saving import KINDS
+from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.workplace.checks import word
+from accelsurf.viewer.workplace.feature import Feature, Key
+
+
+class FilesFeature(Feature):
+    """Saves into the folder of the workplace.
+
+    Attributes
+    ----------
+    files : dict of str to Path
+        What has been saved, by name.
+    is_saving : bool
+        Whether files are being written.
+    """
+
+    def __init__(self, workplace: Any) -> None:
+        super().__init__(workplace)
+        self.files: dict[str, Path] = {}
+        self.is_saving = False
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        return {"save": self._save}
+
+    def keys(self) -> Mapping[str, Key]:
+        return {"Ctrl+S": Key("save", (), "save labels, mesh, picture, run.toml")}
+
+    def state(self, status: Status) -> dict[str, Any]:
+        return {"saved": sorted(self.files), "saving": self.is_saving}
+
+    def _save(self, *what: Any) -> None:
+        workplace = self.workplace
+        kinds = [word(kind, KINDS) for kind in what] or list(KINDS)
+        if workplace.folder is None:
+            raise UsageError("save: there is no folder to save in", "name one")
+        future = workplace.session.save(workplace.folder, kinds, workplace.overwrite)
+        self.is_saving = True
+        future.add_done_callback(lambda _: setattr(self, "is_saving", False))
+        workplace.note("saving ...", 600)
+        workplace.ask(future, self._saved)
+
+    def _saved(self, paths: list[Path]) -> None:
+        folder = self.workplace.folder
+        if folder is None:
+            return
+        picture = folder / f"{self.workplace.session.name}_view.png"
+        try:
+            self.workplace.scene.screenshot(picture)
+        finally:
+            home = folder.resolve()
+            # The session chooses the names; a file elsewhere would not be served all the same.
+            self.files |= {path.name: path for path in paths if path.resolve().parent == home}
+        self.files[picture.name] = picture
+        self.workplace.changed = True
+        self.workplace.note(f"saved in {folder.absolute()}: {', '.join(path.name for path in paths)}", 20)

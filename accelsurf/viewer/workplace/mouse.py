@@ -1,0 +1,189 @@
+"""The mouse in the scene, of window and page alike.
+
+Left uses the tool, or looks around; right changes the grey values of slices, and zooms in 3D; middle (or shift with
+left) moves the picture; the wheel goes through slices, with Ctrl it zooms. Places are parts of the width, and of the
+height from the top, each from 0 to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.scene.picking import Picked, place_in_renderer
+from accelsurf.viewer.workplace.checks import number, whole, word
+from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.slices import SlicesFeature
+from accelsurf.viewer.workplace.tool import Tool, finest
+from accelsurf.viewer.workplace.tools import TOOLS
+
+#: Buttons, as browsers number them.
+LEFT, MIDDLE, RIGHT = 0, 1, 2
+#: Degrees that the camera turns per pixel of a picture 720 high; zoom per notch of the wheel.
+TURN, ZOOM = 0.45, 1.12
+#: In the list of objects: the one that is nearest to the ball's centre.
+NEAREST = "nearest"
+
+
+class MouseFeature(Feature):
+    """What mouse and tools do.
+
+    Attributes
+    ----------
+    tool : Tool
+        In use.
+    is_dragging : bool
+        Whether a button is down.
+    """
+
+    def __init__(self, workplace: Any) -> None:
+        super().__init__(workplace)
+        self._tools = tuple(kind(workplace) for kind in TOOLS)
+        self.tool: Tool = self._tools[0]
+        self._tile, self._button, self._at = "", LEFT, (0.0, 0.0)
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        return {
+            "tool": self._use,
+            "radius": self._radius,
+            "scale_radius": lambda factor: self._radius(self.workplace.radius * number(factor, 0.1, 10.0)),
+            "object": self._object,
+            "press": self._press,
+            "move": self._move,
+            "release": self._release,
+            "hover": self._hover,
+            "wheel": self._wheel,
+            "double": self._double,
+        }
+
+    def tools(self) -> Sequence[Tool]:
+        return self._tools
+
+    def keys(self) -> Mapping[str, Key]:
+        return {
+            "[": Key("scale_radius", (1 / 1.25,), "smaller ball and brush"),
+            "]": Key("scale_radius", (1.25,), "larger ball and brush"),
+        }
+
+    def state(self, status: Status) -> dict[str, Any]:
+        geometry = self.workplace.scene.geometry
+        return {
+            "tool": self.tool.name, "radius": self.workplace.radius,
+            "radius_least": 0.5 * finest(geometry), "radius_most": 0.5 * float(max(geometry.extent_mm)),
+            "objects": [NEAREST, *map(str, status.objects)] if status.objects else [],
+            "object": str(self.workplace.object_id or NEAREST),
+        }
+
+    @property
+    def is_dragging(self) -> bool:
+        """Whether a button is down."""
+        return bool(self._tile)
+
+    # -- choices ------------------------------------------------------------------------------------------
+
+    def _use(self, name: Any) -> None:
+        tool = self.workplace.tools[word(name, tuple(self.workplace.tools))]
+        self.tool.leave()
+        self.tool = tool
+        self.workplace.scene.mark_ball(None)
+        self.workplace.note(tool.tip)
+        self.workplace.changed = True
+
+    def _radius(self, mm: Any) -> None:
+        geometry = self.workplace.scene.geometry
+        self.workplace.radius = number(mm, 0.0, float(max(geometry.extent_mm)))
+        self.tool.resize()
+        self.workplace.changed = True
+
+    def _object(self, wanted: Any) -> None:
+        known = {NEAREST: None, **{str(own): own for own in self.workplace.session.status.objects}}
+        name = str(whole(wanted, 0, 2**32)) if isinstance(wanted, (int, float)) else wanted
+        self.workplace.object_id = known[word(name, tuple(known))]
+
+    # -- events -------------------------------------------------------------------------------------------
+
+    def _press(self, x: Any, y: Any, button: Any = LEFT, shift: Any = False) -> None:
+        pixel, button = self._pixel(x, y), whole(button, LEFT, RIGHT)
+        at = self.workplace.scene.pick(*pixel)
+        self._button = MIDDLE if shift and button == LEFT else button
+        self._tile, self._at = at.tile, pixel
+        if self._button == LEFT and at.world is not None and self._uses_tool(at.tile):
+            self.tool.press(at)
+        self.workplace.changed = True
+
+    def _move(self, x: Any, y: Any) -> None:
+        pixel = self._pixel(x, y)
+        if not self._tile:
+            return
+        right, up = pixel[0] - self._at[0], pixel[1] - self._at[1]
+        self._at = pixel
+        if self._button == LEFT and self._uses_tool(self._tile):
+            at = self.workplace.scene.pick(*pixel)
+            if at.world is not None and at.tile == self._tile:
+                self.tool.move(at)
+        else:
+            self._look_around(right, up)
+        self._read(self.workplace.scene.pick(*pixel))
+        self.workplace.changed = True
+
+    def _look_around(self, right: float, up: float) -> None:
+        """Move by pixels in the tile in which a button went down."""
+        scene, tile = self.workplace.scene, self._tile
+        tiles, size = scene.tiles, scene.plotter.render_window.GetSize()
+        if tile in scene.slice_tiles:
+            if self._button == MIDDLE:
+                tiles.shift_slice(tile, right, up)
+            elif self._button == RIGHT:
+                self.workplace.feature(SlicesFeature).drag_window(right / size[0], up / size[1])
+        elif tile == "space":
+            if self._button == MIDDLE:
+                tiles.shift(right, up)
+            elif self._button == RIGHT:
+                tiles.zoom(ZOOM ** (40.0 * up / size[1]))
+            else:
+                tiles.turn(-TURN * 720.0 / size[1] * right, -TURN * 720.0 / size[1] * up)
+
+    def _release(self) -> None:
+        tile, self._tile = self._tile, ""
+        if tile and self._button == LEFT and self._uses_tool(tile):
+            self.tool.release()
+        self.workplace.changed = True
+
+    def _hover(self, x: Any, y: Any) -> None:
+        self._read(self.workplace.scene.pick(*self._pixel(x, y)) if not self.is_dragging else None)
+
+    def _wheel(self, x: Any, y: Any, notches: Any, zoom: Any = False) -> None:
+        scene, (across, up) = self.workplace.scene, self._pixel(x, y)
+        at, notches = scene.pick(across, up), number(notches, -100, 100)
+        factor = ZOOM ** min(max(notches, -5.0), 5.0)
+        if at.tile in scene.slice_tiles and zoom:
+            scene.tiles.zoom_slice(at.tile, factor, *self._place(at.tile, across, up))
+        elif at.tile in scene.slice_tiles:
+            scene.step_slice(at.tile, 1 if notches > 0 else -1)
+            self._read(scene.pick(across, up))
+        elif at.tile == "space":
+            scene.tiles.zoom(factor)
+        self.workplace.changed = True
+
+    def _double(self, x: Any, y: Any) -> None:
+        tile = self.workplace.scene.pick(*self._pixel(x, y)).tile
+        self._tile = ""
+        if tile in self.workplace.scene.tiles.names and self.tool.name == "look":
+            self.workplace.feature(SlicesFeature).enlarge(tile)
+
+    def _uses_tool(self, tile: str) -> bool:
+        """Whether the left button uses the tool there: to look around in 3D is to turn the camera."""
+        return tile in self.workplace.scene.slice_tiles or (tile == "space" and self.tool.name != "look")
+
+    def _read(self, at: Picked | None) -> None:
+        self.workplace.feature(SlicesFeature).read(at)
+
+    def _pixel(self, x: Any, y: Any) -> tuple[float, float]:
+        """Pixels from the lower left corner, of parts of the width and of the height from the top."""
+        width, height = self.workplace.scene.plotter.render_window.GetSize()
+        return number(x, 0.0, 1.0) * width, (1.0 - number(y, 0.0, 1.0)) * height
+
+    def _place(self, tile: str, x: float, y: float) -> tuple[float, float]:
+        """Place of a pixel in a tile, each coordinate from 0 to 1."""
+        return place_in_renderer(self.workplace.scene.tiles.renderer(tile), x, y) or (0.5, 0.5)

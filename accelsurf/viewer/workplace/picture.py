@@ -1,0 +1,78 @@
+"""How the scene is drawn: colours, theme, what is shown in 3D, the size of the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from accelsurf.viewer.core.frame import COLORS
+from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.scene.colors import THEMES
+from accelsurf.viewer.scene.space import VIEWS
+from accelsurf.viewer.workplace.checks import number, word
+from accelsurf.viewer.workplace.feature import Feature, Key
+
+#: Smallest and largest size of a picture, pixels.
+MIN_SIZE, MAX_SIZE = (480, 272), (3840, 2400)
+
+
+class PictureFeature(Feature):
+    """Changes how the scene is drawn."""
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        return {
+            "color": self._color,
+            "next_color": lambda: self._color(COLORS[(COLORS.index(self.workplace.scene.color) + 1) % len(COLORS)]),
+            "theme": self._theme,
+            "next_theme": lambda: self._theme("light" if self.workplace.scene.theme_name == "dark" else "dark"),
+            "volume": self._volume,
+            "planes": self._planes,
+            "next_volume": lambda: self._volume(not self.workplace.scene.shows_volume),
+            "next_planes": lambda: self._planes(not self.workplace.scene.shows_planes),
+            "view": self._view,
+            "size": self._size,
+        }
+
+    def keys(self) -> Mapping[str, Key]:
+        return {
+            "C": Key("next_color", (), "colour by the next quantity"),
+            "Y": Key("next_volume", (), "the image in 3D"),
+            "L": Key("next_planes", (), "slices in 3D"),
+            "T": Key("next_theme", (), "dark, light"),
+        }
+
+    def state(self, status: Status) -> dict[str, Any]:
+        scene = self.workplace.scene
+        return {
+            "color": scene.color, "colors": list(COLORS), "theme": scene.theme_name, "volume": scene.shows_volume,
+            "planes": scene.shows_planes, "is_flat": scene.space is None,
+        }
+
+    def _color(self, name: Any) -> None:
+        self.workplace.scene.color_by(word(name, COLORS))
+        self.workplace.changed = True
+
+    def _theme(self, name: Any) -> None:
+        self.workplace.scene.paint(word(name, tuple(THEMES)))
+        self.workplace.changed = True
+
+    def _volume(self, on: Any) -> None:
+        self.workplace.scene.show_volume(bool(on))
+        self.workplace.changed = True
+
+    def _planes(self, on: Any) -> None:
+        self.workplace.scene.show_planes(bool(on))
+        self.workplace.changed = True
+
+    def _view(self, name: Any) -> None:
+        self.workplace.scene.tiles.look_from(word(name, tuple(VIEWS)))
+        self.workplace.changed = True
+
+    def _size(self, width: Any, height: Any) -> None:
+        # In steps of 8, so that resizing a window does not redraw the scene for every pixel.
+        sides = [
+            int(min(max(number(side, 0, 1e6), low), high)) // 8 * 8
+            for side, low, high in zip((width, height), MIN_SIZE, MAX_SIZE, strict=True)
+        ]
+        self.workplace.scene.resize(*sides)
+        self.workplace.changed = True

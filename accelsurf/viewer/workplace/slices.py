@@ -1,0 +1,218 @@
+"""Slices that one can read: grey values, layout, the cursor, and what is under the mouse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from accelsurf.errors import UsageError
+from accelsurf.grid.grey_window import CT_WINDOWS, IMAGE, OBJECT, GreyWindow, parse_window, window_of
+from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.scene.layouts import LAYOUTS
+from accelsurf.viewer.scene.picking import Picked
+from accelsurf.viewer.workplace.checks import number, text, whole, word
+from accelsurf.viewer.workplace.feature import Feature, Key
+
+#: Words of windows, as lists show them.
+WINDOWS = (IMAGE, OBJECT, *CT_WINDOWS)
+#: What the state says of the place under the mouse.
+READ_OUT = ("place", "voxel", "value", "label", "as_ball", "as_point")
+#: A drag over the whole picture changes level and width by this many widths.
+DRAG = 2.0
+#: Largest magnitude of a level or width.
+MAX_GREY = 1e9
+#: What is around an object: its box, larger by this part of its extent to each side.
+AROUND = 0.5
+
+
+class SlicesFeature(Feature):
+    """How slices are drawn, and what is under the mouse."""
+
+    def __init__(self, workplace: Any) -> None:
+        super().__init__(workplace)
+        self._picked: Picked | None = None
+        self._before = "one"
+        self._word = IMAGE
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        return {
+            "window": self._window,
+            "window_named": self._window_named,
+            "layout": self._layout,
+            "next_layout": self._next_layout,
+            "large": lambda tile: self.enlarge(word(tile, self.workplace.scene.tiles.names)),
+            "chart": self._chart,
+            "next_chart": lambda: self._chart(not self.workplace.scene.tiles.shows_chart),
+            "interpolate": self._interpolate,
+            "next_interpolate": lambda: self._interpolate(not self.workplace.scene.is_interpolated),
+            "whole": self._whole,
+            "slice": self._slice,
+            "through": self._through,
+            "cursor": self._cursor,
+            "copy_point": lambda: self.workplace.copy(self._read_out()["as_point"]),
+            "copy_ball": lambda: self.workplace.copy(self._read_out()["as_ball"]),
+        }
+
+    def keys(self) -> Mapping[str, Key]:
+        return {
+            "Up": Key("through", (1,), "next slice under the mouse"),
+            "Down": Key("through", (-1,), "slice before it"),
+            "A": Key("window_named", (OBJECT,), "grey values of the object and what is around it"),
+            "W": Key("next_layout", (), "next layout"),
+            "E": Key("next_chart", (), "chart of the energies"),
+            "M": Key("next_interpolate", (), "smooth slices, or voxels"),
+            "Ctrl+C": Key("copy_point", (), "copy the place under the mouse as point:X,Y,Z"),
+            "Ctrl+Shift+C": Key("copy_ball", (), "copy it as ball:X,Y,Z,R"),
+            "R": Key("whole", (), "whole image, camera as at first"),
+        }
+
+    def state(self, status: Status) -> dict[str, Any]:
+        scene, tiles = self.workplace.scene, self.workplace.scene.tiles
+        window = scene.window
+        return {
+            "level": window.level, "width": window.width, "window_word": self._word, "windows": list(WINDOWS),
+            "layout": tiles.layout, "layouts": list(LAYOUTS), "large": tiles.large, "chart": tiles.shows_chart,
+            "interpolate": scene.is_interpolated, "slices": self._slices(), "cursor": self._text(scene.cursor),
+            **self._read_out(),
+        }
+
+    # -- grey values --------------------------------------------------------------------------------------
+
+    def _window(self, level: Any, width: Any) -> None:
+        window = GreyWindow(number(level, -MAX_GREY, MAX_GREY), number(width, 0.0, MAX_GREY))
+        if not window.width > 0:
+            raise UsageError(f"window: a width of {window.width:g} was given, expected one above 0")
+        self._show_window(window, "")
+
+    def _window_named(self, name: Any) -> None:
+        said = parse_window(text(name, 40))
+        if isinstance(said, GreyWindow):
+            self._show_window(said, name if name in CT_WINDOWS else "")
+        else:
+            self._show_window(self._image_window() if said == IMAGE else self._object_window(), said)
+
+    def _show_window(self, window: GreyWindow, name: str) -> None:
+        self._word = name
+        self.workplace.scene.window = window
+        self.workplace.note(f"level {window.level:.4g}, width {window.width:.4g}", 3.0)
+        self.workplace.changed = True
+
+    def _image_window(self) -> GreyWindow:
+        return window_of(self.workplace.scene.volume.array)
+
+    def _object_window(self) -> GreyWindow:
+        """From the values in the objects and around them.
+
+        Raises
+        ------
+        UsageError
+            When there is no surface.
+        """
+        frame, array = self.workplace.scene.frame, self.workplace.scene.volume.array
+        corners = [
+            surface.to_image(end)
+            for surface in (frame.surfaces if frame is not None else ())
+            for end in ((0, 0, 0), np.array(surface.psi.shape) - 1.0)
+            if surface.has_surface
+        ]
+        if not corners:
+            raise UsageError("window: there is no object yet whose grey values could be shown", "begin with a click")
+        low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+        around = AROUND * (high - low)
+        z, y, x = (
+            slice(max(int(a), 0), min(int(b) + 1, n))
+            for a, b, n in zip(low - around, high + around, array.shape, strict=True)
+        )
+        return window_of(array[z, y, x])
+
+    def drag_window(self, right: float, up: float) -> None:
+        """A drag with the right button, by parts of the picture: sideways the width, up darkens as a higher level."""
+        level, width = self.workplace.scene.window
+        # In widths, so that it is as fine in an image from 0 to 1 as in one of 16 bits.
+        self._show_window(GreyWindow(level + DRAG * up * width, width * float(np.exp(DRAG * right))), "")
+
+    # -- layout -------------------------------------------------------------------------------------------
+
+    def _layout(self, name: Any) -> None:
+        self.workplace.scene.tiles.lay_out(word(name, LAYOUTS))
+        self.workplace.changed = True
+
+    def _next_layout(self) -> None:
+        self._layout(LAYOUTS[(LAYOUTS.index(self.workplace.scene.tiles.layout) + 1) % len(LAYOUTS)])
+
+    def enlarge(self, tile: str) -> None:
+        """Show a tile alone; asked for again, all as before."""
+        tiles = self.workplace.scene.tiles
+        if tiles.layout == "single" and tiles.large == tile:
+            tiles.lay_out(self._before)
+        else:
+            self._before = self._before if tiles.layout == "single" else tiles.layout
+            tiles.lay_out("single", tile)
+        self.workplace.changed = True
+
+    def _chart(self, on: Any) -> None:
+        self.workplace.scene.tiles.lay_out(chart=bool(on))
+        self.workplace.changed = True
+
+    def _interpolate(self, on: Any) -> None:
+        self.workplace.scene.interpolate(bool(on))
+        self.workplace.changed = True
+
+    def _whole(self) -> None:
+        self.workplace.scene.tiles.show_whole()
+        self.workplace.changed = True
+
+    # -- places -------------------------------------------------------------------------------------------
+
+    def _slices(self) -> dict[str, list[int]]:
+        """Number of the slice that each tile shows, from 1, and how many there are."""
+        tiles = self.workplace.scene.slice_tiles
+        return {name: [tile.index + 1, tile.count] for name, tile in tiles.items()}
+
+    def _slice(self, tile: Any, number_from_1: Any) -> None:
+        scene = self.workplace.scene
+        shown = scene.slice_tiles[word(tile, tuple(scene.slice_tiles))]
+        index = scene.geometry.world_to_index(scene.cursor)
+        index[shown.axis] = whole(number_from_1, 1, shown.count) - 1
+        scene.cursor = scene.geometry.index_to_world(index)
+        self.workplace.changed = True
+
+    def _through(self, count: Any) -> None:
+        """Go through the slices of the tile under the mouse, or else of the first."""
+        scene, picked = self.workplace.scene, self._picked
+        tile = picked.tile if picked is not None and picked.tile in scene.slice_tiles else next(iter(scene.slice_tiles))
+        scene.step_slice(tile, whole(count, -100, 100))
+        self.workplace.changed = True
+
+    def _cursor(self, x: Any, y: Any, z: Any) -> None:
+        self.workplace.scene.cursor = [number(part, -1e9, 1e9) for part in (x, y, z)]
+        self.workplace.changed = True
+
+    def read(self, at: Picked | None) -> None:
+        """The mouse is at this place."""
+        self._picked = at
+
+    def _read_out(self) -> dict[str, Any]:
+        """Place, voxel, value and label under the mouse, or at the cursor where the mouse is beside the image."""
+        scene, picked = self.workplace.scene, self._picked
+        world = scene.cursor if picked is None or picked.world is None else np.asarray(picked.world)
+        index = scene.geometry.world_to_index(world)
+        voxel = tuple(int(np.clip(round(float(i)), 0, n - 1)) for i, n in zip(index, scene.geometry.shape, strict=True))
+        surfaces = () if scene.frame is None else scene.frame.surfaces
+        ids = [str(one.id) for one in surfaces if one.contains(voxel)]
+        value = scene.volume.array[voxel]
+        where = self._text(world)
+        return {
+            "place": where, "voxel": ", ".join(str(i) for i in voxel[::-1]),
+            "value": f"{value:.6g}" if np.isfinite(value) else str(value), "label": ", ".join(ids) or "0",
+            "as_ball": f"ball:{where.replace(' ', '')},{self.workplace.radius:.4g}",
+            "as_point": f"point:{where.replace(' ', '')}",
+        }
+
+    def _text(self, world: Any) -> str:
+        """A place in world mm, as settings have it."""
+        # A tenth of the smallest voxel is as fine as a mouse.
+        digits = max(0, 1 - int(np.floor(np.log10(min(self.workplace.scene.geometry.spacing)))))
+        return ", ".join(f"{round(float(part), digits) + 0.0:g}" for part in world)

@@ -1,0 +1,176 @@
+"""The workplace: a session and a scene, and the features that act on them; window and page only pass on what is asked.
+
+mouse, keys, buttons --request--> Workplace -> Feature -> Session (a command: a Future) or Scene (drawn at once)
+window, page <----state()---- Workplace <- each Feature.state(status)
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, TypeVar
+
+from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.status import Status, View, error_line
+from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.checks import short
+from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.mouse import MouseFeature
+from accelsurf.viewer.workplace.picture import PictureFeature
+from accelsurf.viewer.workplace.run import RunFeature
+from accelsurf.viewer.workplace.settings import SettingsFeature
+from accelsurf.viewer.workplace.slices import SlicesFeature
+from accelsurf.viewer.workplace.tool import Tool, first_radius
+
+#: The features, in the order in which window and page show them.
+FEATURES: tuple[type[Feature], ...] = (
+    RunFeature,
+    MouseFeature,
+    SettingsFeature,
+    SlicesFeature,
+    PictureFeature,
+    FilesFeature,
+)
+#: Letters of a message at most.
+MAX_MESSAGE = 300
+
+P = TypeVar("P", bound=Feature)
+
+
+class Workplace:
+    """What window and page share.
+
+    Parameters
+    ----------
+    session : Session
+    scene : Scene
+        Of the same image.
+    folder : Path, optional
+        Where files are saved; nothing is read or written elsewhere.
+    overwrite : bool, optional
+        Replace files there that this session has not written.
+
+    Attributes
+    ----------
+    changed : bool
+        Whether the scene has changed since it was drawn last; whoever draws it resets this.
+    message : str
+        What went wrong last, in one line; empty when nothing did.
+    object_id : int or None
+        Id of the object that clicks and strokes are for; None is the nearest.
+    radius : float
+        Of click, ball and brush, mm.
+    features : tuple of Feature
+    tools : dict of str to Tool
+        All, by name, in the order of their buttons.
+    keys : dict of str to Key
+        What each key does, by Qt's name of it.
+    """
+
+    def __init__(self, session: Session, scene: Scene, folder: Path | None = None, overwrite: bool = False) -> None:
+        self.session, self.scene, self.folder, self.overwrite = session, scene, folder, overwrite
+        self.changed, self.message = True, ""
+        self.object_id: int | None = None
+        self.radius = first_radius(scene.geometry)
+        self._note, self._note_until = "", 0.0
+        #: How many texts were copied, and the last: the front end copies it when the number changes.
+        self._copied = (0, "")
+        self._waiting: list[tuple[Future[Any], Callable[[Any], None] | None]] = []
+        self.features = tuple(kind(self) for kind in FEATURES)
+        self._requests: dict[str, Callable[..., None]] = {"key": self._key}
+        self._requests |= {name: work for feature in self.features for name, work in feature.requests().items()}
+        self.tools: dict[str, Tool] = {tool.name: tool for feature in self.features for tool in feature.tools()}
+        uses = {tool.key: Key("tool", (tool.name,), tool.text.lower()) for tool in self.tools.values()}
+        self.keys: dict[str, Key] = uses
+        self.keys |= {key: does for feature in self.features for key, does in feature.keys().items()}
+
+    def feature(self, kind: type[P]) -> P:
+        """The feature of a kind."""
+        return next(one for one in self.features if isinstance(one, kind))
+
+    # -- to ask -------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the requests that there are."""
+        return tuple(self._requests)
+
+    def request(self, name: Any, *values: Any) -> None:
+        """Carry out a request; what is wrong with it becomes `message`. Raises nothing."""
+        try:
+            work = self._requests.get(name) if isinstance(name, str) else None
+            if work is None:
+                raise UsageError(f"request: {short(name)} is not known")
+            try:
+                work(*values)
+            except TypeError as error:
+                if "argument" not in str(error):
+                    raise
+                raise UsageError(f"{name}: {len(values)} values were given, another number expected") from None
+        except Exception as error:
+            self.message = error.message if isinstance(error, AccelsurfError) else error_line(error)[:MAX_MESSAGE]
+
+    def _key(self, key: Any) -> None:
+        """Do what a key does, by Qt's name of it; others do nothing."""
+        does = self.keys.get(key) if isinstance(key, str) else None
+        if does is not None:
+            self.request(does.request, *does.values)
+
+    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None) -> None:
+        """Wait for a command of the session, without blocking: `collect_results` reports its error, or passes its
+        result to ``then``.
+        """
+        self.message = ""
+        self._waiting.append((future, then))
+
+    def note(self, line: str, seconds: float = 8.0) -> None:
+        """Show a line for some time, or until something else is to be said."""
+        self._note, self._note_until = line, time.monotonic() + seconds
+
+    def copy(self, words: str) -> None:
+        """Have the front end put a text on the clipboard."""
+        self._copied = (self._copied[0] + 1, words)
+        self.note(f"copied {words}")
+
+    def collect_results(self) -> None:
+        """Read the results and errors of the commands that have been carried out."""
+        waiting, self._waiting = self._waiting, []
+        for future, then in waiting:
+            if not future.done():
+                self._waiting.append((future, then))
+            elif error := future.exception():
+                self._note = ""
+                self.message = error.message if isinstance(error, AccelsurfError) else str(error)
+            elif then is not None:
+                then(future.result())
+
+    # -- to show ------------------------------------------------------------------------------------------
+
+    def update(self, view: View) -> None:
+        """Draw a view of the session."""
+        self.scene.update(view.frame, view.histories)
+        if not self.feature(MouseFeature).is_dragging:
+            self.scene.mark_ball(None)  # the surface is drawn that it has led to
+        for feature in self.features:
+            feature.update(view)
+
+    def state(self) -> dict[str, Any]:
+        """What panels show, in types of JSON."""
+        status = self.session.status
+        said: dict[str, Any] = {"message": self._line(status), "failed": self._has_failed(status)}
+        said["copied"] = self._copied
+        for feature in self.features:
+            said |= feature.state(status)
+        return said
+
+    def _line(self, status: Status) -> str:
+        if self._note and time.monotonic() > self._note_until:
+            self._note = ""
+        return self._note or self.message or status.message or ("running" if status.playing else "ready")
+
+    def _has_failed(self, status: Status) -> bool:
+        return not self._note and (bool(self.message) or status.failed)
