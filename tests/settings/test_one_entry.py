@@ -12,6 +12,7 @@ import struct
 import subprocess
 import sys
 from contextlib import ExitStack
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -345,10 +346,16 @@ def test_a_name_is_taken_once(toys):
 def _panel():
     from PySide6.QtWidgets import QApplication
 
-    from accelsurf.viewer.frontends.controls import Panel
+    from accelsurf.viewer.core.status import Status
+    from accelsurf.viewer.frontends.panels.settings import SettingsPanel
+    from accelsurf.viewer.workplace.settings import SettingsFeature
 
     application = QApplication([])
-    panel = Panel(volume().geometry)
+    status = Status.preparing(RunConfig(), "", False)
+    scene, session = SimpleNamespace(geometry=volume().geometry), SimpleNamespace(status=status)
+    workplace = SimpleNamespace(scene=scene, session=session)
+    panel = SettingsPanel(workplace)
+    panel.show_state(SettingsFeature(workplace).state(status))
     for choice in panel.choices.values():
         print(*(choice.itemText(place) for place in range(choice.count())), sep="\n")
     del panel, application

@@ -58,11 +58,12 @@ def main() -> None:
 
 def places(window: Window) -> dict[str, Any]:
     """Where buttons, sliders and tiles are on the screen, pixels."""
-    panel, canvas, bar = window.panel, window.canvas, window.bar
+    side, canvas, bar = window.side, window.canvas, window.bar
+    tools, settings = side.panels["ToolsPanel"], side.panels["SettingsPanel"]
     corner = canvas.mapToGlobal(QPoint(0, 0))
     tiles = {}
     for name, tile in {"space": window.scene.space, **window.scene.slice_tiles}.items():
-        if tile is not None:
+        if tile is not None and tile.renderer.GetViewport()[2] > 0:
             left, bottom, right, top = tile.renderer.GetViewport()
             tiles[name] = [
                 corner.x() + round(canvas.width() * 0.5 * (left + right)),
@@ -70,23 +71,23 @@ def places(window: Window) -> dict[str, Any]:
             ]
     return {
         "buttons": {name: middle(getattr(bar, name)) for name in ("restart", "back", "play", "forward")}
-        | {"undo": middle(panel.undo), "save": middle(panel.save), "timeline": ends(bar.timeline)}
-        | {name: middle(button) for name, button in panel.tools.items()}
-        | {name: ends(amount.slider) for name, amount in panel.amounts.items()},
+        | {"undo": middle(side.changes.undo), "save": middle(side.changes.save), "timeline": ends(bar.timeline)}
+        | {name: middle(button) for name, button in tools.tools.items()}
+        | {name: ends(amount.slider) for name, amount in settings.amounts.items()},
         "tiles": tiles,
     }
 
 
 def shown(session: Session, window: Window) -> dict[str, Any]:
     """What the session and the window say."""
-    status, panel, frame = session.status, window.panel, window.scene.frame
+    status, frame, state = session.status, window.scene.frame, window.workplace.state()
     return {
         "step": status.step, "playing": status.playing, "checkpoints": status.checkpoints,
         "message": window.message.text(), "edits": [edit.model_dump() for edit in status.edits],
         "start": status.settings.start, "settings": status.settings.model_dump(mode="json"),
         "stop": status.stop and status.stop.reason,
         "drawn": None if frame is None else [frame.step, frame.volume_mm3],
-        "color": panel.color.currentText(), "theme": panel.theme.currentText(), "help": window.help.isVisible(),
+        "color": state["color"], "theme": state["theme"], "help": window.help.isVisible(), "state": state,
         "play": window.bar.play.text(), "title": window.windowTitle(), "cursor": window.scene.cursor.tolist(),
     }
 

@@ -438,6 +438,7 @@ def _drive(browser, server, folder):
     chains.move_to_element_with_offset(element("picture"), -200, 0).click_and_hold().move_by_offset(60, 10).release()
     chains.perform()
     until(lambda: picture() != before)
+    browser.find_element("css selector", "#panel-picture summary").click()
     browser.find_element("css selector", "#theme option[value=light]").click()
     until(lambda: "light" in browser.find_element("css selector", ".page").get_attribute("class"))
     browser.find_element("css selector", "#color option[value=speed]").click()

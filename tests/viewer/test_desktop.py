@@ -235,7 +235,7 @@ def test_looks_help_and_errors(person, tmp_path):
     person.until(lambda now: not now["help"])
     person.key("Right", "c")
     person.until(lambda now: now["color"] == "speed")
-    person.key("t", "o", "l")
+    person.key("t", "y", "l")
     person.until(lambda now: now["theme"] == "light")
     person.picture(tmp_path / "light.png")
     import matplotlib.image

@@ -47,19 +47,16 @@ class FilesFeature(Feature):
         self.is_saving = True
         future.add_done_callback(lambda _: setattr(self, "is_saving", False))
         workplace.note("saving ...", 600)
-        workplace.ask(future, self._saved)
+        folder, is_all = workplace.folder, not what
+        workplace.ask(future, lambda paths: self._saved(folder, paths, is_all))
 
-    def _saved(self, paths: list[Path]) -> None:
-        folder = self.workplace.folder
-        if folder is None:
-            return
-        picture = folder / f"{self.workplace.session.name}_view.png"
-        try:
-            self.workplace.scene.screenshot(picture)
-        finally:
-            home = folder.resolve()
-            # The session chooses the names; a file elsewhere would not be served all the same.
-            self.files |= {path.name: path for path in paths if path.resolve().parent == home}
-        self.files[picture.name] = picture
-        self.workplace.changed = True
+    def _saved(self, folder: Path, paths: list[Path], is_all: bool) -> None:
+        """List what was saved; with all there is, save the scene as it is drawn now."""
+        home = folder.resolve()
+        # The session chooses the names; a file elsewhere would not be served all the same.
+        self.files |= {path.name: path for path in paths if path.resolve().parent == home}
         self.workplace.note(f"saved in {folder.absolute()}: {', '.join(path.name for path in paths)}", 20)
+        if is_all:
+            picture = folder / f"{self.workplace.session.name}_view.png"
+            self.workplace.scene.screenshot(picture)
+            self.files[picture.name] = picture

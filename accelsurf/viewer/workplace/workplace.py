@@ -112,7 +112,7 @@ class Workplace:
                     raise
                 raise UsageError(f"{name}: {len(values)} values were given, another number expected") from None
         except Exception as error:
-            self.message = error.message if isinstance(error, AccelsurfError) else error_line(error)[:MAX_MESSAGE]
+            self._say(error)
 
     def _key(self, key: Any) -> None:
         """Do what a key does, by Qt's name of it; others do nothing."""
@@ -143,10 +143,16 @@ class Workplace:
             if not future.done():
                 self._waiting.append((future, then))
             elif error := future.exception():
-                self._note = ""
-                self.message = error.message if isinstance(error, AccelsurfError) else str(error)
+                self._say(error)
             elif then is not None:
-                then(future.result())
+                try:
+                    then(future.result())
+                except Exception as failure:
+                    self._say(failure)
+
+    def _say(self, error: BaseException) -> None:
+        self._note = ""
+        self.message = error.message if isinstance(error, AccelsurfError) else error_line(error)[:MAX_MESSAGE]
 
     # -- to show ------------------------------------------------------------------------------------------
 
