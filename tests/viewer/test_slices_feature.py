@@ -16,7 +16,7 @@ from tests.support import viewing
 TILES = ("axial", "coronal", "sagittal", "space")
 
 
-# ------------------------------------------------------------------------------------------------------------ grey values
+# ----------------------------------------------------------------------------------------------------------- grey values
 
 
 def test_grey_values_are_linear_between_the_ends_of_the_window():
