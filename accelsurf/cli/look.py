@@ -48,7 +48,7 @@ def look(
         Where the three slices meet: X,Y,Z in world mm (LPS), or voxel indices with the suffix vox; the middle of the
         labels, else of the image, by default.
     window
-        Values that are black to white: CENTRE,WIDTH, or auto.
+        Values that are black to white: LEVEL,WIDTH, auto, or of a CT soft-tissue, bone, lung or brain.
     labels
         A label map on the same grid, drawn as contours.
     level
@@ -56,8 +56,8 @@ def look(
     overwrite
         Replace a picture that exists.
     """
+    from accelsurf.grid.grey_window import parse_window
     from accelsurf.io.files import write_bytes
-    from accelsurf.report.grey_window import parse_window
     from accelsurf.report.output_folder import make_writable
 
     source = required(input, "IMAGE")

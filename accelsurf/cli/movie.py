@@ -16,6 +16,7 @@ from accelsurf.settings.wording import shown
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.evolution.records import Stop
+    from accelsurf.grid.grey_window import GreyWindow
     from accelsurf.grid.volume import Volume
     from accelsurf.segmentation.run import Run
     from accelsurf.viewer.frontends.movie_file import MovieSettings
@@ -96,6 +97,7 @@ def movie(
         Write one PNG of the last step instead of a movie.
     """
     from accelsurf.cli.progress import Watcher
+    from accelsurf.grid.grey_window import parse_window
     from accelsurf.io import channels
     from accelsurf.report.output_folder import refuse_existing
     from accelsurf.segmentation.run import Run
@@ -110,7 +112,7 @@ def movie(
     refuse_existing({"movie": target}, overwrite)
     require_graphics()
     volume, *more = channels.read(image, run_settings.reading)
-    scene = _scene(volume, reference, look, movie_settings.size)
+    scene = _scene(volume, reference, look, movie_settings.size, parse_window(run_settings.window))
     watcher = Watcher(display)
     try:
         with watcher.watch(image.name, run_settings.max_steps):
@@ -154,12 +156,14 @@ def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, Run
     return movie_file.run_of_folder(source)
 
 
-def _scene(volume: Volume, reference: Path | None, look: Look, size: tuple[int, int]) -> Scene:
+def _scene(
+    volume: Volume, reference: Path | None, look: Look, size: tuple[int, int], window: GreyWindow | None
+) -> Scene:
     from accelsurf import io
     from accelsurf.viewer.scene.scene import Scene
 
     truth = None if reference is None else io.read_labels(reference)
-    scene = Scene(volume, theme=look.theme, reference=truth, size=size)
+    scene = Scene(volume, theme=look.theme, reference=truth, size=size, window=window)
     scene.color_by(look.color)
     scene.tiles.look_from(look.view)
     scene.show_volume(look.volume)

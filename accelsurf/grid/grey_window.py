@@ -1,98 +1,151 @@
-"""Which values of an image are drawn black and white: a window, as radiologists say, with its level (the middle)."""
+"""Which values are black and white: chosen from an object and its surroundings, or from the whole image."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 
-#: Windows of CT by name, (level, width), Hounsfield units; the common ones of radiology.
-CT_WINDOWS = {
-    "soft-tissue": (40.0, 400.0),
-    "bone": (500.0, 2000.0),
-    "lung": (-600.0, 1500.0),
-    "brain": (40.0, 80.0),
-}
-#: Windows that follow from the image: from all of it, and from the object and what lies around it.
-IMAGE, OBJECT = "image", "auto"
-#: Percentiles of the values that are drawn black and white in these.
-PERCENTILES = (1.0, 99.0)
-#: Voxels along each axis at most from which percentiles are taken.
-SAMPLES = 128
+#: Voxels that a window is chosen from at most.
+MAX_SAMPLES = 300_000
+#: Percentiles of the object, of its surroundings and of a whole image that are taken as their ends.
+OBJECT_ENDS, AROUND_ENDS, IMAGE_ENDS = (2.0, 98.0), (3.0, 97.0), (1.0, 99.0)
+#: The window is at most so many times as wide as the object's own range, so that differences near its edge show.
+MAX_OBJECT_WIDTHS = 4.0
+#: Windows of CT by name, level (the value of the middle grey) and width, Hounsfield units.
+CT_WINDOWS = {"soft-tissue": (40.0, 400.0), "bone": (500.0, 2000.0), "lung": (-600.0, 1500.0), "brain": (40.0, 80.0)}
+#: Of a CT without an object: what radiologists begin with.
+SOFT_TISSUE = CT_WINDOWS["soft-tissue"]
+#: What stands for a window that follows from object and image.
+AUTO = "auto"
 
 
 class GreyWindow(NamedTuple):
-    """The ``level``, the value drawn in the middle grey, and the ``width`` from black to white."""
+    """Values that are drawn black and white."""
 
-    level: float
-    width: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, level: float, width: float) -> GreyWindow:
+        """The window with this middle and width."""
+        return cls(level - 0.5 * width, level + 0.5 * width)
 
     @property
-    def low(self) -> float:
-        """The value from which on voxels are drawn black."""
-        return self.level - 0.5 * self.width
+    def level(self) -> float:
+        """The value of the middle grey."""
+        return 0.5 * (self.low + self.high)
 
     @property
-    def high(self) -> float:
-        """The value from which on voxels are drawn white."""
-        return self.level + 0.5 * self.width
+    def width(self) -> float:
+        """From black to white."""
+        return self.high - self.low
 
-    def grey(self, values: ArrayLike) -> NDArray[np.uint8]:
-        """Values as grey from 0 to 255; what is no number is black.
+    @property
+    def text(self) -> str:
+        """Level (radiologists also say centre) and width."""
+        return f"L {self.level:.4g} W {self.width:.4g}"
 
-        Examples
-        --------
-        >>> GreyWindow(40.0, 400.0).grey([-1000.0, 40.0, 240.0, float("nan")]).tolist()
-        [0, 127, 255, 0]
-        """
-        shown = np.nan_to_num(np.asarray(values, np.float32), nan=self.low, posinf=self.high, neginf=self.low)
-        shown -= np.float32(self.low)
-        shown *= np.float32(255.0 / self.width if self.width > 0 else 0.0)
-        return np.clip(shown, 0.0, 255.0, out=shown).astype(np.uint8)
+    def grey(self, values: NDArray[Any]) -> NDArray[np.uint8]:
+        """Grey values of an array; what is not finite is black."""
+        share = (np.asarray(values, np.float32) - np.float32(self.low)) / np.float32(self.high - self.low)
+        return (255.0 * np.clip(np.nan_to_num(share, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)).astype(np.uint8)
 
 
-def window_of(values: NDArray[np.generic]) -> GreyWindow:
-    """Return the window from the 1st to the 99th percentile of values (of a sample where there are many).
-
-    Examples
-    --------
-    >>> window_of(np.arange(101.0))
-    GreyWindow(level=50.0, width=98.0)
-    """
-    sample = values[tuple(slice(None, None, max(1, n // SAMPLES)) for n in values.shape)]
-    sample = sample[np.isfinite(sample)] if sample.dtype.kind == "f" else sample
-    low, high = np.percentile(sample, PERCENTILES) if sample.size else (0.0, 1.0)
-    if not high > low:
-        low, high = (float(sample.min()), float(sample.max())) if sample.size else (0.0, 1.0)
-    return GreyWindow(float(0.5 * (low + high)), float(high - low) or 1.0)
-
-
-def parse_window(text: str) -> GreyWindow | str:
-    """Return the window of a text, ``LEVEL,WIDTH`` or a name of `CT_WINDOWS`; ``image`` and ``auto`` as they are.
+def parse_window(text: str) -> GreyWindow | None:
+    """Return the window that was typed as ``LEVEL,WIDTH`` or by name; None for ``auto``.
 
     Raises
     ------
     UsageError
-        For another text.
+        For anything else.
 
     Examples
     --------
     >>> parse_window("40,400"), parse_window("brain"), parse_window("auto")
-    (GreyWindow(level=40.0, width=400.0), GreyWindow(level=40.0, width=80.0), 'auto')
+    (GreyWindow(low=-160.0, high=240.0), GreyWindow(low=0.0, high=80.0), None)
     """
-    if text in (IMAGE, OBJECT):
-        return text
+    if text == AUTO:
+        return None
     if text in CT_WINDOWS:
-        return GreyWindow(*CT_WINDOWS[text])
+        return GreyWindow.of(*CT_WINDOWS[text])
     try:
         level, width = (float(part) for part in text.split(","))
     except ValueError:
         level = width = math.nan
     if not (math.isfinite(level) and math.isfinite(width) and width > 0):
-        names = ", ".join((IMAGE, OBJECT, *CT_WINDOWS))
-        raise UsageError(f"window: {text!r} was given, expected LEVEL,WIDTH with a width above 0, or {names}")
-    return GreyWindow(level, width)
+        names = ", ".join((AUTO, *CT_WINDOWS))
+        raise UsageError(
+            f"window: {text[:40]!r} was given, expected {names}, or level and width above 0 with a comma between them",
+            "as in 40,400 for soft tissue in CT",
+        )
+    return GreyWindow.of(level, width)
+
+
+def checked_window(value: Any) -> Any:
+    """Check a window as a setting gives it; what is no text is left to the type of the setting."""
+    if isinstance(value, str):
+        parse_window(value)
+    return value
+
+
+def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> GreyWindow:
+    """Choose a window.
+
+    Parameters
+    ----------
+    image : ndarray
+        The object and its surroundings; or the whole image.
+    inside : ndarray of bool, optional
+        Which of them are in the object.
+
+    Returns
+    -------
+    GreyWindow
+        With an object: from the values around it, but not wider than `MAX_OBJECT_WIDTHS` times its own range around
+        its median. Else `SOFT_TISSUE` for values that are Hounsfield units, or percentiles of what is not the most
+        frequent value (the zeros around a stripped brain).
+    """
+    stride = max(1, math.ceil((image.size / MAX_SAMPLES) ** (1 / 3)))
+    part = tuple(slice(None, None, stride if n > 2 * stride else 1) for n in image.shape)
+    values = np.asarray(image[part], np.float64).ravel()
+    finite = np.isfinite(values)
+    own = np.zeros(0) if inside is None else np.asarray(image[inside][:: max(1, inside.sum() // MAX_SAMPLES)], float)
+    own = own[np.isfinite(own)]
+    values = values[finite]
+    if not values.size:
+        return GreyWindow(0.0, 1.0)
+    if own.size:
+        low, middle, high = np.percentile(own, (OBJECT_ENDS[0], 50.0, OBJECT_ENDS[1]))
+        around = np.percentile(values, AROUND_ENDS)
+        room = 0.5 * MAX_OBJECT_WIDTHS * (high - low) or math.inf
+        low, high = max(min(low, around[0]), middle - room), min(max(high, around[1]), middle + room)
+    elif is_hounsfield(values):
+        low, high = SOFT_TISSUE[0] - SOFT_TISSUE[1] / 2, SOFT_TISSUE[0] + SOFT_TISSUE[1] / 2
+    else:
+        kinds, counts = np.unique(values, return_counts=True)
+        most = kinds[np.argmax(counts)]
+        filled = values[values != most] if counts.max() > 0.2 * values.size and len(kinds) > 2 else values
+        low, high = np.percentile(filled, IMAGE_ENDS)
+        if filled is not values:
+            low = min(low, most)
+    return GreyWindow(float(low), float(high)) if high > low else GreyWindow(float(low), float(low) + 1.0)
+
+
+def is_hounsfield(values: NDArray[Any]) -> bool:
+    """Whether values look like those of a CT: air near -1000, much of it and of soft tissue, nothing far below air.
+
+    Examples
+    --------
+    >>> is_hounsfield(np.array([-1000.0, -998, -1003, 40, 60, -90, 300])), is_hounsfield(np.arange(100.0))
+    (True, False)
+    """
+    low = np.percentile(values, 0.5)
+    if not -3100 <= low <= -800:  # some scanners pad with -2048 or -3024
+        return False
+    air, tissue = np.mean((values > -1100) & (values < -700)), np.mean((values > -200) & (values < 250))
+    return bool(air > 0.01 and tissue > 0.01)

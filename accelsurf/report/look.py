@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.grid.volume import Volume
 from accelsurf.io.headers import is_anatomical
 from accelsurf.report.axes import ticks
 from accelsurf.report.canvas import ORANGE, SKY, YELLOW, Box, Canvas
-from accelsurf.report.grey_window import GreyWindow, window_of
 from accelsurf.report.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at
 from accelsurf.report.slice_plot import (
     Slice,

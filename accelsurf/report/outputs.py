@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from accelsurf import io
 from accelsurf.analysis import shared_walls
 from accelsurf.analysis.contours import Contours
+from accelsurf.grid.grey_window import parse_window
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import LABELS_KEY
@@ -240,6 +241,7 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         reference=reference,
         objects=_object_shapes(result) if result.has_ids else (),
         late_growth=result.late_growth,
+        window=parse_window(result.config.window),
         clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
     )
 

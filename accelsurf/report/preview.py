@@ -10,11 +10,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.report.axes import LABEL_SIZE, Axes, range_of
 from accelsurf.report.canvas import PALE, RUN_COLORS, RUN_DASHES, Box, Canvas, text_width
 from accelsurf.report.energy_plot import draw_energies, energy_curve
-from accelsurf.report.grey_window import GreyWindow, window_of
 from accelsurf.report.preview_content import PreviewContent
 from accelsurf.report.slice_plot import draw_slice
 from accelsurf.report.slice_views import Ranges, SliceView, box_of, click_views, late_view, main_views, shown_ranges
@@ -72,7 +72,9 @@ def panel_at(row: int, column: int, columns: int = 3) -> Box:
 
 
 def content_window(content: PreviewContent, ranges: Ranges) -> GreyWindow:
-    """The window for the part of the image that is shown."""
+    """The window that was asked for, else one for the part of the image that is shown."""
+    if content.window is not None:
+        return content.window
     part = box_of(ranges, content.geometry)
     inside = content.inside()[part]
     return window_of(content.image[part], inside) if inside.any() else window_of(content.image)

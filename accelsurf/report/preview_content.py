@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow
 
 if TYPE_CHECKING:
     from accelsurf.analysis.surface_mesh import Surface
@@ -100,6 +101,8 @@ class PreviewContent:
         In the order given.
     late_growth : (float, float, float), optional
         Index (z, y, x) of the place where the surface grew fastest in the last part of the run.
+    window : GreyWindow, optional
+        Which values are black and white; from the object and what is around it unless given.
     """
 
     image: NDArray[Any]
@@ -114,6 +117,7 @@ class PreviewContent:
     objects: Sequence[ObjectShape] = ()
     clicks: Sequence[ClickMark] = ()
     late_growth: tuple[float, float, float] | None = None
+    window: GreyWindow | None = None
 
     def inside(self) -> NDArray[np.bool_]:
         """Voxels in any object, (nz, ny, nx)."""

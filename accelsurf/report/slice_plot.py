@@ -18,6 +18,7 @@ from skimage.measure import find_contours
 
 from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, DisplayOrientation
 from accelsurf.report.axes import Axes, round_step
 from accelsurf.report.canvas import (
@@ -34,7 +35,6 @@ from accelsurf.report.canvas import (
     Dashes,
     text_width,
 )
-from accelsurf.report.grey_window import GreyWindow
 from accelsurf.report.preview_content import ClickMark, PreviewContent
 from accelsurf.report.slice_views import Ranges, SliceView, displayed, fitted, plane_name
 

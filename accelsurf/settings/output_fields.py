@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
+from accelsurf.grid.grey_window import AUTO, checked_window
 from accelsurf.settings.entry import SettingEntry, SettingGroup, setting
 from accelsurf.settings.file_formats import label_formats, label_help
 from accelsurf.settings.image_fields import ImageFields
@@ -112,6 +113,12 @@ class OutputFields(ImageFields):
         "Also write the label map into the labels of the image, an OME-Zarr 0.5, under this name; the image is not "
         "touched.",
         entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
+    window: Annotated[str, BeforeValidator(checked_window)] = setting(
+        AUTO,
+        "Values of the image that pictures draw black to white: LEVEL,WIDTH, as 40,400; of a CT soft-tissue, bone, "
+        "lung or brain; auto follows from the object and what is around it.",
+        entry=SettingEntry(FILES, metavar="NAME|LEVEL,WIDTH", fixed=True),
     )
     layout: Layout = setting(
         "plain",

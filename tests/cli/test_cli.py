@@ -198,7 +198,7 @@ def test_every_setting_is_an_option(capsys):
         **dict(stop_at_rest=True, end="present", extension="fast-marching", refine=["inside=point:1,2,3 near=4"]),
         **dict(level=2, channel_index=1, time_index=3, channels_from_time=True, series="4", spacing="1,2,3um"),
         **dict(resample=True, name=["2=liver"], color=["2=#102030"], label_table="t.csv", also=["tsv", "rtstruct"]),
-        layout="nnunet", label_group="cells",
+        layout="nnunet", label_group="cells", window="bone",
         edit=["step=4 flow=sobolev", "step=9 add=ball:1,2,3,4vox"],
     )
     words = []

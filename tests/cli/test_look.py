@@ -61,8 +61,8 @@ def test_the_place_chooses_the_slices_and_the_window_the_greys(tmp_path):
         (("--at", "1,2"), "expected X,Y,Z in mm"),
         (("--at", "900,0,0"), "lies outside the image"),
         (("--at", "nan,0,0"), "expected X,Y,Z in mm"),
-        (("--window", "soft"), "expected auto, or centre and width"),
-        (("--window", "40,-400"), "expected auto, or centre and width"),
+        (("--window", "soft"), "expected auto, soft-tissue, bone, lung, brain, or level and width"),
+        (("--window", "40,-400"), "expected auto, soft-tissue, bone, lung, brain, or level and width"),
     ],
 )
 def test_what_it_cannot_show_is_one_line(tmp_path, capsys, words, message):

@@ -13,9 +13,9 @@ from matplotlib import image as mpl_image
 from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.report import canvas, preview
 from accelsurf.report.axes import ticks
-from accelsurf.report.grey_window import GreyWindow, window_of
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.report.slice_views import click_views, main_views, shown_ranges, whole_ranges
 from accelsurf.settings.wording import volume_text

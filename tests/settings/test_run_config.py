@@ -81,6 +81,7 @@ ODD = RunConfig(
     also="seg.nrrd,rtstruct",
     layout="bids",
     label_group="cells",
+    window="-600,1500",
     stop_at_rest=True,
     end="present",
     refine=[

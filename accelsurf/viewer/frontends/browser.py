@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from accelsurf.grid.grey_window import parse_window
 from accelsurf.grid.volume import Volume
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.page import POLL_SECONDS, Page
@@ -52,7 +53,8 @@ def serve(
     GraphicsError
         When nothing can be drawn here.
     """
-    scene = Scene(session.volume, theme=theme, reference=reference)
+    window = parse_window(session.status.settings.window)
+    scene = Scene(session.volume, theme=theme, reference=reference, window=window)
     with contextlib.ExitStack() as stack:
         stack.callback(scene.close)
         home = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-")))

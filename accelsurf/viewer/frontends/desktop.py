@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
 )
 from pyvistaqt import QtInteractor
 
+from accelsurf.grid.grey_window import parse_window
 from accelsurf.grid.volume import Volume
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.appearance import page_of_help, palette, sheet
@@ -81,7 +82,10 @@ class Window(QMainWindow):
         self.resize(*SIZE)
         geometry = session.volume.geometry
         self.canvas = QtInteractor(self, auto_update=False, **Scene.layout(geometry))
-        self.scene = Scene(session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name)
+        self.scene = Scene(
+            session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name,
+            window=parse_window(session.status.settings.window),
+        )
         self.workplace = Workplace(session, self.scene, folder, overwrite)
         self.side = SidePanels(self.workplace)
         self.bar = PlaybackBar(self.workplace)

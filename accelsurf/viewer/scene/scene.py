@@ -61,7 +61,7 @@ class Scene:
     title : str, optional
         First line over the picture; the file's name unless given.
     window : GreyWindow, optional
-        Which values of the image are black and white; percentiles of all of it unless given.
+        Which values of the image are black and white; from all of it unless given.
 
     Attributes
     ----------

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.grid.grey_window import CT_WINDOWS, IMAGE, OBJECT, GreyWindow, parse_window, window_of
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.grey_window import AUTO, CT_WINDOWS, GreyWindow, parse_window, window_of
+from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.layouts import LAYOUTS
 from accelsurf.viewer.scene.picking import Picked
 from accelsurf.viewer.workplace.checks import number, text, whole, word
 from accelsurf.viewer.workplace.feature import Feature, Key
 
+#: The window of the whole image; `AUTO` is that of the object and what is around it.
+IMAGE = "image"
 #: Words of windows, as lists show them.
-WINDOWS = (IMAGE, OBJECT, *CT_WINDOWS)
+WINDOWS = (IMAGE, AUTO, *CT_WINDOWS)
 #: What the state says of the place under the mouse.
 READ_OUT = ("place", "voxel", "value", "label", "as_ball", "as_point")
 #: A drag over the whole picture changes level and width by this many widths.
@@ -59,7 +64,7 @@ class SlicesFeature(Feature):
         return {
             "Up": Key("through", (1,), "next slice under the mouse"),
             "Down": Key("through", (-1,), "slice before it"),
-            "A": Key("window_named", (OBJECT,), "grey values of the object and what is around it"),
+            "A": Key("window_named", (AUTO,), "grey values of the object and what is around it"),
             "W": Key("next_layout", (), "next layout"),
             "E": Key("next_chart", (), "chart of the energies"),
             "M": Key("next_interpolate", (), "smooth slices, or voxels"),
@@ -81,17 +86,17 @@ class SlicesFeature(Feature):
     # -- grey values --------------------------------------------------------------------------------------
 
     def _window(self, level: Any, width: Any) -> None:
-        window = GreyWindow(number(level, -MAX_GREY, MAX_GREY), number(width, 0.0, MAX_GREY))
-        if not window.width > 0:
-            raise UsageError(f"window: a width of {window.width:g} was given, expected one above 0")
-        self._show_window(window, "")
+        level, width = number(level, -MAX_GREY, MAX_GREY), number(width, 0.0, MAX_GREY)
+        if not width > 0:
+            raise UsageError(f"window: a width of {width:g} was given, expected one above 0")
+        self._show_window(GreyWindow.of(level, width), "")
 
     def _window_named(self, name: Any) -> None:
-        said = parse_window(text(name, 40))
-        if isinstance(said, GreyWindow):
-            self._show_window(said, name if name in CT_WINDOWS else "")
-        else:
-            self._show_window(self._image_window() if said == IMAGE else self._object_window(), said)
+        if text(name, 40) == IMAGE:
+            return self._show_window(self._image_window(), IMAGE)
+        window = parse_window(name)
+        known = window is None or name in CT_WINDOWS
+        return self._show_window(window or self._object_window(), name if known else "")
 
     def _show_window(self, window: GreyWindow, name: str) -> None:
         self._word = name
@@ -111,9 +116,10 @@ class SlicesFeature(Feature):
             When there is no surface.
         """
         frame, array = self.workplace.scene.frame, self.workplace.scene.volume.array
+        surfaces = () if frame is None else frame.surfaces
         corners = [
             surface.to_image(end)
-            for surface in (frame.surfaces if frame is not None else ())
+            for surface in surfaces
             for end in ((0, 0, 0), np.array(surface.psi.shape) - 1.0)
             if surface.has_surface
         ]
@@ -125,13 +131,27 @@ class SlicesFeature(Feature):
             slice(max(int(a), 0), min(int(b) + 1, n))
             for a, b, n in zip(low - around, high + around, array.shape, strict=True)
         )
-        return window_of(array[z, y, x])
+        return window_of(array[z, y, x], self._inside(surfaces, (z, y, x)))
+
+    @staticmethod
+    def _inside(surfaces: Sequence[SurfaceFrame], box: Box) -> NDArray[np.bool_]:
+        """Which voxels of a box of the image are in an object, as far as it is drawn."""
+        inside = np.zeros([side.stop - side.start for side in box], bool)
+        for surface in surfaces:
+            axes = [
+                np.rint(surface.from_image(np.stack([np.arange(side.start, side.stop)] * 3, -1))[:, axis]).astype(int)
+                for axis, side in enumerate(box)
+            ]
+            valid = [(at >= 0) & (at < n) for at, n in zip(axes, surface.psi.shape, strict=True)]
+            where = np.ix_(*(np.flatnonzero(one) for one in valid))
+            inside[where] |= surface.psi[np.ix_(*(at[one] for at, one in zip(axes, valid, strict=True)))] < 0
+        return inside
 
     def drag_window(self, right: float, up: float) -> None:
         """A drag with the right button, by parts of the picture: sideways the width, up darkens as a higher level."""
-        level, width = self.workplace.scene.window
+        level, width = self.workplace.scene.window.level, self.workplace.scene.window.width
         # In widths, so that it is as fine in an image from 0 to 1 as in one of 16 bits.
-        self._show_window(GreyWindow(level + DRAG * up * width, width * float(np.exp(DRAG * right))), "")
+        self._show_window(GreyWindow.of(level + DRAG * up * width, width * float(np.exp(DRAG * right))), "")
 
     # -- layout -------------------------------------------------------------------------------------------
 

@@ -35,6 +35,8 @@ FEATURES: tuple[type[Feature], ...] = (
     PictureFeature,
     FilesFeature,
 )
+#: Requests after which an earlier error stays in sight: the mouse moves all the time.
+QUIET = ("hover", "move", "release", "size")
 #: Letters of a message at most.
 MAX_MESSAGE = 300
 
@@ -105,6 +107,8 @@ class Workplace:
             work = self._requests.get(name) if isinstance(name, str) else None
             if work is None:
                 raise UsageError(f"request: {short(name)} is not known")
+            if name not in QUIET:
+                self.message = ""
             try:
                 work(*values)
             except TypeError as error:
