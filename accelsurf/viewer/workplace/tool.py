@@ -68,4 +68,4 @@ def finest(geometry: Geometry) -> float:
 def first_radius(geometry: Geometry) -> float:
     """Return the radius of click, ball and brush at first, mm."""
     sides = (h * n for h, n in zip(geometry.spacing, geometry.shape, strict=True) if n > 1)
-    return max(0.06 * min(sides, default=1.0), 2.0 * finest(geometry))
+    return max(0.012 * min(sides, default=1.0), 2.0 * finest(geometry))
