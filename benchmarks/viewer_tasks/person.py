@@ -1,4 +1,4 @@
-"""A simulated person at the window: hands on mouse and keys (xdotool), eyes on what it shows; every action is counted."""
+"""A simulated person at the window: hands on mouse and keys (xdotool), eyes on what it shows; all actions are counted."""
 
 from __future__ import annotations
 
@@ -71,14 +71,15 @@ class Person:
         self.env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": f"{scale:g}"}
         self._scale, self._file, self.actions = scale, folder / "window.json", 0
         self.began = time.monotonic()
-        self._log = open(folder / "window.log", "w+")  # noqa: SIM115 - closed with the window
+        self._log = open(folder / "window.log", "w+")
         command = [sys.executable, "-m", "benchmarks.viewer_tasks.window_watch", str(self._file)]
         command += [str(truth or "-"), label, *words]
         self.process = subprocess.Popen(command, env=self.env, cwd=ROOT, stdout=self._log, stderr=self._log, text=True)
         self.until(lambda now: now["drawn"] is not None, 300)
         self._do("search", "--sync", "--onlyvisible", "--name", "accelsurf - ", "windowfocus", "--sync")
         # What a window manager does, which this screen has not.
-        self._do("search", "--onlyvisible", "--name", "accelsurf - ", "windowsize", *map(str, size), "windowmove", "0", "0")
+        sides = [str(side) for side in size]
+        self._do("search", "--onlyvisible", "--name", "accelsurf - ", "windowsize", *sides, "windowmove", "0", "0")
         self.opened_s = time.monotonic() - self.began
 
     # -- hands --------------------------------------------------------------------------------------------
@@ -152,9 +153,12 @@ class Person:
             time.sleep(0.03)
         raise GaveUp(f"never seen: {json.dumps({k: v for k, v in now.items() if k != 'widgets'})[:2000]}")
 
-    def still(self, seconds: float = 300.0) -> dict[str, Any]:
-        """Wait until nothing moves any more and all is drawn."""
-        return self.until(lambda now: not now["playing"] and bool(now["verdict"]) and "correcting" not in now["message"], seconds)
+    def judge(self, seconds: float = 300.0) -> dict[str, Any]:
+        """Wait until nothing moves any more, and look where the surface is wrong."""
+        before = self.until(lambda now: not now["playing"] and "correcting" not in now["message"], seconds)
+        number = before["verdict"].get("number", 0)
+        self._file.with_suffix(".judge").touch()
+        return dict(self.until(lambda now: now["verdict"].get("number", 0) > number, seconds)["verdict"])
 
     def picture(self, path: Path) -> None:
         """A picture of the whole screen."""

@@ -3,8 +3,7 @@
 Usage: python -m benchmarks.viewer_tasks.run VOLUMES_FOLDER [TASK ...] [-o benchmarks/results/viewer_tasks.json]
            [--pictures FOLDER] [--size 1920x1080]
 
-A simulated person knows the object from a reference, as somebody who knows anatomy does, and acts as a person could: two
-clicks to bring its thickest place into sight, a press there and a drag until the outline has the right size, up to five
+A simulated person knows the object from a reference, as somebody who knows anatomy does, and acts as one could: two clicks to bring its thickest place into sight, a press there and a drag until the outline has the right size, up to five
 strokes where the surface is wrong most, save. Then run.toml is run by ``accelsurf segment``, which must make the same
 bytes. Scans are public: see benchmarks/README.md.
 """
@@ -58,7 +57,8 @@ def main() -> None:
     with screen(width, height) as display:
         for name in given.tasks or TASKS:
             with tempfile.TemporaryDirectory() as folder:
-                results[name] = do_task(name, TASKS[name], given.volumes, display, Path(folder), given.pictures, (width, height))
+                size = (width, height)
+                results[name] = do_task(name, TASKS[name], given.volumes, display, Path(folder), given.pictures, size)
             print(name, json.dumps(results[name]), flush=True)
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(json.dumps(results, indent=2) + "\n")
@@ -82,27 +82,30 @@ def do_task(
     person.key("space")
     person.until(lambda now: now["playing"] or now["stop"], 60)
     hint = person.now()["settings"]["size"]
-    first = person.until(lambda now: now["stop"] is not None and bool(now["verdict"]), 600)
-    dice = [first["verdict"]["dice"]]
-    first_s = time.monotonic() - person.began
-    obeyed = []
-    for _ in range(MAX_STROKES):
-        now = person.still()
-        if now["verdict"]["dice"] >= CONTENT or now["verdict"]["worst"]["depth"] < 1.5 * max(truth.geometry.spacing):
+    person.until(lambda now: now["stop"] is not None, 600)
+    first_s, judged_s = time.monotonic() - person.began, 0.0
+    dice, obeyed = [], []
+    while True:
+        began = time.monotonic()
+        seen = person.judge()
+        judged_s += time.monotonic() - began  # a person sees it
+        dice.append(seen["dice"])
+        small = seen["worst"]["depth"] < 1.5 * max(truth.geometry.spacing)
+        if seen["dice"] >= CONTENT or small or len(obeyed) == MAX_STROKES:
             break
-        obeyed.append(correct(person, now["verdict"]["worst"]))
-        dice.append(person.still()["verdict"]["dice"])
+        obeyed.append(correct(person, seen["worst"]))
     if pictures:
         pictures.mkdir(parents=True, exist_ok=True)
         person.picture(pictures / f"task-{name}.png")
     person.key("ctrl+s")
     person.until(lambda now: "saved in" in now["message"], 120)
-    seconds, actions = time.monotonic() - person.began, person.actions
+    seconds, actions = time.monotonic() - person.began - judged_s, person.actions
     person.close()
     return {
         "actions": actions, "seconds": round(seconds, 1), "opened_s": round(person.opened_s, 1),
         "first_result_s": round(first_s, 1), "dice": [round(one, 3) for one in dice], "strokes": len(obeyed),
-        "obeyed_s": obeyed, "size": hint, "ml": round(saved_ml(folder / "out"), 2), "ml_reference": round(mm3 / 1000, 2),
+        "obeyed_s": obeyed, "size": hint,
+        "ml": round(saved_ml(folder / "out"), 2), "ml_reference": round(mm3 / 1000, 2),
         "same_bytes": same_bytes(scan, folder),
     }
 

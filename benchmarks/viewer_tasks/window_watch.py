@@ -3,7 +3,8 @@
 Usage: python -m benchmarks.viewer_tasks.window_watch STATE_FILE TRUTH|- ID WORDS OF ACCELSURF ...
 
 All that happens to the window comes from outside, as events of mouse and keys. TRUTH is a label map that the window does
-not know: with it the watcher says where the surface is wrong most, as a person would see it, once nothing moves.
+not know: with it the watcher says where the surface is wrong most, as a person would see it. That takes seconds in which
+the window would not answer, so it is done only when a file of this name with the ending .judge asks for it.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class WindowWatch:
 
     def __init__(self, window: Any, state_file: Path, truth: Any, label: int) -> None:
         self._window, self._file, self._truth, self._label = window, state_file, truth, label
-        self._judged: Any = None
+        self._wanted = state_file.with_suffix(".judge")
         self._verdict: dict[str, Any] = {}
         self._frames: list[float] = []
         self._timer = QTimer(window, interval=INTERVAL_MS)
@@ -42,17 +43,18 @@ class WindowWatch:
         """Write the state, all or nothing."""
         window = self._window
         status, frame = window.session.status, window.scene.frame
-        still = not status.playing and frame is not None
-        if still and self._truth is not None and self._judged is not frame:
-            self._judged, self._verdict = frame, self._judge(frame)
+        if self._wanted.exists() and frame is not None:
+            self._verdict = {**self._judge(frame), "number": self._verdict.get("number", 0) + 1}
+            self._wanted.unlink()
         said = {
             "time": time.time(), "state": window.workplace.state(), "tiles": self._tiles(), "widgets": self._widgets(),
-            "step": status.step, "playing": status.playing, "message": window.message.text(), "title": window.windowTitle(),
-            "stop": status.stop and status.stop.reason, "drawn": None if frame is None else [frame.step, frame.volume_mm3],
+            "step": status.step, "playing": status.playing, "message": window.message.text(),
+            "title": window.windowTitle(), "stop": status.stop and status.stop.reason,
+            "drawn": None if frame is None else [frame.step, frame.volume_mm3],
             "undoable": status.undoable, "refinements": len(status.refinements), "edits": len(status.edits),
             "settings": status.settings.model_dump(mode="json"),
             "titles": {name: tile.title.text for name, tile in window.scene.slice_tiles.items()},
-            "verdict": self._verdict if still else {},
+            "verdict": self._verdict,
         }
         draft = self._file.with_suffix(".draft")
         draft.write_text(json.dumps(said, default=str))
@@ -122,12 +124,13 @@ class WindowWatch:
 def main() -> int:
     """Run the command, and watch the window that it opens."""
     state_file, truth_file, label, *words = sys.argv[1:]
-    truth = None if truth_file == "-" else np.isin(io.read_labels(Path(truth_file)).array, [int(i) for i in label.split(",")])
+    ids = [int(one) for one in label.split(",")]
+    truth = None if truth_file == "-" else np.isin(io.read_labels(Path(truth_file)).array, ids)
     original = desktop.Window.__init__
 
     def watched(window: Any, *values: Any, **options: Any) -> None:
         original(window, *values, **options)
-        window.watch = WindowWatch(window, Path(state_file), truth, int(label.split(",")[0]))
+        window.watch = WindowWatch(window, Path(state_file), truth, ids[0])
 
     desktop.Window.__init__ = watched  # type: ignore[method-assign]
     return cli.execute(words)
