@@ -1,4 +1,4 @@
-"""A simulated person at the window: hands on mouse and keys (xdotool), eyes on what it shows; all actions are counted."""
+"""A simulated person at the window: hands on mouse and keys (xdotool), eyes on what it shows; actions are counted."""
 
 from __future__ import annotations
 
