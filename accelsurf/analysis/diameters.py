@@ -54,15 +54,15 @@ def diameters(inside: NDArray[np.bool_], corner: tuple[int, ...], geometry: Geom
     geometry : Geometry
         Of the grid; the slices of an image of one slice have no thickness.
     """
-    order = DisplayOrientation.of(geometry).order
-    if geometry.slice_axis is not None:  # the slice there is, whatever its direction
-        order = (geometry.slice_axis, *(axis for axis in range(3) if axis != geometry.slice_axis))
+    axial, flat = DisplayOrientation.of(geometry).order[0], geometry.slice_axis
+    axial = axial if flat is None else flat  # the slice that there is, whatever its direction
+    order = [axial, *(axis for axis in range(3) if axis != axial)]
     ends = _row_ends(inside.transpose(order))[:, np.argsort(order)] + np.asarray(corner)
     longest, across = _longest(_corners(ends, geometry))
-    slices = [ends[ends[:, order[0]] == index] for index in np.unique(ends[:, order[0]])]
-    flat = [_longest(_corners(own, geometry, order[0]), with_across=False)[0] for own in slices]
-    best = int(np.argmax([_length(line) for line in flat]))
-    return Diameters(longest, across, *_longest(_corners(slices[best], geometry, order[0])))
+    slices = [ends[ends[:, axial] == index] for index in np.unique(ends[:, axial])]
+    lines = [_longest(_corners(own, geometry, axial), with_across=False)[0] for own in slices]
+    best = int(np.argmax([_length(line) for line in lines]))
+    return Diameters(longest, across, *_longest(_corners(slices[best], geometry, axial)))
 
 
 def _length(line: Floats) -> float:

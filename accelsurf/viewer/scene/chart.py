@@ -13,7 +13,10 @@ from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
 from accelsurf.evolution.records import StepRecord
 from accelsurf.viewer.scene.colors import Theme, object_color
-from accelsurf.viewer.scene.overlay import MIN_TEXT, TEXT, round_length
+from accelsurf.viewer.scene.overlay import Pixels, round_length
+
+#: Width of a curve, pixels of a usual screen.
+LINE = 2.0
 
 
 class _Curve(NamedTuple):
@@ -89,7 +92,7 @@ class EnergyChart:
         self._curves = (potential, kinetic or [_Curve(0, [0.0, 1.0], [0.0, 0.0])])
         for chart, lines, curves in zip(self._charts, (self._potential, self._kinetic), self._curves, strict=True):
             while len(lines) < len(curves):
-                lines.append(chart.line([0.0, 1.0], [0.0, 0.0], width=2.0))
+                lines.append(chart.line([0.0, 1.0], [0.0, 0.0], width=LINE))
             while len(lines) > len(curves):
                 chart.remove_plot(lines.pop())
             for line, curve in zip(lines, curves, strict=True):
@@ -103,13 +106,17 @@ class EnergyChart:
             for line, curve in zip(lines, curves, strict=True):
                 line.color = color if self._is_single else object_color(curve.position)
 
-    def fit(self, height: int) -> None:
-        """Make text readable in a window of so many pixels."""
-        size = max(MIN_TEXT, round(height * TEXT))
+    def fit(self, pixels: Pixels) -> None:
+        """Make text readable, and lines as wide as the screen asks for."""
+        size = pixels.text
+        for line in (*self._potential, *self._kinetic):
+            line.width = LINE * pixels.ratio
         for chart in self._charts:
             chart.GetTitleProperties().SetFontSize(size)
             for axis in (chart.x_axis, chart.y_axis):
                 axis.GetLabelProperties().SetFontSize(size - 1)
+                axis.pen.width = pixels.ratio
+                axis.GetGridPen().SetWidth(pixels.ratio)
                 axis.GetTitleProperties().SetFontSize(size)
 
     def paint(self, theme: Theme) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.report.canvas import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from accelsurf.report.canvas import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 
 class Theme(NamedTuple):
@@ -29,7 +29,9 @@ THEMES = {
 #: Surfaces and contours of the objects, in order of their ids.
 OBJECT_COLORS = (ORANGE, GREEN, BLUE, VERMILION, PURPLE)
 #: The first object, also the accent of controls; the reference; the cursor's lines; a ball that is being placed.
-SURFACE, REFERENCE, CURSOR, MARK = ORANGE, SKY, "#F0E442", PURPLE
+SURFACE, REFERENCE, CURSOR, MARK = ORANGE, SKY, YELLOW, PURPLE
+#: Measurements, and the rim around their lines.
+MEASURE, RIM = YELLOW, "#101010"
 #: Clicks.
 INSIDE, OUTSIDE = GREEN, VERMILION
 

@@ -15,7 +15,7 @@ from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrienta
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme, object_color
-from accelsurf.viewer.scene.overlay import Label, ScaleBar
+from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.shapes import GreyTexture, contour, slice_of
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
@@ -67,7 +67,9 @@ class SliceTile:
         #: Array axis of the volume that this slice cuts.
         self.axis = upright.order[plane]
         self._index = -1
-        self._lines: dict[str, pv.Actor] = {}
+        #: What draws each line, and its width in pixels of a usual screen.
+        self._lines: dict[str, tuple[pv.Actor, float]] = {}
+        self._ratio = 1.0
         self._drawn_objects = 0
         self._texture = GreyTexture()
         left, right, bottom, top = self.extent
@@ -181,7 +183,7 @@ class SliceTile:
             lines = self.to_tile(surface.to_image(places))
             self._draw_lines(f"object {position}", lines, object_color(position), 2.2)
         for position in range(len(frame.surfaces), self._drawn_objects):
-            self._lines[f"object {position}"].SetVisibility(False)
+            self._lines[f"object {position}"][0].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
         self._draw_clicks(frame)
 
@@ -244,20 +246,24 @@ class SliceTile:
             cells = np.column_stack([np.full(len(lines), 2), np.arange(2 * len(lines)).reshape(-1, 2)])
             mesh = pv.PolyData(points, lines=cells.ravel())
         if name not in self._lines:
-            self._lines[name] = self._add(mesh, color, opacity=opacity)
-            self._lines[name].prop.line_width = width
-        self._lines[name].mapper.SetInputData(mesh)
-        self._lines[name].SetVisibility(len(lines) > 0)
+            self._lines[name] = self._add(mesh, color, opacity=opacity), width
+            self._lines[name][0].prop.line_width = width * self._ratio
+        actor = self._lines[name][0]
+        actor.mapper.SetInputData(mesh)
+        actor.SetVisibility(len(lines) > 0)
 
-    def fit(self, window_height: int) -> None:
+    def fit(self, pixels: Pixels) -> None:
         """Make the slice as large as its tile allows, the bar as long as that makes it, and text readable."""
         for label in (self.title, *self._letters):
-            label.fit(window_height)
+            label.fit(pixels)
+        self._ratio = pixels.ratio
+        for actor, own_width in self._lines.values():
+            actor.prop.line_width = own_width * pixels.ratio
         width, height = self.renderer.GetSize()
         if not width or not height:
             return
         self._aim()
-        self._bar.fit(window_height)
+        self._bar.fit(pixels)
         if self._letters:
             left, right, bottom, top = self.extent
             scale = 2.0 * self.renderer.camera.parallel_scale

@@ -14,11 +14,13 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import MARK, REFERENCE, SHADES, Theme, color_range, object_color
-from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
+from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
 
 #: Most voxels along an axis of the image as it is drawn in 3D; more take too long.
 MAX_ALONG = 160
+#: Width of the edges of the volume, pixels of a usual screen.
+BOX = 1.0
 #: Where the camera is, as a direction (x, y, z) in LPS, and which direction is up; it begins at `corner`.
 VIEWS = {
     "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
@@ -66,7 +68,7 @@ class SpaceTile:
         self.box = _box(geometry)
         self.reference: pv.PolyData | None = None
         self._box = self._add(self.box, theme.lines)
-        self._box.prop.lighting, self._box.prop.line_width = False, 1.0
+        self._box.prop.lighting = False
         self._ball: pv.Actor | None = None
         self._volume: pv.Volume | None = None
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
@@ -306,12 +308,13 @@ class SpaceTile:
 
     # -- theme and size -----------------------------------------------------------------------------------
 
-    def fit(self, window_height: int) -> None:
+    def fit(self, pixels: Pixels) -> None:
         """Make text readable, and the bar as long as the camera's scale asks for."""
-        self.title.fit(window_height)
-        self._bar.fit(window_height)
+        self.title.fit(pixels)
+        self._bar.fit(pixels)
+        self._box.prop.line_width = BOX * pixels.ratio
         for label in (self._quantity, *self._ends):
-            label.fit(window_height)
+            label.fit(pixels)
 
     def paint(self, theme: Theme) -> None:
         """Use a theme."""
