@@ -170,8 +170,9 @@ class MeasureLayer:
 def _mark(points: Floats, text: str) -> Mark:
     """The mark of points (n, 3): the line through them; of three, an arc at the second."""
     if len(points) < 3:
-        return Mark((points,) if len(points) > 1 else (), points, text, points.mean(axis=0))
-    return Mark((points, *_arc(points)), points, text, points[1])
+        return Mark((points,) if len(points) > 1 else (), points, text, points[-1])
+    arc = _arc(points)
+    return Mark((points, *arc), points, text, arc[0][len(arc[0]) // 2] if arc else points[1])
 
 
 def _arc(points: Floats) -> tuple[Floats, ...]:
