@@ -11,6 +11,7 @@ from vtkmodules.vtkRenderingAnnotation import vtkAnnotatedCubeActor
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
 
 from accelsurf.grid.orientation import LETTERS
+from accelsurf.settings.wording import in_unit
 
 #: Height of text, parts of the window's height, and the smallest that can be read, pixels of a usual screen.
 TEXT, MIN_TEXT = 1 / 50, 12
@@ -120,10 +121,18 @@ class Label:
 
 
 class ScaleBar:
-    """A bar of a round number of mm at the lower right of a renderer with parallel projection."""
+    """A bar of a round length at the lower right of a renderer with parallel projection.
 
-    def __init__(self, renderer: pv.Renderer, color: str) -> None:
-        self._renderer = renderer
+    Parameters
+    ----------
+    renderer : pyvista.Renderer
+    color : str
+    unit : str, optional
+        Of lengths: mm, um or nm; the renderer's is mm.
+    """
+
+    def __init__(self, renderer: pv.Renderer, color: str, unit: str = "mm") -> None:
+        self._renderer, self._unit = renderer, unit
         self._label = Label(renderer, color, (0.97, 0.045))
         self._mesh = pv.PolyData(np.zeros((2, 3), np.float32), lines=[2, 0, 1])
         mapper = vtkPolyDataMapper2D()
@@ -143,10 +152,10 @@ class ScaleBar:
         width, height = self._renderer.GetSize()
         if not width or not height:
             return
-        mm = 2.0 * self._renderer.camera.parallel_scale * width / height
-        length = round_length(0.25 * mm)
-        self._mesh.points = np.array([[0.97 - length / mm, 0.03, 0.0], [0.97, 0.03, 0.0]], np.float32)
-        self._label.text = f"{length:g} mm"
+        wide = in_unit(2.0 * self._renderer.camera.parallel_scale * width / height, self._unit)
+        length = round_length(0.25 * wide)
+        self._mesh.points = np.array([[0.97 - length / wide, 0.03, 0.0], [0.97, 0.03, 0.0]], np.float32)
+        self._label.text = f"{length:g} {self._unit}"
 
     def paint(self, color: str) -> None:
         """Change the colour."""
