@@ -58,7 +58,8 @@ def test_they_are_listed_moved_and_deleted():
     measurements.move(1, 1, (0, 0, 12))
     assert measurements[1].value == 12.0
     rows = measurements.rows()
-    assert tuple(rows[0]) == COLUMNS and rows[0]["unit"] == "mm" and rows[0]["z2_mm"] == 12.0 and rows[0]["x3_mm"] is None
+    assert tuple(rows[0]) == COLUMNS and rows[0]["unit"] == "mm"
+    assert rows[0]["z2_mm"] == 12.0 and rows[0]["x3_mm"] is None
     assert rows[1]["value"] == 90.0 and rows[1]["unit"] == "degrees"
     measurements.delete(1)
     assert [one.number for one in measurements] == [2]

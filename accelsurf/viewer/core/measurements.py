@@ -98,6 +98,9 @@ class Measurements:
     def __len__(self) -> int:
         return len(self._all)
 
+    def __contains__(self, number: object) -> bool:
+        return number in self._all
+
     def __getitem__(self, number: int) -> Measurement:
         if number not in self._all:
             raise UsageError(f"measurement {number} was named, which there is not")
@@ -125,6 +128,11 @@ class Measurements:
         one = self[number]
         if not one.is_complete:
             self._all[number] = replace(one, points=(*one.points, _point(place)))
+
+    def shorten(self, number: int) -> None:
+        """Take its last point away, but never the first."""
+        one = self[number]
+        self._all[number] = replace(one, points=one.points[: max(len(one.points) - 1, 1)])
 
     def move(self, number: int, end: int, to: ArrayLike) -> None:
         """Move an end of one."""

@@ -117,7 +117,8 @@ class Scene:
         self._redraw = self.tiles.redraw
         self.measures = MeasureLayer(self.geometry, self.slice_tiles, self.space, self.unit, self._redraw)
         self.paint(theme)
-        plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(self._legend, self._chart, self.measures))
+        others = self._legend, self._chart, self.measures
+        plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
 
     @staticmethod
     def layout(geometry: Geometry) -> dict[str, Any]:

@@ -98,6 +98,13 @@ class Tiles:
         """The renderer of a tile."""
         return self._space.renderer if self._space is not None and name == "space" else self._slices[name].renderer
 
+    def mm_per_pixel(self, name: str) -> float:
+        """How many mm a pixel of a tile is."""
+        if name in self._slices:
+            return self._slices[name].mm_per_pixel()
+        camera, height = self.renderer(name).camera, self.renderer(name).GetSize()[1]
+        return 2.0 * float(camera.parallel_scale) / max(height, 1)
+
     # -- what each shows ----------------------------------------------------------------------------------
 
     def zoom_slice(self, name: str, factor: float, right: float = 0.5, up: float = 0.5) -> None:
