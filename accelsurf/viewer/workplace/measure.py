@@ -46,6 +46,8 @@ class MeasureFeature(Feature):
         self._tools = Distance(workplace, self.measurements), Angle(workplace, self.measurements)
         self._is_measuring, self._is_current = False, False
         self._lines: list[list[str]] = []
+        #: The tables as they are copied, and what they are of.
+        self._as_tabs, self._tabbed_of = "", (self.figures, tuple(self.measurements))
         self._written: set[Path] = set()
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
@@ -69,7 +71,7 @@ class MeasureFeature(Feature):
             "figures": self._lines,
             "figures_ids": [] if figures is None else [row["id"] for row in figures.rows],
             "figures_step": -1 if figures is None else figures.step,
-            "figures_current": self._is_current, "measuring": self._is_measuring,
+            "figures_current": self._is_current, "measuring": self._is_measuring, "tables": self._tabbed(),
         }
 
     def update(self, view: View) -> None:
@@ -132,11 +134,17 @@ class MeasureFeature(Feature):
         texts = {} if self.figures is None else {"figures.csv": self.figures.csv}
         return texts | ({"measurements.csv": csv_text(COLUMNS, [list(row.values()) for row in rows])} if rows else {})
 
+    def _tabbed(self) -> str:
+        """The tables as they are copied; made anew when something was measured."""
+        now = self.figures, tuple(self.measurements)
+        if now != self._tabbed_of:
+            self._tabbed_of, self._as_tabs = now, "\n".join(tabbed(text) for text in self._texts().values())
+        return self._as_tabs
+
     def _copy(self) -> None:
-        texts = self._texts()
-        if not texts:
+        if not self._tabbed():
             raise UsageError("nothing has been measured", "press Measure, or draw a length")
-        self.workplace.copy("\n".join(tabbed(text) for text in texts.values()))
+        self.workplace.copy(self._tabbed())
         self.workplace.note("copied the tables, with tabs between the columns")
 
     def _save(self) -> None:
