@@ -16,7 +16,7 @@ from accelsurf.io.files import write_bytes
 from accelsurf.report.tables import csv_text
 from accelsurf.settings.wording import in_unit, size_text
 from accelsurf.viewer.core.figures import Figures
-from accelsurf.viewer.core.measurements import COLUMNS, Measurements
+from accelsurf.viewer.core.measurements import COLUMNS, Measurement, Measurements
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.captions import measure
 from accelsurf.viewer.workplace.checks import whole
@@ -47,7 +47,8 @@ class MeasureFeature(Feature):
         self._is_measuring, self._is_current = False, False
         self._lines: list[list[str]] = []
         #: The tables as they are copied, and what they are of.
-        self._as_tabs, self._tabbed_of = "", (self.figures, tuple(self.measurements))
+        self._as_tabs = ""
+        self._tabbed_of: tuple[Figures | None, tuple[Measurement, ...]] = (None, ())
         self._written: set[Path] = set()
 
     def requests(self) -> Mapping[str, Callable[..., None]]:

@@ -30,7 +30,7 @@ class MeasurePanel(Section):
     def __init__(self, workplace: Workplace) -> None:
         super().__init__("Measures", workplace, folded=True)
         self.measure = button("Measure", "Volume, surface, intensity and diameters of each object as it is now")
-        self.diameters = button("Diameters", "Draw the largest diameter, the one across, and the axes in the axial slice")
+        self.diameters = button("Diameters", "Draw the largest diameter, the one across, and both in the axial slice")
         self.copy = button("Copy", "Copy the tables, with tabs between the columns")
         self.save = button("CSV", "Save the tables in the folder of the run")
         self.clear = button("Clear", "Delete all lengths and angles (one: choose its line, press Delete)")
@@ -77,7 +77,7 @@ class MeasurePanel(Section):
 
     def _delete(self) -> None:
         for place in {index.row() for index in self.drawn.selectedIndexes()}:
-            self.ask("measure_delete", int(self.drawn.item(place, 0).text()))
+            self.ask("measure_delete", self._shown["measurements"][place][0])
 
 
 def _about(state: Mapping[str, Any]) -> str:
