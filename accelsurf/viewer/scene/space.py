@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
+from vtkmodules.vtkCommonDataModel import vtkPlane
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
 
@@ -71,6 +72,7 @@ class SpaceTile:
         self._box.prop.lighting = False
         self._ball: pv.Actor | None = None
         self._volume: pv.Volume | None = None
+        self._cut = vtkPlane()
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
         self._table = pv.LookupTable()
@@ -148,7 +150,7 @@ class SpaceTile:
     # -- the image ----------------------------------------------------------------------------------------
 
     def show_volume(self, on: bool) -> None:
-        """Draw the image translucent, bright parts denser, or not."""
+        """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
         if on and self._volume is None:
             self._volume = self._make_volume()
         if self._volume is not None:
@@ -170,7 +172,19 @@ class SpaceTile:
         turn = np.eye(4)
         turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
         volume.user_matrix = turn
+        volume.mapper.AddClippingPlane(self._cut)
         return volume
+
+    def _cut_away(self) -> None:
+        """Leave out what of the image is nearer than the middle of the surfaces, so that it does not hide them."""
+        bounds = np.array([mesh.bounds for mesh in self._meshes if mesh.n_points])
+        camera = self.renderer.camera
+        if len(bounds):
+            middle = 0.5 * (bounds[:, ::2].min(axis=0) + bounds[:, 1::2].max(axis=0))
+        else:  # no surface: all of it
+            middle = np.array(camera.position)
+        self._cut.SetOrigin(*middle)
+        self._cut.SetNormal(*camera.direction)
 
     def use_window(self, window: GreyWindow, cursor: NDArray[np.float64]) -> None:
         """Draw other values black and white."""
@@ -312,6 +326,8 @@ class SpaceTile:
         """Make text readable, and the bar as long as the camera's scale asks for."""
         self.title.fit(pixels)
         self._bar.fit(pixels)
+        if self.shows_volume:
+            self._cut_away()
         self._box.prop.line_width = BOX * pixels.ratio
         for label in (self._quantity, *self._ends):
             label.fit(pixels)
