@@ -24,7 +24,7 @@ from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.captions import caption, legend_lines, measure
+from accelsurf.viewer.scene.captions import caption, legend_lines, volume_line
 from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
@@ -129,18 +129,18 @@ class Scene:
 
     def _build(self) -> None:
         plotter, upright, image = self.plotter, DisplayOrientation.of(self.geometry), self.volume.array
-        flat = self.geometry.slice_axis
+        flat, style = self.geometry.slice_axis, (self.anatomical, self._theme, self.unit)
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
-            self.space = SpaceTile(plotter, self.geometry, image, self._window, self.anatomical, self._theme)
+            self.space = SpaceTile(plotter, self.geometry, image, self._window, *style)
             if self._reference is not None:
                 self.space.show_reference(label_surface(self._reference.inside, self.geometry))
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
-            tile = SliceTile(plotter.renderer, image, self._window, upright, plane, self.anatomical, self._theme)
+            tile = SliceTile(plotter.renderer, image, self._window, upright, plane, *style)
             self.slice_tiles[TILES[plane]] = tile
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
@@ -184,7 +184,7 @@ class Scene:
         for tile in self.slice_tiles.values():
             tile.draw_objects(frame)
         self._legend.show(legend_lines(frame, self._theme.ink, self.dice))
-        lines = [line for line in (self.title, *caption(frame, self.geometry)) if line]
+        lines = [line for line in (self.title, *caption(frame, self.geometry, self.unit)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
@@ -331,7 +331,7 @@ class Scene:
         """
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
-            tile.mark_size(drag, volume, "" if volume is None else f"size {measure(volume)} mm3")
+            tile.mark_size(drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}")
             self._redraw.mark(tile.renderer)
 
     def paint(self, theme: str) -> None:

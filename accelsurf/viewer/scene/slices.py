@@ -12,8 +12,10 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrientation
+from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.scene.captions import measure
 from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme, object_color
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.shapes import GreyTexture, contour, slice_of
@@ -48,6 +50,8 @@ class SliceTile:
     anatomical : bool
         Whether letters may be written.
     theme : Theme
+    unit : str, optional
+        Of lengths in the file, in which they are written.
     """
 
     def __init__(
@@ -59,8 +63,9 @@ class SliceTile:
         plane: int,
         anatomical: bool,
         theme: Theme,
+        unit: str = "mm",
     ) -> None:
-        self.renderer, self.plane = renderer, plane
+        self.renderer, self.plane, self._unit = renderer, plane, unit
         self._up, self._anatomical, self._theme = upright, anatomical, theme
         self._image, self._window = upright.reorient(image), window
         self._vertical, self._horizontal = IN_PLANE[plane]
@@ -84,7 +89,7 @@ class SliceTile:
         renderer.camera_set = True
         renderer.SetInteractive(False)
         self.title = Label(renderer, theme.ink, (0.03, 0.975), top=True)
-        self._bar = ScaleBar(renderer, theme.ink)
+        self._bar = ScaleBar(renderer, theme.ink, unit)
         self._letters = self._write_letters() if anatomical else []
 
     # -- places -------------------------------------------------------------------------------------------
@@ -147,8 +152,8 @@ class SliceTile:
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
         self._draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
         name = PLANES[self.plane] if self._anatomical else "Slice"
-        where = self._up.coordinate(self.plane, turned)
-        self.title.text = f"{name}  {self._up.names[self.plane]} = {where:.4g} mm"
+        where = in_unit(self._up.coordinate(self.plane, turned), self._unit)
+        self.title.text = f"{name}  {self._up.names[self.plane]} = {measure(where)} {self._unit}"
 
     def _show_grey(self) -> None:
         grey = self._window.grey(self._image.take(self._index, axis=self.plane))

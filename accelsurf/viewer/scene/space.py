@@ -49,6 +49,8 @@ class SpaceTile:
     anatomical : bool
         Whether directions may be named by letters.
     theme : Theme
+    unit : str, optional
+        Of lengths in the file, in which they are written.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class SpaceTile:
         window: GreyWindow,
         anatomical: bool,
         theme: Theme,
+        unit: str = "mm",
     ) -> None:
         self.renderer, self._plotter = plotter.renderer, plotter
         self._geometry, self._image, self._window = geometry, image, window
@@ -81,7 +84,7 @@ class SpaceTile:
         # VTK's own labels come to lie on the colours in a picture that is drawn once.
         self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
-        self._bar = ScaleBar(self.renderer, theme.ink)
+        self._bar = ScaleBar(self.renderer, theme.ink, unit)
         plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
         self.look_from()
 
