@@ -7,7 +7,7 @@ from PIL import Image
 from accelsurf import Volume
 from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY
 from accelsurf.viewer.scene import colors, shapes
 from tests.support import viewing
 
@@ -381,3 +381,22 @@ def test_text_and_lines_scale_once_with_the_screen(scene_of, ratio):
     ink = [float((np.abs(one - one[0, 0]).max(axis=2) > 60).mean()) for one in (pictures[0], small.astype(float))]
     assert ink[1] == pytest.approx(ink[0], rel=0.04)
     assert np.abs(small - pictures[0]).mean() < 5.0
+
+
+@pytest.mark.parametrize("size", [(640, 360), (1280, 720)])
+def test_letters_beside_a_thin_slab_do_not_overlap(scene_of, size):
+    volume = Volume.from_array(np.zeros((2, 200, 200), np.float32), (1.0, 1.0, 1.0), direction=np.eye(3))
+    volume.metadata[DICOM_KEY] = "1.2.3"  # its axes are a patient's
+    scene = scene_of(volume, size=size)
+    assert scene.anatomical
+    for name in ("coronal", "sagittal"):
+        boxes = []
+        scene.screenshot()
+        for prop in scene.slice_tiles[name].renderer.GetViewProps():
+            if prop.IsA("vtkTextActor") and prop.GetInput() in ("S", "I"):
+                box, renderer = [0.0] * 4, scene.slice_tiles[name].renderer
+                prop.GetBoundingBox(renderer, box)
+                _, up = prop.GetPositionCoordinate().GetComputedViewportValue(renderer)
+                boxes.append((up + box[2], up + box[3]))
+        (low, high) = sorted(boxes)
+        assert low[1] < high[0], (name, boxes)

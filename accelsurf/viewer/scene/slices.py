@@ -24,6 +24,8 @@ from accelsurf.viewer.scene.shapes import GreyTexture, contour, slice_of
 FILL = 0.82
 #: Largest enlargement, and smallest, of what fits the tile.
 MAX_ZOOM, MIN_ZOOM = 40.0, 0.5
+#: Between the image and the middle of a letter, heights of text.
+LETTER = 0.8
 #: Length of the arms of a click's mark, of the longer side of the image.
 ARM = 0.012
 #: Directions of the arms of a mark: + for inside, x for outside.
@@ -272,7 +274,8 @@ class SliceTile:
         if self._letters:
             left, right, bottom, top = self.extent
             scale = 2.0 * self.renderer.camera.parallel_scale
-            self._place_letters((right - left) * height / width / scale, (top - bottom) / scale)
+            room = LETTER * pixels.text / height
+            self._place_letters((right - left) * height / width / scale, (top - bottom) / scale, room)
 
     # -- zoom and pan -------------------------------------------------------------------------------------
 
@@ -335,9 +338,11 @@ class SliceTile:
         top, bottom = (low, high) if self._down else (high, low)
         return [Label(self.renderer, "white", (0.5, 0.5), text, boxed=True) for text in (left, right, top, bottom)]
 
-    def _place_letters(self, wide: float, high: float) -> None:
-        """Put the letters beside an image that takes these parts of the tile; below the title, above the bar."""
-        right, up = min(0.5 + 0.5 * wide + 0.03, 0.97), min(0.5 + 0.5 * high + 0.025, 0.905)
-        down = max(0.5 - 0.5 * high - 0.025, 0.035)
+    def _place_letters(self, wide: float, high: float, room: float) -> None:
+        """Put the letters beside an image that takes these parts of the tile, ``room`` from it: two at a thin slab do
+        not overlap; below the title, above the bar.
+        """
+        right, up = min(0.5 + 0.5 * wide + 0.03, 0.97), min(0.5 + 0.5 * high + room, 0.905)
+        down = max(0.5 - 0.5 * high - room, 0.035)
         for letter, place in zip(self._letters, ((1 - right, 0.5), (right, 0.5), (0.5, up), (0.5, down)), strict=True):
             letter.move(*place)
