@@ -90,7 +90,7 @@ def shown(session: Session, window: Window) -> dict[str, Any]:
         "stop": status.stop and status.stop.reason,
         "drawn": None if frame is None else [frame.step, frame.volume_mm3],
         "color": state["color"], "theme": state["theme"], "help": window.help.isVisible(), "state": state,
-        "pixels": [window.scene.tiles.pixel_ratio, window.scene.plotter.render_window.GetDPI()],
+        "pixels": [window.scene.tiles.pixel_ratio, window.canvas.render_window.GetDPI()] if window.isVisible() else [],
         "clipboard": QApplication.clipboard().text(),
         "play": window.bar.play.text(), "title": window.windowTitle(), "cursor": window.scene.cursor.tolist(),
     }

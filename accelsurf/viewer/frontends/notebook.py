@@ -82,12 +82,7 @@ def show(
         scene.update(Frame.of_result(what), [one.history for one in what.objects])
     scene.show_volume(volume)
     scene.show_planes(planes)
-    if plotter is not None:
-        return _show_in_pyvista(scene, backend)
-    try:
-        return SceneOutput(scene) if to is None else _write(scene, to, suffix)
-    finally:
-        scene.close()
+    return _show_in_pyvista(scene, backend) if plotter is not None else _output(scene, to, suffix)
 
 
 def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None, title: str) -> pv.Plotter | None:
@@ -101,6 +96,17 @@ def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None, tit
         require_graphics()
     layout = Scene.layout(geometry)
     return pv.Plotter(off_screen=notebook, notebook=notebook, window_size=list(size), title=title, **layout)
+
+
+def _output(scene: Scene, to: str | Path | None, suffix: str) -> SceneOutput | None:
+    """The output of a cell; with a path write a file instead. The scene is closed."""
+    try:
+        if to is None:
+            return SceneOutput(scene)
+        _write(scene, to, suffix)
+        return None
+    finally:
+        scene.close()
 
 
 def _write(scene: Scene, path: str | Path, suffix: str) -> None:
