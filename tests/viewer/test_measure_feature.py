@@ -208,7 +208,7 @@ def test_a_file_of_others_is_not_replaced(workplace, tmp_path):
     (tmp_path / "egg_measurements.csv").write_text("mine")
     ask(workplace, "measure_diameters")
     ask(workplace, "measure_save")
-    assert "there already" in workplace.message and (tmp_path / "egg_measurements.csv").read_text() == "mine"
+    assert "exists already" in workplace.message and (tmp_path / "egg_measurements.csv").read_text() == "mine"
     other = Workplace(workplace.session, workplace.scene, tmp_path, overwrite=True)
     ask(other, "measure_diameters")
     ask(other, "measure_save")

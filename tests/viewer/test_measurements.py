@@ -48,11 +48,11 @@ def test_text_is_in_the_unit_of_the_file():
 
 def test_they_are_listed_moved_and_deleted():
     measurements = Measurements()
-    first = measurements.begin("distance", [(0, 0, 0)])
+    first = measurements.add("distance", [(0, 0, 0)])
     assert not first.is_complete and measurements.rows() == []
     measurements.add_point(first.number, (3, 4, 0))
     measurements.add_point(first.number, (9, 9, 9))  # it has all its points: nothing happens
-    second = measurements.begin("angle", [(1, 0, 0), (0, 0, 0), (0, 1, 0)])
+    second = measurements.add("angle", [(1, 0, 0), (0, 0, 0), (0, 1, 0)])
     assert [one.number for one in measurements] == [1, 2] and second.value == 90.0
     assert measurements.nearest((3.2, 4, 0), 0.5) == (1, 1) and measurements.nearest((3.2, 4, 0), 0.1) is None
     measurements.move(1, 1, (0, 0, 12))
@@ -63,7 +63,7 @@ def test_they_are_listed_moved_and_deleted():
     assert rows[1]["value"] == 90.0 and rows[1]["unit"] == "degrees"
     measurements.delete(1)
     assert [one.number for one in measurements] == [2]
-    assert measurements.begin("distance", [(0, 0, 0)]).number == 3  # a number is never used again
+    assert measurements.add("distance", [(0, 0, 0)]).number == 3  # a number is never used again
     measurements.clear()
     assert len(measurements) == 0
 
@@ -71,9 +71,9 @@ def test_they_are_listed_moved_and_deleted():
 def test_what_is_wrong_changes_nothing():
     measurements = Measurements()
     for wrong in (
-        lambda: measurements.begin("area", [(0, 0, 0)]),
-        lambda: measurements.begin("distance", [(0, 0, np.nan)]),
-        lambda: measurements.begin("distance", [(0, 0, 0)] * 3),
+        lambda: measurements.add("area", [(0, 0, 0)]),
+        lambda: measurements.add("distance", [(0, 0, np.nan)]),
+        lambda: measurements.add("distance", [(0, 0, 0)] * 3),
         lambda: measurements.delete(1),
         lambda: measurements.move(7, 0, (0, 0, 0)),
     ):
@@ -81,9 +81,9 @@ def test_what_is_wrong_changes_nothing():
             wrong()
     assert len(measurements) == 0
     for _ in range(MAX_COUNT):
-        measurements.begin("distance", [(0, 0, 0)])
+        measurements.add("distance", [(0, 0, 0)])
     with pytest.raises(UsageError, match="no more"):
-        measurements.begin("distance", [(0, 0, 0)])
+        measurements.add("distance", [(0, 0, 0)])
 
 
 # -- drawn ---------------------------------------------------------------------------------------------------

@@ -78,7 +78,7 @@ class Measurement:
             return ""
         return size_text(self.value, unit, digits=4) if self.kind == "distance" else f"{self.value:.1f}°"
 
-    def moved(self, end: int, to: ArrayLike) -> Measurement:
+    def with_end(self, end: int, to: ArrayLike) -> Measurement:
         """The same with another place of an end."""
         points = list(self.points)
         points[end] = _point(to)
@@ -106,7 +106,7 @@ class Measurements:
             raise UsageError(f"measurement {number} was named, which there is not")
         return self._all[number]
 
-    def begin(self, kind: str, points: Sequence[ArrayLike]) -> Measurement:
+    def add(self, kind: str, points: Sequence[ArrayLike]) -> Measurement:
         """Add one.
 
         Raises
@@ -136,7 +136,7 @@ class Measurements:
 
     def move(self, number: int, end: int, to: ArrayLike) -> None:
         """Move an end of one."""
-        self._all[number] = self[number].moved(end, to)
+        self._all[number] = self[number].with_end(end, to)
 
     def delete(self, number: int) -> None:
         """Delete one."""

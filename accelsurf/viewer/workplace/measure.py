@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from accelsurf.analysis.diameters import Diameters
-from accelsurf.errors import OutputError, UsageError
+from accelsurf.errors import UsageError
 from accelsurf.io.files import write_bytes
+from accelsurf.report import output_folder
 from accelsurf.report.tables import csv_text
 from accelsurf.settings.wording import in_unit, size_text
 from accelsurf.viewer.core.figures import Figures
@@ -101,14 +102,14 @@ class MeasureFeature(Feature):
 
     def _draw_diameters(self, object_id: Any = None) -> None:
         known = self.workplace.session.status.objects or (1,)
-        chosen = whole(object_id, 0, MAX_ID) if object_id is not None else self.workplace.object_id or known[0]
-        if chosen not in known:
-            raise UsageError(f"object {chosen} was named, expected {', '.join(map(str, known))}")
-        self.workplace.ask(self.workplace.session.diameters(chosen), self._show_diameters)
+        wanted = whole(object_id, 0, MAX_ID) if object_id is not None else self.workplace.object_id or known[0]
+        if wanted not in known:
+            raise UsageError(f"object {wanted} was named, expected {', '.join(map(str, known))}")
+        self.workplace.ask(self.workplace.session.diameters(wanted), self._show_diameters)
 
     def _show_diameters(self, lines: Diameters) -> None:
         for ends in lines:
-            self.measurements.begin("distance", list(ends))
+            self.measurements.add("distance", list(ends))
         self._show()
 
     # -- what is drawn ------------------------------------------------------------------------------------
@@ -164,9 +165,9 @@ class MeasureFeature(Feature):
 
     def _write(self, folder: Path, texts: Mapping[str, str]) -> list[Path]:
         paths = {folder / f"{self.workplace.session.name}_{name}": text for name, text in texts.items()}
-        for path in paths:
-            if path.exists() and path not in self._written and not self.workplace.overwrite:
-                raise OutputError(f"{path.name}: it is there already", "choose another folder, or --overwrite")
+        others = {path.name: path for path in paths if path not in self._written}
+        output_folder.refuse_existing(others, self.workplace.overwrite)
+        output_folder.refuse_existing({path.name: path for path in paths}, overwrite=True)
         for path, text in paths.items():
             write_bytes(path, text.encode())
             self._written.add(path)

@@ -46,7 +46,7 @@ class Distance(Tool):
         elif near is not None:
             self._held = near
         else:
-            one = known.begin(self.name, [at.world, at.world])
+            one = known.add(self.name, [at.world, at.world])
             self._held, self._unfinished = (one.number, 1), one.number
         self._show()
 

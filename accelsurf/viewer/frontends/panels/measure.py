@@ -48,11 +48,11 @@ class MeasurePanel(Section):
         column = QVBoxLayout(self.body)
         column.setSpacing(4)
         column.setContentsMargins(8, 2, 8, 6)
-        column.addLayout(_row(self.measure, self.diameters))
+        column.addLayout(_buttons(self.measure, self.diameters))
         column.addWidget(self.step)
         column.addWidget(self.objects)
         column.addWidget(self.drawn)
-        column.addLayout(_row(self.copy, self.save, self.clear))
+        column.addLayout(_buttons(self.copy, self.save, self.clear))
         self._shown: dict[str, Any] = {}
 
     def show_state(self, state: Mapping[str, Any]) -> None:
@@ -116,7 +116,7 @@ def _fill(made: QTableWidget, lines: Sequence[Sequence[str]]) -> None:
     made.setVisible(bool(lines))
 
 
-def _row(*parts: Any) -> QHBoxLayout:
+def _buttons(*parts: Any) -> QHBoxLayout:
     line = QHBoxLayout()
     line.setSpacing(4)
     for part in parts:
