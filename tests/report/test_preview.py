@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import re
 import subprocess
 import sys
 
@@ -211,3 +212,19 @@ def test_long_titles_are_shortened_and_volumes_have_the_unit_of_their_size():
     assert volume_text(0.0) == "0 mm3" and volume_text(2.5e7) == "25 l"
     short = canvas.fitting("x" * 300, 14, 120)
     assert canvas.text_width(short, 14) <= 120 and "..." in short
+
+
+def test_scale_bars_are_in_the_unit_of_the_file(monkeypatch):
+    said, write = [], canvas.Canvas.text
+
+    def text(self, at, text, *more, **named):
+        said.append(text)
+        write(self, at, text, *more, **named)
+
+    monkeypatch.setattr(canvas.Canvas, "text", text)
+    for unit, factor in (("mm", 1), ("um", 1000)):
+        said.clear()
+        preview.preview_png(content(*ball_on_grid(), unit=unit))
+        bars = [words for words in said if re.fullmatch(r"[\d.e+]+ [um]m", words)]
+        assert len(bars) >= 2 and all(words.endswith(f" {unit}") for words in bars)
+        assert all(1 <= float(words.split()[0]) / factor <= 20 for words in bars)

@@ -179,6 +179,8 @@ def test_diameters_are_drawn_with_the_lengths_of_the_table(workplace):
     (row,) = workplace.feature(MeasureFeature).figures.rows
     names = ("diameter_mm", "diameter_across_mm", "diameter_axial_mm", "diameter_axial_across_mm")
     assert [one[2] for one in state["measurements"]] == [f"{row[name]:.4g} mm" for name in names]
+    # The slices go to where the long and the short axis lie.
+    assert workplace.scene.measures.marks["axial"].texts == tuple(f"{row[name]:.4g} mm" for name in names[2:])
 
 
 def test_tables_are_copied_and_saved_with_the_run(workplace, tmp_path):

@@ -8,6 +8,7 @@ from accelsurf import Volume
 from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY
+from accelsurf.report import canvas
 from accelsurf.viewer.scene import colors, shapes
 from tests.support import viewing
 
@@ -284,6 +285,13 @@ def test_triangles_face_the_way_of_their_normals(name):
         a, b, c = (np.asarray(mesh.points)[corner] for corner in np.asarray(mesh.faces).reshape(-1, 4)[:, 1:].T)
         outward = (np.cross(b - a, c - a) * (a - center)).sum(axis=1)
         assert (outward > 0).mean() > 0.999
+
+
+def test_the_reference_has_a_colour_of_its_own_in_every_picture():
+    assert (colors.SURFACE, colors.REFERENCE, colors.OBJECT_COLORS) == (
+        canvas.SURFACE, canvas.REFERENCE, canvas.OBJECT_COLORS
+    )  # fmt: skip
+    assert colors.REFERENCE not in colors.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
 
 
 # -- what is written and drawn over it ----------------------------------------------------------------------

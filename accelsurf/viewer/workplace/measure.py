@@ -110,6 +110,7 @@ class MeasureFeature(Feature):
     def _show_diameters(self, lines: Diameters) -> None:
         for ends in lines:
             self.measurements.add("distance", list(ends))
+        self.workplace.scene.cursor = lines.axial.mean(axis=0)  # to the slice in which two of them lie
         self._show()
 
     # -- what is drawn ------------------------------------------------------------------------------------
