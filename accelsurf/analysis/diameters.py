@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
-from scipy.spatial.distance import pdist, squareform
+from scipy.spatial.distance import cdist
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
 
 Floats = NDArray[np.float64]
+#: Points whose distances to all others are computed together.
+BATCH = 512
 
 
 class Diameters(NamedTuple):
@@ -97,20 +99,20 @@ def _longest(points: Floats, with_across: bool = True) -> tuple[Floats, Floats]:
         ends = [int(within.argmin()), int(within.argmax())] if rank else [0, 0]
         return points[ends], points[[ends[0]] * 2]
     hull = ConvexHull(within)
-    vertices = within[hull.vertices]
-    place = int(pdist(vertices).argmax())
-    first, last = (int(part) for part in _pair(place, len(vertices)))
-    line = vertices[[first, last]]
+    line = _farthest(within[hull.vertices])
     across = _longest_across(within, hull.simplices, line) if with_across else line[:1].repeat(2, axis=0)
     return middle + line @ axes[:rank], middle + across @ axes[:rank]
 
 
-def _pair(place: int, count: int) -> tuple[int, int]:
-    """The two points at a place of the condensed distances of so many."""
-    rows = np.arange(count)
-    begins = rows * count - rows * (rows + 1) // 2
-    first = int(np.searchsorted(begins, place, side="right")) - 1
-    return first, int(place - begins[first]) + first + 1
+def _farthest(points: Floats) -> Floats:
+    """The two points that are farthest apart; the distances of so many are not stored at once."""
+    best, longest = points[[0, 0]], -1.0
+    for first in range(0, len(points), BATCH):
+        distances = cdist(points[first : first + BATCH], points[first:], "sqeuclidean")
+        one, other = np.unravel_index(int(distances.argmax()), distances.shape)
+        if distances[one, other] > longest:
+            best, longest = points[[first + one, first + other]], float(distances[one, other])
+    return best
 
 
 def _longest_across(points: Floats, facets: NDArray[np.int32], line: Floats) -> Floats:
@@ -120,17 +122,14 @@ def _longest_across(points: Floats, facets: NDArray[np.int32], line: Floats) -> 
     direction is linear; so the longest line lies at the height of a vertex.
     """
     axis = (line[1] - line[0]) / max(_length(line), 1e-300)
-    count = facets.shape[1]
-    edges = np.concatenate([facets[:, [a, b]] for a in range(count) for b in range(a + 1, count)])
-    edges = np.unique(np.sort(edges, axis=1), axis=0)
-    heights = points @ axis
-    low, high = heights[edges[:, 0]], heights[edges[:, 1]]
-    best, longest = line[:1].repeat(2, axis=0), 0.0
-    near = 1e-9 * _length(line)
+    edges = _edges(facets)
+    heights, near = points @ axis, 1e-9 * _length(line)
     levels, middle = np.unique(heights[np.unique(edges)]), float(line.mean(axis=0) @ axis)
-    for height in levels[np.argsort(np.abs(levels - middle), kind="stable")]:  # the widest are near the middle
-        cut = edges[(np.minimum(low, high) <= height + near) & (np.maximum(low, high) >= height - near)]
-        a, b = points[cut[:, 0]], points[cut[:, 1]]
+    cut, first = _edges_at(levels, heights[edges], near)
+    best, longest = line[:1].repeat(2, axis=0), 0.0
+    for place in np.argsort(np.abs(levels - middle), kind="stable"):  # the widest are near the middle
+        height, own = levels[place], edges[cut[first[place] : first[place + 1]]]
+        a, b = points[own[:, 0]], points[own[:, 1]]
         from_a, rise = height - a @ axis, (b - a) @ axis
         flat = np.abs(rise) <= near
         share = np.clip(from_a / np.where(flat, 1.0, rise), 0.0, 1.0)
@@ -138,8 +137,26 @@ def _longest_across(points: Floats, facets: NDArray[np.int32], line: Floats) -> 
         found = found - np.outer(found @ axis - height, axis)
         if len(found) < 2 or np.linalg.norm(found.max(axis=0) - found.min(axis=0)) <= longest:
             continue
-        distances = squareform(pdist(found))
-        one, other = np.unravel_index(int(distances.argmax()), distances.shape)
-        if distances[one, other] > longest:
-            best, longest = found[[one, other]], float(distances[one, other])
+        candidate = _farthest(found)
+        if _length(candidate) > longest:
+            best, longest = candidate, _length(candidate)
     return best
+
+
+def _edges(facets: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The edges (n, 2) of facets, each once."""
+    count = facets.shape[1]
+    edges = np.concatenate([facets[:, [a, b]] for a in range(count) for b in range(a + 1, count)])
+    return np.asarray(np.unique(np.sort(edges, axis=1), axis=0))
+
+
+def _edges_at(levels: Floats, heights: Floats, near: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which edges, with the heights (n, 2) of their ends, meet each level; those of one lie between two indices."""
+    low = np.searchsorted(levels, heights.min(axis=1) - near, side="left")
+    high = np.searchsorted(levels, heights.max(axis=1) + near, side="right")
+    counts = high - low
+    begins = np.cumsum(counts) - counts
+    met = np.arange(counts.sum()) - np.repeat(begins - low, counts)  # the levels of the first edge, of the second ...
+    order = np.argsort(met, kind="stable")
+    edges = np.repeat(np.arange(len(counts)), counts)[order]
+    return edges, np.searchsorted(met[order], np.arange(len(levels) + 1))

@@ -133,11 +133,12 @@ class MeasureLayer:
             self.marks["space"] = MeasureMarks(space.renderer)
         self._measurements: tuple[Measurement, ...] = ()
 
-    def show(self, measurements: Iterable[Measurement]) -> None:
-        """Draw these, in place of those before."""
+    def show(self, measurements: Iterable[Measurement], dragged_in: str | None = None) -> None:
+        """Draw these, in place of those before; while one is dragged in a tile, that tile alone is drawn at once."""
         self._measurements = tuple(measurements)
         self.move()
-        self._redraw.mark(*(marks.renderer for marks in self.marks.values()))
+        drawn = self.marks.values() if dragged_in is None else [self.marks[dragged_in]]
+        self._redraw.mark(*(marks.renderer for marks in drawn))
 
     def move(self) -> None:
         """The slices have moved: draw what is in them now."""

@@ -89,7 +89,7 @@ class Label:
             style.SetVerticalJustificationToTop()
         if boxed:
             style.SetBackgroundColor(0.0, 0.0, 0.0)
-            style.SetBackgroundOpacity(0.45)
+            style.SetBackgroundOpacity(0.65)
         if boxed and not in_space:
             style.SetJustificationToCentered()
             style.SetVerticalJustificationToCentered()

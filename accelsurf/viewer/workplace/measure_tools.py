@@ -53,13 +53,17 @@ class Distance(Tool):
     def move(self, at: Picked) -> None:
         if self._held is not None and at.world is not None:
             self._measurements.move(*self._held, at.world)
-            self._show()
+            self._show(at.tile)
 
     def release(self) -> None:
         held, self._held = self._held, None
-        if held is None or held[0] != self._unfinished:
-            return
-        one = self._measurements[held[0]]
+        if held is not None and held[0] == self._unfinished:
+            self._finish(held[0])
+        self._show()
+
+    def _finish(self, number: int) -> None:
+        """The button went up while this one was drawn: has it all its points?"""
+        one = self._measurements[number]
         if len(one.points) == 2 and np.linalg.norm(np.subtract(*one.points)) <= CLICK * self._pixel_mm:
             self._measurements.shorten(one.number)  # a click: the next one is the second point
         elif one.is_complete:
@@ -76,8 +80,8 @@ class Distance(Tool):
             self._measurements.delete(self._unfinished)
         self._held = self._unfinished = None
 
-    def _show(self) -> None:
-        self.workplace.scene.measures.show(self._measurements)
+    def _show(self, dragged_in: str | None = None) -> None:
+        self.workplace.scene.measures.show(self._measurements, dragged_in)
         self.workplace.changed = True
 
 
