@@ -61,10 +61,31 @@ def diameters(inside: NDArray[np.bool_], corner: tuple[int, ...], geometry: Geom
     order = [axial, *(axis for axis in range(3) if axis != axial)]
     ends = _row_ends(inside.transpose(order))[:, np.argsort(order)] + np.asarray(corner)
     longest, across = _longest(_corners(ends, geometry))
-    slices = [ends[ends[:, axial] == index] for index in np.unique(ends[:, axial])]
-    lines = [_longest(_corners(own, geometry, axial), with_across=False)[0] for own in slices]
-    best = int(np.argmax([_length(line) for line in lines]))
-    return Diameters(longest, across, *_longest(_corners(slices[best], geometry, axial)))
+    return Diameters(longest, across, *_longest(_corners(_widest_slice(ends, axial, geometry), geometry, axial)))
+
+
+def _widest_slice(ends: NDArray[np.int64], axial: int, geometry: Geometry) -> NDArray[np.int64]:
+    """The voxels of the slice that has the longest line; slices that are too small for it are not searched."""
+    order = np.argsort(ends[:, axial], kind="stable")
+    first = np.flatnonzero(np.diff(ends[order, axial], prepend=-1))
+    slices = np.split(ends[order], first[1:])
+    spacing = np.array(geometry.spacing) * [axis != axial for axis in range(3)]
+    # No line is longer than twice the largest distance from one place.
+    bounds = [_width_bound(own * spacing) + float(np.linalg.norm(spacing)) for own in slices]
+    best, longest = slices[0], -1.0
+    for place in np.argsort(bounds)[::-1]:
+        if bounds[place] <= longest:
+            break
+        length = _length(_longest(_corners(slices[place], geometry, axial), with_across=False)[0])
+        if length > longest:
+            best, longest = slices[place], length
+    return best
+
+
+def _width_bound(points: Floats) -> float:
+    """Twice the largest distance from the middle of their box: no two points (n, k) are farther apart."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return 2.0 * float(np.sqrt(((points - middle) ** 2).sum(axis=1).max()))
 
 
 def _length(line: Floats) -> float:
@@ -106,6 +127,11 @@ def _longest(points: Floats, with_across: bool = True) -> tuple[Floats, Floats]:
 
 def _farthest(points: Floats) -> Floats:
     """The two points that are farthest apart; the distances of so many are not stored at once."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radii = np.sqrt(((points - middle) ** 2).sum(axis=1))
+    start = points[radii.argmax()]
+    least = float(np.sqrt(((points - start) ** 2).sum(axis=1).max()))
+    points = points[radii >= (least - radii.max()) * (1 - 1e-12)]  # others are too near the middle
     best, longest = points[[0, 0]], -1.0
     for first in range(0, len(points), BATCH):
         distances = cdist(points[first : first + BATCH], points[first:], "sqeuclidean")
@@ -135,7 +161,7 @@ def _longest_across(points: Floats, facets: NDArray[np.int32], line: Floats) -> 
         share = np.clip(from_a / np.where(flat, 1.0, rise), 0.0, 1.0)
         found = np.concatenate([a + share[:, None] * (b - a), b[flat]])
         found = found - np.outer(found @ axis - height, axis)
-        if len(found) < 2 or np.linalg.norm(found.max(axis=0) - found.min(axis=0)) <= longest:
+        if len(found) < 2 or _width_bound(found) <= longest:
             continue
         candidate = _farthest(found)
         if _length(candidate) > longest:
