@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QApplication, QWidget
 
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
@@ -60,6 +60,7 @@ def places(window: Window) -> dict[str, Any]:
     """Where buttons, sliders and tiles are on the screen, pixels."""
     side, canvas, bar = window.side, window.canvas, window.bar
     tools, settings = side.panels["ToolsPanel"], side.panels["SettingsPanel"]
+    measure = side.panels["MeasurePanel"]
     corner = canvas.mapToGlobal(QPoint(0, 0))
     tiles = {}
     for name, tile in {"space": window.scene.space, **window.scene.slice_tiles}.items():
@@ -73,6 +74,7 @@ def places(window: Window) -> dict[str, Any]:
         "buttons": {name: middle(getattr(bar, name)) for name in ("restart", "back", "play", "forward")}
         | {"undo": middle(side.changes.undo), "save": middle(side.changes.save), "timeline": ends(bar.timeline)}
         | {name: middle(button) for name, button in tools.tools.items()}
+        | {f"measure_{name}": middle(getattr(measure, name)) for name in ("title", "measure", "diameters", "copy")}
         | {name: ends(amount.slider) for name, amount in settings.amounts.items()},
         "tiles": tiles,
     }
@@ -88,6 +90,8 @@ def shown(session: Session, window: Window) -> dict[str, Any]:
         "stop": status.stop and status.stop.reason,
         "drawn": None if frame is None else [frame.step, frame.volume_mm3],
         "color": state["color"], "theme": state["theme"], "help": window.help.isVisible(), "state": state,
+        "pixels": [window.scene.tiles.pixel_ratio, window.canvas.render_window.GetDPI()] if window.isVisible() else [],
+        "clipboard": QApplication.clipboard().text(),
         "play": window.bar.play.text(), "title": window.windowTitle(), "cursor": window.scene.cursor.tolist(),
     }
 

@@ -357,7 +357,7 @@ def test_without_trame_one_line_says_what_to_install(tmp_path, monkeypatch, caps
 
 
 @contextmanager
-def driven(folder):
+def driven(folder, *flags):
     """Chromium without a screen, downloading into a folder."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is missing: pip install selenium")
     from selenium.webdriver.chrome.service import Service
@@ -367,7 +367,7 @@ def driven(folder):
     if driver is None:
         pytest.skip("no chromedriver: apt install chromium-driver")
     options = webdriver.ChromeOptions()
-    for flag in (*viewing.CHROMIUM_FLAGS, "--window-size=1280,863", f"--user-data-dir={folder / 'profile'}"):
+    for flag in (*viewing.CHROMIUM_FLAGS, *flags, "--window-size=1280,863", f"--user-data-dir={folder / 'profile'}"):
         options.add_argument(flag)
     options.add_experimental_option("prefs", {"download.default_directory": str(folder / "downloads")})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})

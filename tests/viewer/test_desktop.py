@@ -64,8 +64,8 @@ def scan(tmp_path_factory):
 class Person:
     """Hands on mouse and keys, and eyes on what the window shows."""
 
-    def __init__(self, screen, scan, folder, **options):
-        self.env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": "1"}
+    def __init__(self, screen, scan, folder, scale=1, **options):
+        self.env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": str(scale)}
         self.state_file, self.folder = folder / "state.json", folder
         words = [f"{key}={value}" for key, value in options.items()]
         self.process = subprocess.Popen(

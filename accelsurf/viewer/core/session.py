@@ -14,12 +14,14 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Literal
 
+from accelsurf.analysis.diameters import Diameters
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
+from accelsurf.viewer.core.figures import Figures, diameters_of, figures_of
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.core.timeline import Timeline
@@ -228,6 +230,20 @@ class Session:
     def redo(self) -> Future[None]:
         """Make the change again that was undone last."""
         return self._do(lambda timeline: timeline.redo())
+
+    def figures(self) -> Future[Figures]:
+        """Compute the figures of the objects as they are now: volume, surface, intensities, diameters."""
+        return self._do(figures_of)
+
+    def diameters(self, object_id: int) -> Future[Diameters]:
+        """Compute the longest lines of an object as it is now.
+
+        Raises
+        ------
+        UsageError
+            From the Future, when there is no such object.
+        """
+        return self._do(lambda timeline: diameters_of(timeline, object_id))
 
     def save(
         self, folder: Path, what: Sequence[str] = saving.KINDS, overwrite: bool = False

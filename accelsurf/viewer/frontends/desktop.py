@@ -117,7 +117,7 @@ class Window(QMainWindow):
         self.message.setObjectName("message")
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.read_out.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.read_out.setToolTip("Place (x, y, z) in mm, voxel (i, j, k), value and label under the mouse")
+        self.read_out.setToolTip("Place (x, y, z), voxel (i, j, k), value and label under the mouse")
         last.addWidget(self.message, 1)
         last.addWidget(self.read_out)
         rows.addLayout(last)
@@ -201,7 +201,7 @@ class Window(QMainWindow):
         if state["copied"] != before.get("copied") and state["copied"][0]:
             QApplication.clipboard().setText(state["copied"][1])
         self.read_out.setText(
-            f"{state['place']} mm   voxel {state['voxel']}   value {state['value']}   label {state['label']}"
+            f"{state['where']}   voxel {state['voxel']}   value {state['value']}   label {state['label']}"
         )
         if _without_place(state) == _without_place(before):
             return

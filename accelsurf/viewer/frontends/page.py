@@ -32,6 +32,7 @@ from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.help import help_rows
+from accelsurf.viewer.workplace.picture import PictureFeature
 from accelsurf.viewer.workplace.workplace import Workplace
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
@@ -122,13 +123,9 @@ class Page:
         self.workplace.request(*request[:8])
 
     def _was_shown(self, *size: Any, **_: Any) -> None:
-        """The page shows the last picture, in a window of this size."""
+        """The page shows the last picture, in a window of this size and this many pixels of the device for one."""
         self._is_shown = True
-        before = tuple(self.scene.plotter.render_window.GetSize())
-        changed = self.workplace.changed
-        self.workplace.request("size", *size[:2])
-        if tuple(self.scene.plotter.render_window.GetSize()) == before:
-            self.workplace.changed = changed
+        self.workplace.request("size", *size[:3])
 
     # -- serving ------------------------------------------------------------------------------------------
 
@@ -192,6 +189,7 @@ class Page:
         """Draw and send a picture; returns the seconds that it took."""
         began = time.perf_counter()
         self.scene.smooth_edges(smooth)
+        self.workplace.feature(PictureFeature).draw_fine(smooth)
         data = _jpeg(self.scene.screenshot())
         self._server.state.picture = "data:image/jpeg;base64," + base64.b64encode(data).decode()
         self._sent_at, self._is_shown = time.perf_counter(), False
@@ -199,7 +197,7 @@ class Page:
 
 
 #: The panels of the page, in their order, that of the window.
-PANELS = ("head", "tools", "settings", "slices", "picture", "files", "help")
+PANELS = ("head", "tools", "settings", "slices", "picture", "measure", "files", "help")
 #: A key by Qt's name of it; keys that are typed into a field, or turn a control, are left to it.
 _ON_KEY = """
   const typed = ['INPUT', 'SELECT', 'TEXTAREA', 'BUTTON', 'SUMMARY', 'A'].includes($event.target.tagName);

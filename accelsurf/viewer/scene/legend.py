@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pyvista as pv
 
-from accelsurf.viewer.scene.overlay import Label
+from accelsurf.viewer.scene.overlay import Label, Pixels
 
 #: Height of the first line in the tile, from 0 to 1, and from one line to the next.
 TOP, LINE = 0.985, 0.03
@@ -41,7 +41,7 @@ class Legend:
         """What is written."""
         return tuple(label.text for label in self._labels if label.text)
 
-    def fit(self, window_height: int) -> None:
-        """Make the text readable in a window of so many pixels."""
+    def fit(self, pixels: Pixels) -> None:
+        """Make the text readable."""
         for label in self._labels:
-            label.fit(window_height)
+            label.fit(pixels)

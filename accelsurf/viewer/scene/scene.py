@@ -21,13 +21,15 @@ from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
+from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.captions import caption, legend_lines, measure
+from accelsurf.viewer.scene.captions import caption, legend_lines, volume_line
 from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend
+from accelsurf.viewer.scene.measure_marks import MeasureLayer
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.scene.pictures import grab, png_bytes
 from accelsurf.viewer.scene.reference import Reference
@@ -70,6 +72,9 @@ class Scene:
         What is drawn now.
     tiles : Tiles
         How the tiles lie, and what part of the image each shows.
+    measures : MeasureLayer
+    unit : str
+        Of lengths in the file, and in read-outs.
 
     Raises
     ------
@@ -102,7 +107,7 @@ class Scene:
         self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
-        self.anatomical = is_anatomical(volume.metadata)
+        self.anatomical, self.unit = is_anatomical(volume.metadata), volume.metadata.get(UNIT_KEY, "mm")
         if plotter is None:
             require_graphics()
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
@@ -110,8 +115,10 @@ class Scene:
         self._build()
         self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
         self._redraw = self.tiles.redraw
+        self.measures = MeasureLayer(self.geometry, self.slice_tiles, self.space, self.unit, self._redraw)
         self.paint(theme)
-        plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
+        others = self._legend, self._chart, self.measures
+        plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
 
     @staticmethod
     def layout(geometry: Geometry) -> dict[str, Any]:
@@ -122,18 +129,18 @@ class Scene:
 
     def _build(self) -> None:
         plotter, upright, image = self.plotter, DisplayOrientation.of(self.geometry), self.volume.array
-        flat = self.geometry.slice_axis
+        flat, style = self.geometry.slice_axis, (self.anatomical, self._theme, self.unit)
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
-            self.space = SpaceTile(plotter, self.geometry, image, self._window, self.anatomical, self._theme)
+            self.space = SpaceTile(plotter, self.geometry, image, self._window, *style)
             if self._reference is not None:
                 self.space.show_reference(label_surface(self._reference.inside, self.geometry))
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
-            tile = SliceTile(plotter.renderer, image, self._window, upright, plane, self.anatomical, self._theme)
+            tile = SliceTile(plotter.renderer, image, self._window, upright, plane, *style)
             self.slice_tiles[TILES[plane]] = tile
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
@@ -177,7 +184,7 @@ class Scene:
         for tile in self.slice_tiles.values():
             tile.draw_objects(frame)
         self._legend.show(legend_lines(frame, self._theme.ink, self.dice))
-        lines = [line for line in (self.title, *caption(frame, self.geometry)) if line]
+        lines = [line for line in (self.title, *caption(frame, self.geometry, self.unit)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
@@ -301,6 +308,7 @@ class Scene:
                 if self.frame is not None:
                     tile.draw_objects(self.frame)
             self._redraw.mark(tile.renderer)
+        self.measures.move()
         if self.space is not None and self.space.shows_planes:
             self.space.move_planes(self._cursor)
             self._redraw.mark(self.space.renderer)
@@ -323,7 +331,7 @@ class Scene:
         """
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
-            tile.mark_size(drag, volume, "" if volume is None else f"size {measure(volume)} mm3")
+            tile.mark_size(drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}")
             self._redraw.mark(tile.renderer)
 
     def paint(self, theme: str) -> None:
@@ -389,12 +397,3 @@ class Scene:
     def close(self) -> None:
         """Free the plotter and its memory."""
         self.plotter.close()
-
-    def _fit(self) -> None:
-        """Before each picture: what depends on the size of the window and on the camera."""
-        height = int(self.plotter.render_window.GetSize()[1])
-        for tile in (self.space, *self.slice_tiles.values()):
-            if tile is not None:
-                tile.fit(height)
-        self._legend.fit(height)
-        self._chart.fit(height)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
+from vtkmodules.vtkCommonDataModel import vtkPlane
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
 
@@ -14,11 +15,13 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import MARK, REFERENCE, SHADES, Theme, color_range, object_color
-from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
+from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
 
 #: Most voxels along an axis of the image as it is drawn in 3D; more take too long.
 MAX_ALONG = 160
+#: Width of the edges of the volume, pixels of a usual screen.
+BOX = 1.0
 #: Where the camera is, as a direction (x, y, z) in LPS, and which direction is up; it begins at `corner`.
 VIEWS = {
     "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
@@ -46,6 +49,8 @@ class SpaceTile:
     anatomical : bool
         Whether directions may be named by letters.
     theme : Theme
+    unit : str, optional
+        Of lengths in the file, in which they are written.
     """
 
     def __init__(
@@ -56,6 +61,7 @@ class SpaceTile:
         window: GreyWindow,
         anatomical: bool,
         theme: Theme,
+        unit: str = "mm",
     ) -> None:
         self.renderer, self._plotter = plotter.renderer, plotter
         self._geometry, self._image, self._window = geometry, image, window
@@ -66,9 +72,10 @@ class SpaceTile:
         self.box = _box(geometry)
         self.reference: pv.PolyData | None = None
         self._box = self._add(self.box, theme.lines)
-        self._box.prop.lighting, self._box.prop.line_width = False, 1.0
+        self._box.prop.lighting = False
         self._ball: pv.Actor | None = None
         self._volume: pv.Volume | None = None
+        self._cut = vtkPlane()
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
         self._table = pv.LookupTable()
@@ -77,7 +84,7 @@ class SpaceTile:
         # VTK's own labels come to lie on the colours in a picture that is drawn once.
         self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
-        self._bar = ScaleBar(self.renderer, theme.ink)
+        self._bar = ScaleBar(self.renderer, theme.ink, unit)
         plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
         self.look_from()
 
@@ -146,7 +153,7 @@ class SpaceTile:
     # -- the image ----------------------------------------------------------------------------------------
 
     def show_volume(self, on: bool) -> None:
-        """Draw the image translucent, bright parts denser, or not."""
+        """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
         if on and self._volume is None:
             self._volume = self._make_volume()
         if self._volume is not None:
@@ -168,7 +175,19 @@ class SpaceTile:
         turn = np.eye(4)
         turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
         volume.user_matrix = turn
+        volume.mapper.AddClippingPlane(self._cut)
         return volume
+
+    def _cut_away(self) -> None:
+        """Leave out what of the image is nearer than the middle of the surfaces, so that it does not hide them."""
+        bounds = np.array([mesh.bounds for mesh in self._meshes if mesh.n_points])
+        camera = self.renderer.camera
+        if len(bounds):
+            middle = 0.5 * (bounds[:, ::2].min(axis=0) + bounds[:, 1::2].max(axis=0))
+        else:  # no surface: all of it
+            middle = np.array(camera.position)
+        self._cut.SetOrigin(*middle)
+        self._cut.SetNormal(*camera.direction)
 
     def use_window(self, window: GreyWindow, cursor: NDArray[np.float64]) -> None:
         """Draw other values black and white."""
@@ -306,12 +325,15 @@ class SpaceTile:
 
     # -- theme and size -----------------------------------------------------------------------------------
 
-    def fit(self, window_height: int) -> None:
+    def fit(self, pixels: Pixels) -> None:
         """Make text readable, and the bar as long as the camera's scale asks for."""
-        self.title.fit(window_height)
-        self._bar.fit(window_height)
+        self.title.fit(pixels)
+        self._bar.fit(pixels)
+        if self.shows_volume:
+            self._cut_away()
+        self._box.prop.line_width = BOX * pixels.ratio
         for label in (self._quantity, *self._ends):
-            label.fit(window_height)
+            label.fit(pixels)
 
     def paint(self, theme: Theme) -> None:
         """Use a theme."""

@@ -38,6 +38,10 @@ class FilesFeature(Feature):
     def state(self, status: Status) -> dict[str, Any]:
         return {"saved": sorted(self.files), "saving": self.is_saving}
 
+    def add(self, *paths: Path) -> None:
+        """These have been saved too."""
+        self.files |= {path.name: path for path in paths}
+
     def _save(self, *what: Any) -> None:
         workplace = self.workplace
         kinds = [word(kind, KINDS) for kind in what] or list(KINDS)
@@ -59,4 +63,4 @@ class FilesFeature(Feature):
         if is_all:
             picture = folder / f"{self.workplace.session.name}_view.png"
             self.workplace.scene.screenshot(picture)
-            self.files[picture.name] = picture
+            self.add(picture, *(path for feature in self.workplace.features for path in feature.save_beside(folder)))

@@ -19,6 +19,7 @@ from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.checks import short
 from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.measure import MeasureFeature
 from accelsurf.viewer.workplace.mouse import MouseFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
 from accelsurf.viewer.workplace.run import RunFeature
@@ -33,6 +34,7 @@ FEATURES: tuple[type[Feature], ...] = (
     SettingsFeature,
     SlicesFeature,
     PictureFeature,
+    MeasureFeature,
     FilesFeature,
 )
 #: Requests after which an earlier error stays in sight: the mouse moves all the time.
