@@ -186,6 +186,20 @@ def test_a_stroke_is_undone_whole_and_made_again_whole(session):
     assert session.status.edits == drawn[:1]
 
 
+def test_a_stroke_in_one_command_is_one_change_and_the_same_as_ball_by_ball(session, tmp_path):
+    balls = [f"ball:{x},15,16,4" for x in (25, 27, 29)]
+    session.edit_balls("add", balls).result(60)
+    assert session.status.undoable == 1 and session.status.changes[0].line == "added a stroke of 3 balls"
+    at_once = labels_of(session, tmp_path / "one")[0]
+    session.undo().result(60)
+    for ball in balls:
+        session.edit_ball("add", ball).result(60)
+    assert session.status.undoable == 3 and labels_of(session, tmp_path / "two")[0] == at_once
+    with pytest.raises(InputError):  # all or nothing
+        session.edit_balls("add", [balls[0], "ball:900,0,0,3"]).result(60)
+    assert session.status.undoable == 3
+
+
 def test_noise_that_comes_later_has_a_seed_that_is_saved(session, tmp_path):
     at(session, 4).change(noise=0.3, noise_time=100).result(60)
     saved, toml = labels_of(at(session, 12), tmp_path)
