@@ -28,6 +28,7 @@ from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend
+from accelsurf.viewer.scene.marks import Marks
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.scene.pictures import grab, png_bytes
 from accelsurf.viewer.scene.reference import Reference
@@ -70,6 +71,8 @@ class Scene:
         What is drawn now.
     tiles : Tiles
         How the tiles lie, and what part of the image each shows.
+    marks : Marks
+        Strokes that are painted, and doubtful places.
 
     Raises
     ------
@@ -110,6 +113,7 @@ class Scene:
         self._build()
         self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
         self._redraw = self.tiles.redraw
+        self.marks = Marks(self.geometry, self.slice_tiles, self.space, self._redraw)
         self.paint(theme)
         plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
 
@@ -149,31 +153,36 @@ class Scene:
 
     # -- what is drawn ------------------------------------------------------------------------------------
 
-    def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = ()) -> None:
-        """Draw a frame.
+    def update(
+        self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False
+    ) -> None:
+        """Draw a frame of this image, and in the chart the ``histories`` of each object up to it.
 
-        Parameters
-        ----------
-        frame : Frame
-            Of this image.
-        histories : sequence of sequences of StepRecord, optional
-            The records of each object up to this frame, for the chart.
+        ``coarse`` draws large surfaces in 3D with fewer triangles; `coarsen` with False draws them in full.
         """
         self.frame = frame
         if frame.has_surface and not self._cursor_is_set:
             self._cursor = np.clip(frame.middle(), 0.0, np.array(self.geometry.shape) - 1.0)
             self._cursor_is_set = True
             self._show_slices()
-        self._show_frame()
+        self._show_frame(coarse)
         self._chart.update(histories)
         self._redraw.mark_all()
 
-    def _show_frame(self) -> None:
+    def coarsen(self, on: bool = True) -> bool:
+        """Draw large surfaces in 3D with fewer triangles from now on, or in full; returns whether that is a change."""
+        if self.frame is None or self.space is None or self.space.is_coarse == on:
+            return False
+        self.space.show(self.frame, self._color, on)
+        self._redraw.mark(self.space.renderer)
+        return True
+
+    def _show_frame(self, coarse: bool = False) -> None:
         frame = self.frame
         if frame is None:
             return
         if self.space is not None:
-            self.space.show(frame, self._color)
+            self.space.show(frame, self._color, coarse)
         for tile in self.slice_tiles.values():
             tile.draw_objects(frame)
         self._legend.show(legend_lines(frame, self._theme.ink, self.dice))
@@ -301,6 +310,7 @@ class Scene:
                 if self.frame is not None:
                     tile.draw_objects(self.frame)
             self._redraw.mark(tile.renderer)
+        self.marks.show_slices()
         if self.space is not None and self.space.shows_planes:
             self.space.move_planes(self._cursor)
             self._redraw.mark(self.space.renderer)
