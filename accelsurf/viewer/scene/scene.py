@@ -153,12 +153,10 @@ class Scene:
 
     # -- what is drawn ------------------------------------------------------------------------------------
 
-    def update(
-        self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False
-    ) -> None:
+    def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False) -> None:
         """Draw a frame of this image, and in the chart the ``histories`` of each object up to it.
 
-        ``coarse`` draws large surfaces in 3D with fewer triangles; `coarsen` with False draws them in full.
+        ``coarse`` is as of `Tiles.coarsen`.
         """
         self.frame = frame
         if frame.has_surface and not self._cursor_is_set:
@@ -168,14 +166,6 @@ class Scene:
         self._show_frame(coarse)
         self._chart.update(histories)
         self._redraw.mark_all()
-
-    def coarsen(self, on: bool = True) -> bool:
-        """Draw large surfaces in 3D with fewer triangles from now on, or in full; returns whether that is a change."""
-        if self.frame is None or self.space is None or self.space.is_coarse == on:
-            return False
-        self.space.show(self.frame, self._color, on)
-        self._redraw.mark(self.space.renderer)
-        return True
 
     def _show_frame(self, coarse: bool = False) -> None:
         frame = self.frame

@@ -12,7 +12,7 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
-from accelsurf.viewer.core.frame import Frame, SurfaceFrame
+from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, Theme, color_range, object_color
 from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.picking import place_in_renderer
@@ -64,7 +64,8 @@ class SpaceTile:
         self.renderer, self._plotter = plotter.renderer, plotter
         self._geometry, self._image, self._window = geometry, image, window
         self._meshes: list[pv.PolyData] = []
-        self._shown: tuple[SurfaceFrame, ...] = ()
+        self._frame: Frame | None = None
+        self._wanted = "plain"
         #: Whether fewer triangles are drawn than the frame has.
         self.is_coarse = False
         self._color = "plain"
@@ -96,8 +97,8 @@ class SpaceTile:
 
         ``coarse`` draws large ones with fewer triangles, in a fraction of the time.
         """
-        self._shown = frame.surfaces
-        drawn = [one.coarser(COARSE_VOXELS) for one in frame.surfaces] if coarse else frame.surfaces
+        self._frame, self._wanted = frame, color
+        drawn = tuple(one.coarser(COARSE_VOXELS) for one in frame.surfaces) if coarse else frame.surfaces
         self.is_coarse = any(one is not fine for one, fine in zip(drawn, frame.surfaces, strict=True))
         self._meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
         while len(self._surfaces) < len(self._meshes):
@@ -109,6 +110,13 @@ class SpaceTile:
             actor.SetVisibility(mesh.n_points > 0)
             actor.mapper.SetScalarVisibility(color in mesh.point_data)
         self._show_scale(color)
+
+    def coarsen(self, on: bool) -> bool:
+        """Draw the same coarsely, or in full; returns whether that is a change."""
+        if self._frame is None or self.is_coarse == on:
+            return False
+        self.show(self._frame, self._wanted, on)
+        return self.is_coarse == on
 
     def _show_scale(self, color: str) -> None:
         """Colour the surfaces that have this quantity on a common scale, and draw the scale."""
@@ -322,7 +330,7 @@ class SpaceTile:
             self.renderer.SetViewPoint(2.0 * inside[0] - 1.0, 2.0 * inside[1] - 1.0, depth)
             self.renderer.ViewToWorld()
             ends.append(np.array(self.renderer.GetWorldPoint()[:3]))
-        return first_met(self._shown, self._geometry, *ends)
+        return first_met(() if self._frame is None else self._frame.surfaces, self._geometry, *ends)
 
     def place_cube(self, on: bool) -> None:
         """Draw the cube of directions where the tile lies now, or not."""
