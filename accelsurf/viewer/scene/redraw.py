@@ -34,7 +34,7 @@ class Redraw:
         #: What is drawn over a tile, after it -> the tile.
         self._overlays: dict[vtkRenderer, pv.Renderer] = {}
         self._seconds = 0.0
-        self.hurries = False
+        self.hurries, self._is_empty = False, True
         self._is_ours = False
         window.AddObserver("StartEvent", lambda *_: self._before_picture())  # type: ignore[arg-type]
 
@@ -55,10 +55,15 @@ class Redraw:
         """All have changed."""
         self._waiting.update(self._renderers)
 
+    def begin_anew(self) -> None:
+        """The next picture begins empty: nothing may wait."""
+        self._is_empty = True
+        self.mark_all()
+
     def show_only(self, renderers: Iterable[pv.Renderer]) -> None:
         """Draw no others from now on."""
         self._shown = set(renderers)
-        self.mark_all()
+        self.begin_anew()
 
     @property
     def is_waiting(self) -> bool:
@@ -71,7 +76,7 @@ class Redraw:
         if not due:
             return
         tiles = set(self._overlays.values())
-        if self.hurries and self._seconds > SLOW:
+        if self.hurries and self._seconds > SLOW and not self._is_empty:
             due -= tiles
             if not due:
                 return
@@ -83,6 +88,7 @@ class Redraw:
             self._is_ours = False
         if due & tiles:
             self._seconds = time.perf_counter() - began
+        self._is_empty = False
         self._waiting -= due
         self._choose(self._whole())
 

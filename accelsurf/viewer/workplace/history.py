@@ -69,6 +69,6 @@ class HistoryFeature(Feature):
         self._at, doubt = number, self._doubts[number]
         self.workplace.scene.cursor = doubt.world
         self.workplace.note(
-            f"place {number + 1} of {len(self._doubts)}, {100.0 * doubt.share:.0f} % doubt: click inside (I) or outside (O)"
+            f"place {number + 1} of {len(self._doubts)}, {100.0 * doubt.share:.0f} % doubt: click inside or outside"
         )
         self.workplace.changed = True
