@@ -12,7 +12,6 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSlider, QStyle,
 from accelsurf.viewer.scene.colors import CURSOR
 from accelsurf.viewer.workplace.workplace import Workplace
 
-
 #: Half the width in which a tick is hit, and its height, pixels.
 HIT, HEIGHT = 5, 5
 
