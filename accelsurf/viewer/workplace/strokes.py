@@ -52,9 +52,11 @@ class StrokeTool(Tool):
         self.move(at)
 
     def move(self, at: Picked) -> None:
-        world, strokes = at.world, self.workplace.scene.marks.strokes
-        if world is None or not self._mark:
+        strokes = self.workplace.scene.marks.strokes
+        if at.world is None or not self._mark:
             return
+        # As the settings will have it, so that what is drawn is what is clicked, to the last voxel.
+        world = np.array([float(part) for part in numbers_text(at.world).split(",")])
         last = self._pieces[-1][-1] if self._pieces else None
         away = np.inf if last is None else float(np.linalg.norm(world - last))
         step = max(STROKE_STEP * self.width, finest(self.workplace.scene.geometry))
