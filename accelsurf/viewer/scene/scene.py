@@ -154,7 +154,7 @@ class Scene:
     # -- what is drawn ------------------------------------------------------------------------------------
 
     def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False) -> None:
-        """Draw a frame of this image, in the chart the ``histories`` of its objects; ``coarse`` as of `Tiles.coarsen`."""
+        """Draw a frame of this image, its objects' ``histories`` in the chart; ``coarse`` as of `Tiles.coarsen`."""
         self.frame = frame
         if frame.has_surface and not self._cursor_is_set:
             self._cursor = np.clip(frame.middle(), 0.0, np.array(self.geometry.shape) - 1.0)

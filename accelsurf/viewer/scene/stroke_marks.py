@@ -51,7 +51,7 @@ class StrokeMarks:
         self._strokes: dict[int, list[Click]] = {}
         self._last = 0
 
-    def begin(self) -> int:
+    def new_stroke(self) -> int:
         """Begin a stroke; returns its number."""
         self._last += 1
         self._strokes[self._last] = []
