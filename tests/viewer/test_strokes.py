@@ -78,7 +78,9 @@ def pixels(workplace, color, tile="axial"):
     return int(((red > green + 40) & (red > blue + 60)).sum())
 
 
-@pytest.mark.parametrize(("tool", "color"), [("inside", INSIDE), ("outside", OUTSIDE), ("grow", INSIDE), ("shrink", OUTSIDE)])
+@pytest.mark.parametrize(
+    ("tool", "color"), [("inside", INSIDE), ("outside", OUTSIDE), ("grow", INSIDE), ("shrink", OUTSIDE)]
+)
 def test_a_stroke_is_drawn_as_it_is_painted_and_until_the_surface_obeys(workplace, tool, color):
     workplace.request("cursor", 9.0, 8.0, 9.0)
     workplace.request("radius", 1.6)

@@ -220,12 +220,12 @@ class SliceTile:
         self._draw_lines("size", lines, MARK, 2.2)
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
-        """Draw a double diamond at each of these indices (z, y, x), (n, 3), that lies in this slice."""
+        """Draw a diamond in another one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
         left, right, bottom, top = self.extent
         here = self.to_tile(places[np.rint(places[:, self.axis]) == self.index].reshape(-1, 3))
         corners = ARM * max(right - left, top - bottom) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-        lines = [place + size * sides for place in here for size in (1.0, 1.8)]
+        lines = [place + size * sides for place in here for size in (1.4, 2.4)]
         self._draw_lines("places", np.concatenate(lines) if lines else np.zeros((0, 2, 2)), CURSOR, 2.5)
 
     def hung(self, values: NDArray[Any]) -> NDArray[Any]:

@@ -22,7 +22,7 @@ from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
 
 #: How much of the picture below shows through, of 255; the depth of the layer in a tile, below the contours.
-OPACITY, DEPTH = 120, 1.5
+OPACITY, DEPTH = 160, 1.5
 COLORS = {"inside": INSIDE, "outside": OUTSIDE}
 #: Colours (red, green, blue, opacity) of what no stroke names, of voxels inside and outside.
 _TABLE = np.array(
