@@ -305,12 +305,11 @@ class Scene:
     def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
         """Draw a ball that is being placed (world mm), in 3D and where it cuts the slices; None removes it."""
         middle = None if center is None else np.asarray(center, float)
-        if self.space is not None:
-            self.space.mark_ball(middle, radius)
+        if self.space is not None and self.space.mark_ball(middle, radius):
             self._redraw.mark(self.space.renderer)
         for tile in self.slice_tiles.values():
-            tile.mark_ball(middle, radius, self.geometry)
-            self._redraw.mark(tile.renderer)
+            if tile.mark_ball(middle, radius, self.geometry):
+                self._redraw.mark(tile.renderer)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
         """Draw in the slices what belongs to the object if it has the size that a drag stands for; None removes it.

@@ -197,8 +197,14 @@ class SliceTile:
         places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
         return places
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float, geometry: Geometry) -> None:
-        """Draw the circle in which a ball (world mm) cuts this slice; nothing for None or beside it."""
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float, geometry: Geometry) -> bool:
+        """Draw the circle in which a ball (world mm) cuts this slice; nothing for None or beside it.
+
+        Returns
+        -------
+        bool
+            Whether the picture has changed.
+        """
         lines = np.zeros((0, 2, 2))
         if center is not None:
             index = geometry.world_to_index(center)
@@ -207,7 +213,11 @@ class SliceTile:
                 turn = np.linspace(0.0, 2.0 * np.pi, 65)
                 ring = self.to_tile(index) + np.sqrt(radius**2 - off**2) * np.stack([np.cos(turn), np.sin(turn)], -1)
                 lines = np.stack([ring[:-1], ring[1:]], axis=1)
+        was_there = "ball" in self._lines and bool(self._lines["ball"].GetVisibility())
+        if not was_there and not len(lines):
+            return False
         self._draw_lines("ball", lines, MARK, 2.2)
+        return True
 
     def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None, text: str = "") -> None:
         """Draw the outline that a drag shows in this slice, and write a text below the title; nothing for None."""

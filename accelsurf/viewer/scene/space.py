@@ -17,7 +17,7 @@ from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, Theme
 from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.picking import place_in_renderer
 from accelsurf.viewer.scene.ray import first_met
-from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
+from accelsurf.viewer.scene.shapes import GreyTexture, box_edges, isosurface
 
 #: Most voxels along an axis of the image as it is drawn in 3D; more take too long.
 MAX_ALONG = 160
@@ -71,7 +71,7 @@ class SpaceTile:
         self._color = "plain"
         self._surfaces = [self._add_surface(0)]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
-        self.box = _box(geometry)
+        self.box = box_edges(geometry)
         self.reference: pv.PolyData | None = None
         self._box = self._add(self.box, theme.lines)
         self._box.prop.lighting, self._box.prop.line_width = False, 1.0
@@ -156,14 +156,17 @@ class SpaceTile:
         self.reference = mesh
         self._add(mesh, REFERENCE, opacity=0.35)
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
-        """Draw a translucent ball (world mm); nothing for None."""
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
+        """Draw a translucent ball (world mm); nothing for None. Returns whether the picture has changed."""
+        if center is None and (self._ball is None or not self._ball.GetVisibility()):
+            return False
         if self._ball is None:
             self._ball = self._add(pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32), MARK, opacity=0.55)
         self._ball.SetVisibility(center is not None)
         if center is not None:
             self._ball.position = tuple(center)
             self._ball.scale = (radius, radius, radius)
+        return True
 
     @property
     def smallest(self) -> float:
@@ -372,15 +375,6 @@ class SpaceTile:
         actor.prop.color, actor.prop.opacity = color, opacity
         self.renderer.add_actor(actor, reset_camera=False, render=False)
         return actor
-
-
-def _box(geometry: Geometry) -> pv.PolyData:
-    """The edges of the volume, along the outer faces of its border voxels."""
-    ends = [(-0.5, n - 0.5) for n in geometry.shape]
-    corners = np.array([[z, y, x] for z in ends[0] for y in ends[1] for x in ends[2]])
-    edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
-    lines = np.array([(2, a, b) for a, b in edges])
-    return pv.PolyData(geometry.index_to_world(corners).astype(np.float32), lines=lines.ravel())
 
 
 def _color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:

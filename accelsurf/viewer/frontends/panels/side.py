@@ -19,7 +19,7 @@ from accelsurf.viewer.workplace.workplace import Workplace
 
 #: In their order; that of the page is the same.
 PANELS: tuple[Callable[[Workplace], Section], ...] = (
-    ToolsPanel, SettingsPanel, SlicesPanel, PicturePanel, HistoryPanel,
+    ToolsPanel, HistoryPanel, SettingsPanel, SlicesPanel, PicturePanel,
 )
 WIDTH = 318
 
