@@ -70,11 +70,11 @@ class WeightedSum(Energy):
     def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
         """The sum, None where one of the terms does not tell."""
         parts = [energy.image_force(surface, box) for _, energy in self._terms]
-        told = [part for part in parts if part is not None]
-        if len(told) < len(parts):
+        known = [part for part in parts if part is not None]
+        if len(known) < len(parts):
             return None
-        total = np.zeros(told[0].shape, np.float32)
-        for (weight, _), part in zip(self._terms, told, strict=True):
+        total = np.zeros(known[0].shape, np.float32)
+        for (weight, _), part in zip(self._terms, known, strict=True):
             total += np.float32(weight) * part
         return total
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
@@ -44,6 +45,8 @@ class Status(NamedTuple):
         How many undone changes can be made again.
     refinements : tuple of Refinement
         Corrections after the run's end; while it goes on again, those that are made when it ends.
+    terms : sequence of dict
+        Of the energy of the first object, with every setting resolved, see `ResolvedEnergy`.
     """
 
     ready: bool
@@ -59,6 +62,7 @@ class Status(NamedTuple):
     objects: tuple[int, ...] = ()
     redoable: int = 0
     refinements: tuple[Refinement, ...] = ()
+    terms: Sequence[dict[str, Any]] = ()
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:
@@ -82,6 +86,7 @@ class Status(NamedTuple):
             objects=tuple(one.id for one in timeline.run.objects) if timeline.run.has_ids else (),
             redoable=timeline.log.redoable,
             refinements=timeline.corrections.wanted,
+            terms=timeline.run.objects[0].made.terms,
         )
 
     @property
