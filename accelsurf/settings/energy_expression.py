@@ -116,8 +116,10 @@ def with_setting(text: str, place: int, key: str, value: str) -> str:
     known = TERMS[term.name].settings
     if key not in known:
         raise _error(text, f"one of {_known(term.name)} in place of '{shown(key)}'")
-    value = _value(text, f"{key} of {term.name}", known[key], value.strip()) if value.strip() else ""
-    terms[place] = term._replace(settings={name: v for name, v in {**term.settings, key: value}.items() if v != ""})
+    settings = {name: v for name, v in term.settings.items() if name != key or value.strip()}
+    if value.strip():
+        settings[key] = _value(text, f"{key} of {term.name}", known[key], value.strip())
+    terms[place] = term._replace(settings=settings)
     changed = written(terms)
     parse(changed)
     return changed

@@ -9,6 +9,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QScrollArea, QVBoxLayout, QWidget
 
 from accelsurf.viewer.frontends.panels.changes import ChangesBar
+from accelsurf.viewer.frontends.panels.histogram import HistogramPanel
 from accelsurf.viewer.frontends.panels.measure import MeasurePanel
 from accelsurf.viewer.frontends.panels.picture import PicturePanel
 from accelsurf.viewer.frontends.panels.section import Section
@@ -21,6 +22,7 @@ from accelsurf.viewer.workplace.workplace import Workplace
 PANELS: tuple[Callable[[Workplace], Section], ...] = (
     ToolsPanel,
     SettingsPanel,
+    HistogramPanel,
     SlicesPanel,
     PicturePanel,
     MeasurePanel,
