@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front, slope_at_front
 from accelsurf.energies.image_energy import ImageEnergy
 from accelsurf.errors import InputError
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.levelset import LevelSet, dot
@@ -60,6 +62,21 @@ class Geodesic(ImageEnergy):
         force: np.ndarray = phi * (curvature + np.float32(self.balloon)) + slope
         self._area.add_force(force, curvature)
         return force
+
+    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
+        """Slope and balloon, grad phi . n + c phi, in the band, where the surface has a normal; NaN beyond it."""
+        wide = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in box)
+        inner = tuple(slice(s.start - w.start, s.stop - w.start) for s, w in zip(box, wide, strict=True))
+        phi, psi = self.sums.image.reshape(surface.shape)[wide], surface.psi[wide]
+        slope, length = np.zeros(psi.shape, np.float32), np.zeros(psi.shape, np.float32)
+        for axis, h in enumerate((surface.grid.hz, surface.grid.hy, surface.grid.hx)):
+            if psi.shape[axis] > 1:
+                normal = np.gradient(psi, np.float32(h), axis=axis)
+                slope += np.gradient(phi, np.float32(h), axis=axis) * normal
+                length += normal**2
+        force = slope / np.sqrt(np.maximum(length, np.float32(1e-12))) + np.float32(self.balloon) * phi
+        in_band = surface.dense.slot.reshape(surface.shape)[box] >= 0
+        return np.where(in_band, force[inner], np.float32(np.nan))
 
 
 def edge_indicator(

@@ -18,6 +18,7 @@ from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.desktop import Window, application
+from accelsurf.viewer.frontends.panels.setting_row import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
 
 
 def main() -> None:
@@ -77,9 +78,19 @@ def places(window: Window) -> dict[str, Any]:
         | {f"measure_{name}": middle(getattr(measure, name)) for name in ("title", "measure", "diameters", "copy")}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
         | {"next doubt": middle(side.panels["HistoryPanel"].next)}
-        | {name: ends(amount.slider) for name, amount in settings.amounts.items()},
+        | {name: ends(row.amount.slider) for name, row in settings.rows.items() if isinstance(row, SliderRow)},
         "tiles": tiles,
+        "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
+        "histogram": ends(side.panels["HistogramPanel"].view),
+        "energy_error": settings.rows["energy"].error.text() if settings.rows else "",
     }
+
+
+def line_of(row: SettingRow) -> QWidget:
+    """What one types in, or chooses with."""
+    if isinstance(row, SliderRow):
+        return row.amount.box
+    return row.box if isinstance(row, SwitchRow) else row.line if isinstance(row, (TextRow, EnergyRow)) else row.choice
 
 
 def shown(session: Session, window: Window) -> dict[str, Any]:

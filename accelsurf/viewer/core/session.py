@@ -12,12 +12,13 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from accelsurf.analysis.diameters import Diameters
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
@@ -32,6 +33,8 @@ from accelsurf.viewer.core.view_slot import ViewSlot
 PLAYING_VOXELS = 3_000_000
 #: Memory for checkpoints unless another amount is given, MB.
 CHECKPOINT_MB = 512.0
+
+T = TypeVar("T")
 
 
 class Session:
@@ -231,6 +234,23 @@ class Session:
         """Begin another run from another start, with the settings in force."""
         return self._do(lambda timeline: timeline.start_from(tuple(start)))
 
+    def restart_with(self, **settings: Any) -> Future[None]:
+        """Begin another run from the start with other settings, also those that are fixed while a run runs.
+
+        Clicks stay, balls that were added or removed do not. A ``preset`` overrides the settings in force, but for what
+        it needs clicks for where there are none yet.
+
+        Raises
+        ------
+        UsageError, InputError
+            From the Future, when a setting is not valid, or no run can be made with it; nothing is changed then.
+        """
+        return self._do(lambda timeline: timeline.restart_with(settings))
+
+    def look(self, work: Callable[[Run], T]) -> Future[T]:
+        """Have a function read the run between two steps; it must change nothing, and no new view follows."""
+        return self._do(lambda timeline: work(timeline.run), changes=False)
+
     def undo(self) -> Future[None]:
         """Undo the last change, and go to the step where it was made."""
         return self._do(lambda timeline: timeline.undo())
@@ -297,13 +317,13 @@ class Session:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _do(self, work: Callable[[Timeline], Any]) -> Future[Any]:
+    def _do(self, work: Callable[[Timeline], Any], changes: bool = True) -> Future[Any]:
         """Have a command carried out on the timeline."""
         if not self.is_alive:
             future: Future[Any] = Future()
             future.set_exception(UsageError("the session has been closed"))
             return future
-        return self._commands.put(work)
+        return self._commands.put(work, changes)
 
     def _is_idle(self) -> bool:
         return not self._status.playing and self._commands.pending == 0 and self.ready.done()
@@ -360,12 +380,15 @@ class Session:
         """Carry out a command; its error is reported and does not end the session."""
         try:
             answer = command.work(timeline)
-            timeline.apply_edits()
+            if command.changes:
+                timeline.apply_edits()
         except Exception as error:
-            self._report(timeline, error)
+            if command.changes:
+                self._report(timeline, error)
             command.future.set_exception(error)
         else:
-            self._report(timeline)
+            if command.changes:
+                self._report(timeline)
             command.future.set_result(answer)
         self._commands.done()
 

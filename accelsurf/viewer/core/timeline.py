@@ -20,6 +20,7 @@ from accelsurf.viewer.core.corrections import Corrections
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.nearest_object import nearest_object
+from accelsurf.viewer.core.restarted import FROM_CLICKS, restart_message, restarted
 from accelsurf.viewer.core.size_drag import SizeDrag
 
 #: Why an object has ended for good: there is nothing to continue from.
@@ -292,22 +293,27 @@ class Timeline:
         """
         if self._drag is None:
             raise UsageError("nothing was pressed, so there is no size to take", "press in the object first")
-        drag, self._drag = self._drag, None
-        before, size = self._now(), drag.size_text(drag_mm)
-        self.pause()
-        settings = {"inside": (drag.click,), "outside": (), "size": size, "start": ("clicks",), "energy": "seeded"}
-        self._replace_run(self.run.settings.replace(preset=None, **settings))
-        self._message = f"inside: {drag.click}, size {size}"
-        self.log.add(before._replace(step=0), self._message)
-        self.corrections.wanted = ()
+        drag, size, self._drag = self._drag, self._drag.size_text(drag_mm), None
+        settings = {"inside": (drag.click,), "outside": (), "size": size, "start": FROM_CLICKS, "energy": "seeded"}
+        self._begin_again(self.run.settings.replace(**settings), f"inside: {drag.click}, size {size}")
 
     def start_from(self, start: tuple[str, ...]) -> None:
         """Begin another run, with the settings in force."""
-        run, before = self.run, self._now()
+        self._begin_again(self.run.settings.replace(start=start), "start: " + " + ".join(start))
+
+    def restart_with(self, settings: dict[str, Any]) -> None:
+        """Begin another run with other settings and what was clicked, see `Session.restart_with`."""
+        before = self.run.settings
+        config = restarted(before, self._edits_so_far(), self.corrections.wanted, settings, self.run.has_ids)
+        self._begin_again(config, restart_message(before, config))
+
+    def _begin_again(self, config: RunConfig, message: str) -> None:
+        """Begin another run, which can be undone."""
+        before = self._now()
         self.pause()
-        self._replace_run(run.settings.replace(start=start))
-        self._message = "start: " + " + ".join(start)
-        self.log.add(before._replace(step=0), self._message)
+        self._replace_run(config)
+        self._message = message
+        self.log.add(before._replace(step=0), message)
         self.corrections.wanted = ()
 
     def undo(self) -> None:

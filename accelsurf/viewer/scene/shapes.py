@@ -145,9 +145,13 @@ class GreyTexture:
         self.texture.SetInterpolate(on)
 
     def show(self, rows: NDArray[np.uint8]) -> None:
-        """Show a picture, its first row at the lower edge of the quad."""
+        """Show a picture (rows, columns), its first row at the lower edge of the quad."""
+        self.show_colors(np.repeat(rows[..., None], 3, axis=2))
+
+    def show_colors(self, rows: NDArray[np.uint8]) -> None:
+        """Show a picture in colours (rows, columns, 3), or with opacities (rows, columns, 4)."""
         image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
-        image.point_data["grey"] = np.repeat(rows.reshape(-1, 1), 3, axis=1)
+        image.point_data["colors"] = rows.reshape(-1, rows.shape[2])
         self.texture.SetInputData(image)
 
 

@@ -159,8 +159,16 @@ class SliceTile:
 
     def _show_grey(self) -> None:
         grey = self._window.grey(self._image.take(self._index, axis=self.plane))
-        # The texture's first row is at the bottom of the quad.
-        self._texture.show(grey[::-1] if self._down else grey)
+        self._texture.show(self._upwards(grey))
+
+    def _upwards(self, picture: NDArray[Any]) -> NDArray[Any]:
+        """A picture with the row at the lower edge of the quad first, as textures have it."""
+        return picture[::-1] if self._down else picture
+
+    def hung(self, plane: NDArray[Any]) -> NDArray[Any]:
+        """A plane of the image across `axis`, (rows, columns) of its array, as the texture of a quad on `extent`."""
+        turned = self._up.reorient(np.expand_dims(plane, self.axis))
+        return self._upwards(turned.take(0, axis=self.plane))
 
     def use_window(self, window: GreyWindow) -> None:
         """Draw other values black and white."""
@@ -246,11 +254,6 @@ class SliceTile:
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         lines = [place + size * sides for place in here for size in (1.4, 2.4)]
         self._draw_lines("places", np.concatenate(lines) if lines else np.zeros((0, 2, 2)), CURSOR, 2.5)
-
-    def hung(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values of a slice of the image (its two other axes in their order) as rows of a picture, lowest first."""
-        turned = self._up.reorient(np.expand_dims(values, self.axis)).take(0, axis=self.plane)
-        return turned[::-1] if self._down else turned
 
     def add_picture(self, quad: pv.PolyData, texture: ColorTexture) -> pv.Actor:
         """Draw a picture over the image."""

@@ -9,6 +9,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QScrollArea, QVBoxLayout, QWidget
 
 from accelsurf.viewer.frontends.panels.changes import ChangesBar
+from accelsurf.viewer.frontends.panels.histogram import HistogramPanel
 from accelsurf.viewer.frontends.panels.history import HistoryPanel
 from accelsurf.viewer.frontends.panels.measure import MeasurePanel
 from accelsurf.viewer.frontends.panels.picture import PicturePanel
@@ -20,7 +21,13 @@ from accelsurf.viewer.workplace.workplace import Workplace
 
 #: In their order; that of the page is the same.
 PANELS: tuple[Callable[[Workplace], Section], ...] = (
-    ToolsPanel, HistoryPanel, SettingsPanel, SlicesPanel, PicturePanel, MeasurePanel,
+    ToolsPanel,
+    HistoryPanel,
+    SettingsPanel,
+    HistogramPanel,
+    SlicesPanel,
+    PicturePanel,
+    MeasurePanel,
 )
 WIDTH = 318
 
