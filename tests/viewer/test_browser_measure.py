@@ -75,6 +75,21 @@ def test_a_fine_screen_gets_its_pixels_when_nothing_moves(served, tmp_path):
         assert size[0] == pytest.approx(2 * size[1], rel=0.02)
 
 
+def test_the_picture_fits_the_page_after_the_window_has_changed(served, tmp_path):
+    with driven(tmp_path) as browser:
+        from selenium.webdriver import ActionChains
+
+        browser.get(served.address)
+        sizes = "const one = document.getElementById('picture'); return one && [one.naturalWidth, one.naturalHeight]"
+        until(lambda: (found := browser.execute_script(sizes)) and found[0] > 900)
+        browser.set_window_size(900, 863)
+        main = browser.find_element("css selector", "main")
+        ActionChains(browser).move_to_element_with_offset(main, -main.size["width"] // 2 - 20, 0).perform()
+        ActionChains(browser).move_to_element(main).perform()
+        size = until(lambda: (found := browser.execute_script(sizes)) and found[0] < 700 and found)
+        assert size[0] == pytest.approx(main.size["width"], abs=9) and size[1] > 1.2 * size[0] * 0.5
+
+
 @pytest.mark.parametrize("ratio", ["nan", -1, 0, 1e9, None, "x", [2]])
 def test_no_ratio_makes_a_picture_too_large(served, ratio):
     ask(served, "size", 3000, 2000, ratio)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from accelsurf import Volume
+from accelsurf.io import write
 from accelsurf.io.metadata import UNIT_KEY, VALUE_UNIT_KEY
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
@@ -245,3 +246,53 @@ def test_a_flat_image_has_area_and_outline_and_a_small_one_its_unit():
     assert lines["Area"].endswith(" um2") and area == pytest.approx(np.pi * 10**2, rel=0.05)
     assert lines["Outline"].endswith(" um") and lines["Diameter"].endswith(" um")
     assert float(lines["Diameter"].split()[0]) == pytest.approx(20, abs=0.8)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_flat_image_is_measured_with_the_mouse(scene_of, tmp_path, axis):
+    y, x = np.indices((60, 60))
+    disc = ((np.hypot(y - 29.5, x - 29.5) < 20) * 100.0).astype(np.float32)
+    image = Volume.from_array(np.expand_dims(disc, axis), (2.0, 0.5, 0.5) if axis == 0 else (0.5, 2.0, 0.5))
+    scene = scene_of(image, size=(960, 540))
+    center = ",".join(f"{v:g}" for v in image.geometry.center_world())
+    with Session(image, RunConfig(start=f"ball:{center},6", threads=1), name="disc") as session:
+        session.play().result(60)
+        session.wait(60)
+        workplace = Workplace(session, scene, tmp_path)
+        scene.screenshot()
+        (tile,) = scene.slice_tiles
+        workplace.request("tool", "distance")
+        drag(workplace, tile, (0.4, 0.5), (0.6, 0.5))
+        ends = [world(workplace, tile, part, 0.5) for part in (0.4, 0.6)]
+        (row,) = workplace.state()["measurements"]
+        assert float(row[2].split()[0]) == pytest.approx(np.linalg.norm(ends[1] - ends[0]), rel=1e-3)
+        state = ask(workplace, "measure_diameters")
+        assert [one[2] for one in state["measurements"][1:]] == [state["measurements"][1][2]] * 4
+        assert float(state["measurements"][1][2].split()[0]) == pytest.approx(20, abs=0.8)
+        assert set(scene.measures.marks[tile].texts) == {one[2] for one in state["measurements"]}
+
+
+def test_each_object_has_its_column(scene_of, tmp_path):
+    z, y, x = np.indices((24, 30, 50))
+    labels = np.zeros((24, 30, 50), np.uint8)
+    labels[np.sqrt((z - 12) ** 2 + (y - 15) ** 2 + (x - 13) ** 2) < 8] = 3
+    labels[np.sqrt((z - 12) ** 2 + (y - 15) ** 2 + (x - 36) ** 2) < 6] = 7
+    image = Volume.from_array(((labels > 0) * 100).astype(np.float32))
+    starts = tmp_path / "starts.nii.gz"
+    write(Volume.from_array(labels), starts)
+    config = RunConfig(objects=str(starts), threads=1, max_steps=3, name=("7=small",))
+    with Session(image, config, name="two") as session:
+        session.play().result(60)
+        session.wait(60)
+        workplace = Workplace(session, scene_of(image, size=(640, 360)), tmp_path / "out")
+        state = ask(workplace, "measure_table")
+        assert state["figures"][0] == ["", "object 3", "small"] and state["figures_ids"] == [3, 7]
+        first, second = (float(text.split()[0]) for text in state["figures"][1][1:])
+        assert first == pytest.approx(4 / 3 * np.pi * 8**3 / 1000, rel=0.1) and second < 0.5 * first
+        ask(workplace, "measure_diameters", 7)
+        (longest, *_) = workplace.feature(MeasureFeature).measurements
+        assert longest.value == pytest.approx(12, abs=1.8)
+        middle = np.mean(longest.points, axis=0)
+        assert np.linalg.norm(middle - image.geometry.index_to_world((12, 15, 36))) < 2
+        ask(workplace, "measure_diameters", 4)
+        assert "expected 3, 7" in workplace.message

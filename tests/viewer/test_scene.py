@@ -408,3 +408,23 @@ def test_letters_beside_a_thin_slab_do_not_overlap(scene_of, size):
                 boxes.append((up + box[2], up + box[3]))
         (low, high) = sorted(boxes)
         assert low[1] < high[0], (name, boxes)
+
+
+@pytest.mark.parametrize("layout", ["one", "four", "single"])
+def test_lines_of_the_legend_do_not_overlap(scene_of, layout):
+    volume, center = viewing.ball_image()
+    truth = volume.with_array((volume.array > 0).astype(np.uint8))
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    scene = scene_of(volume, reference=truth, size=(960, 540))
+    scene.tiles.lay_out(layout, "space")
+    scene.update(frames[-1], [history])
+    scene.screenshot()
+    spans = []
+    for prop in scene.space.renderer.GetViewProps():
+        if prop.IsA("vtkTextActor") and prop.GetInput() in scene.legend:
+            box = [0.0] * 4
+            prop.GetBoundingBox(scene.space.renderer, box)
+            _, up = prop.GetPositionCoordinate().GetComputedViewportValue(scene.space.renderer)
+            spans.append((up + box[2], up + box[3]))
+    (low, high) = sorted(spans)
+    assert low[1] <= high[0]

@@ -8,8 +8,8 @@ import pyvista as pv
 
 from accelsurf.viewer.scene.overlay import Label, Pixels
 
-#: Height of the first line in the tile, from 0 to 1, and from one line to the next.
-TOP, LINE = 0.985, 0.03
+#: Height of the first line in the tile, from 0 to 1; from one line to the next, heights of text.
+TOP, LINE = 0.985, 1.4
 
 
 class Legend:
@@ -28,8 +28,7 @@ class Legend:
     def show(self, lines: Sequence[tuple[str, str]]) -> None:
         """Write lines, (text, colour) each, in place of those before."""
         while len(self._labels) < len(lines):
-            height = TOP - LINE * len(self._labels)
-            self._labels.append(Label(self._renderer, "white", (0.985, height), top=True))
+            self._labels.append(Label(self._renderer, "white", (0.985, TOP), top=True))
         for label in self._labels[len(lines) :]:
             label.text = ""
         for label, (text, color) in zip(self._labels, lines, strict=False):
@@ -42,6 +41,8 @@ class Legend:
         return tuple(label.text for label in self._labels if label.text)
 
     def fit(self, pixels: Pixels) -> None:
-        """Make the text readable."""
-        for label in self._labels:
+        """Make the text readable, and put the lines below each other."""
+        line = LINE * pixels.text / max(self._renderer.GetSize()[1], 1)
+        for place, label in enumerate(self._labels):
             label.fit(pixels)
+            label.move(0.985, TOP - line * place)
