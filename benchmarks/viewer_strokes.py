@@ -32,6 +32,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 #: Motions of a drag, a second; how many of each kind; wanted: drawn within so many ms, obeyed within so many s.
 RATE, MOTIONS, DRAWN_MS, OBEYED_S = 60.0, 40, 50.0, 1.0
+#: Radius of the ball, of the shortest side: 92 000 voxels at 256^3. A correction takes longer on a larger object.
+RADIUS = 0.11
 #: Correcting strokes.
 CORRECTIONS = 4
 
@@ -64,7 +66,7 @@ def phantom(shape: Sequence[int], folder: Path) -> tuple[Path, dict[str, str]]:
         (np.arange(n, dtype=np.float32) - 0.5 * n).reshape([-1 if a == axis else 1 for a in range(3)])
         for axis, n in enumerate(shape)
     )
-    radius = 0.16 * min(shape)
+    radius = RADIUS * min(shape)
     image = np.random.default_rng(0).normal(0, 12, shape).astype(np.float32)
     image += 100.0 * (z**2 + y**2 + x**2 < radius**2)
     path = folder / "scan.nii"

@@ -221,6 +221,17 @@ def test_keys_of_the_strokes(workplace):
     assert workplace.radius == pytest.approx(radius)
 
 
+def test_escape_drops_a_stroke_that_is_being_painted(workplace):
+    workplace.request("cursor", 9.0, 8.0, 9.0)
+    workplace.request("key", "I")
+    drag(workplace, "axial", (12.0, 8.0, 9.0), (16.0, 8.0, 9.0))
+    assert workplace.scene.marks.strokes.count == 1
+    workplace.request("key", "Escape")
+    assert workplace.scene.marks.strokes.count == 0 and workplace.state()["tool"] == "look"
+    workplace.request("release")
+    assert workplace.session.wait(60) and workplace.session.status.changes == ()
+
+
 def test_in_one_slice_too(scene_of):
     y, x = np.indices((40, 50))
     noise = np.random.default_rng(0).normal(0, 5, (1, 40, 50))

@@ -181,12 +181,8 @@ class Session:
         """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one change.
 
         Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. A
-        change that is ``joined``, a further part of a stroke, is undone together with the change before it.
-
-        Raises
-        ------
-        UsageError, InputError
-            From the Future, when one is no ball or lies outside the volume, or there is no such object.
+        change that is ``joined``, a further part of a stroke, is undone together with the change before it. What is no
+        ball or lies outside is refused.
         """
         texts = tuple(balls)
         return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id, joined))
@@ -196,12 +192,8 @@ class Session:
 
         Several at once are one stroke: one change. They take voxels that they contradict from earlier ones. While the
         run goes on they are an edit; after its end a correction, as `accelsurf refine` makes it. Of several objects it
-        is the one with this id, or else the one that is nearest to where the first begins.
-
-        Raises
-        ------
-        UsageError, InputError
-            From the Future, when it is no place or lies outside, or nothing would be left that is clicked inside.
+        is the one with this id, or else the one that is nearest to where the first begins. What is no place, lies
+        outside, or would leave nothing clicked inside is refused.
         """
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
@@ -211,23 +203,12 @@ class Session:
 
         The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
         that a drag never waits for a step. They reach ``voxels`` voxels; `size_drag.Dragging` asks for more when a
-        drag needs them. `release` ends it.
-
-        Raises
-        ------
-        UsageError, InputError
-            From the Future, when it is no ball or lies outside the volume, or the run has several objects.
+        drag needs them. `release` ends it. What is no ball or lies outside is refused, and a run of several objects.
         """
         return self._do(lambda timeline: timeline.press(ball, voxels))
 
     def release(self, drag_mm: float) -> Future[None]:
-        """Begin another run from what was pressed, with the size that a drag of so many mm stands for.
-
-        Raises
-        ------
-        UsageError
-            From the Future, when nothing was pressed.
-        """
+        """Begin another run from what was pressed, with the size that a drag of so many mm stands for."""
         return self._do(lambda timeline: timeline.release(drag_mm))
 
     def start_from(self, start: Sequence[str]) -> Future[None]:

@@ -34,7 +34,7 @@ from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.help import help_rows
 from accelsurf.viewer.workplace.mouse import MouseFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
-from accelsurf.viewer.workplace.quiet import DELAY, Quiet
+from accelsurf.viewer.workplace.quiet import Quiet
 from accelsurf.viewer.workplace.workplace import Workplace
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
@@ -91,7 +91,6 @@ class Page:
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
         self.quiet = Quiet(self.workplace)
-        self._is_fine = True
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
 
@@ -175,12 +174,14 @@ class Page:
             self.workplace.update(view)
         if view is not None or self.workplace.changed:
             self.quiet.touch()
+            self.workplace.feature(PictureFeature).draw_fine(False)
             may_send = self._may_send(now)
             if may_send:
-                self._drawing.append(self._draw(fine=False))
+                self._drawing.append(self._draw())
             self.workplace.changed = not may_send
-        elif self._may_send(now) and (self.quiet.draw_in_full() or self._is_coarse_for_long(now)):
-            self._draw(fine=True)
+        elif self._may_send(now) and self.quiet.draw_in_full():
+            self.workplace.feature(PictureFeature).draw_fine(True)
+            self._draw()
         with self._server.state as state:
             state.update(self._state())
 
@@ -188,14 +189,9 @@ class Page:
         """Whether the page has shown the last picture; a slow page does not get more than it can show."""
         return self._is_shown or now - self._sent_at > PATIENCE
 
-    def _is_coarse_for_long(self, now: float) -> bool:
-        """Whether the page shows the pixels of a usual screen, and nothing has moved since."""
-        return not self._is_fine and now - self._sent_at > DELAY and not self.session.status.playing
-
-    def _draw(self, fine: bool) -> float:
-        """Draw and send a picture, in the pixels of the device if it is to be fine; returns the seconds it took."""
+    def _draw(self) -> float:
+        """Draw and send a picture; returns the seconds that it took."""
         began = time.perf_counter()
-        self._is_fine = self.workplace.feature(PictureFeature).draw_fine(fine) or fine
         data = _jpeg(self.scene.screenshot())
         self._server.state.picture = "data:image/jpeg;base64," + base64.b64encode(data).decode()
         self._sent_at, self._is_shown = time.perf_counter(), False

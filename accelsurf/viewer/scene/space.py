@@ -8,13 +8,13 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonDataModel import vtkPlane
-from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, Theme, color_range, object_color
+from accelsurf.viewer.scene.legend import color_scale
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.picking import place_in_renderer
 from accelsurf.viewer.scene.ray import first_met
@@ -88,7 +88,7 @@ class SpaceTile:
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
         self._table = pv.LookupTable()
-        self._scale = _color_scale(self.renderer)
+        self._scale = color_scale(self.renderer)
         self._quantity = Label(self.renderer, theme.ink, (0.5, 0.135))
         # VTK's own labels come to lie on the colours in a picture that is drawn once.
         self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
@@ -397,20 +397,3 @@ class SpaceTile:
         actor.prop.color, actor.prop.opacity = color, opacity
         self.renderer.add_actor(actor, reset_camera=False, render=False)
         return actor
-
-
-def _color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
-    """A horizontal scale of the colours at the lower edge, hidden until something is coloured."""
-    scale = vtkScalarBarActor()
-    scale.SetOrientationToHorizontal()
-    scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    scale.SetPosition(0.2, 0.1)
-    scale.SetWidth(0.6)
-    scale.SetHeight(0.025)
-    scale.SetBarRatio(1.0)
-    scale.SetNumberOfLabels(0)
-    scale.DrawTickLabelsOff()
-    scale.SetMaximumNumberOfColors(256)
-    scale.VisibilityOff()
-    renderer.AddViewProp(scale)
-    return scale

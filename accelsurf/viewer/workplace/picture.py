@@ -90,17 +90,10 @@ class PictureFeature(Feature):
         self.draw_fine(True)
         self.workplace.changed = True
 
-    def draw_fine(self, on: bool) -> bool:
-        """Draw in the pixels of the device, or, while something moves, in those of a usual screen, which is faster.
-
-        Returns
-        -------
-        bool
-            Whether these are the same.
-        """
+    def draw_fine(self, on: bool) -> None:
+        """Draw in the pixels of the device, or, while something moves, in those of a usual screen, which is faster."""
         scene, ratio = self.workplace.scene, self._ratio if on else 1.0
         sides = round(self._sides[0] * ratio), round(self._sides[1] * ratio)
         scene.tiles.pixel_ratio = ratio
         if tuple(scene.plotter.render_window.GetSize()) != sides:
             scene.resize(*sides)
-        return self._ratio == 1.0
