@@ -18,6 +18,7 @@ from accelsurf.grid.boxes import Box, box_at, corner_of, shared
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
+from accelsurf.initialization.clicks import check_left
 from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
@@ -155,18 +156,21 @@ class Refiner:
         UsageError
             When no object has the id.
         InputError
-            When a click contradicts an earlier one, or lies outside of region or mask.
+            When a voxel is clicked on both sides, or a click lies outside of region or mask, or takes all that was
+            clicked inside.
 
         Notes
         -----
+        Clicks take the voxels that they contradict from earlier ones.
         All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
         """
         ids = [one.id for one in self._surfaces]
         check_object(refinement, ids if self._result.has_ids else None)
         prepared = self._state.prepared
         new = placed_clicks(clicks_of(refinement, self._result) if clicks is None else clicks, prepared)
-        everything = self._clicks.with_more(new)
-        refuse_contradictions(new, everything, ids, prepared.geometry, prepared.first)
+        refuse_contradictions(new, self._shape, ids, prepared.geometry, prepared.first)
+        everything = self._clicks.with_later(new)
+        check_left(self._clicks, everything)
         self._undo.append(_Correction(self.config, self._clicks, [], []))
         self.config = self.config.replace(refine=(*self.config.refine, refinement))
         self._clicks = everything

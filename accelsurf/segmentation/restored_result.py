@@ -50,7 +50,7 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
     models = local_models(base.state, base.config, [one.id for one in objects])
     for refinement in state.config.refine:
         new = placed_clicks(clicks_of(refinement, base), prepared)
-        clicks = clicks.with_more(new)
+        clicks = clicks.with_later(new)
         for id, model in models.items():
             for click in clicks_on(new, id):
                 model.add(click)
