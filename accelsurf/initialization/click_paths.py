@@ -78,17 +78,17 @@ def click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Cli
     places = rows[:, 2::-1] if is_vox else geometry.world_to_index(rows[:, :3])
     radii = rows[:, 3] * finest if is_vox else rows[:, 3]
     pieces = [(places[i : i + 2], radii[i : i + 2]) for i in range(max(len(rows) - 1, 1))]
-    boxes = (_reach(*piece, geometry) for piece in pieces)
+    boxes = (_extent(*piece, geometry) for piece in pieces)
     budgets.PATH_VOXELS.check(sum(int(np.prod(np.maximum(b - a, 0), dtype=object)) for a, b in boxes), f"{side} path")
     parts = [segment_voxels(*piece, geometry) for piece in pieces]
-    kept = [part for part in parts if part is not None]
-    if not kept:
+    found = [part for part in parts if part is not None]
+    if not found:
         raise InputError(f"{side} {shown(text)!r}: no voxel is in it", starts.extent_hint(geometry))
-    box = kept[0][0]
-    for other, _ in kept[1:]:
+    box = found[0][0]
+    for other, _ in found[1:]:
         box = enclosing(box, other)
     mask = np.zeros([s.stop - s.start for s in box], np.bool_)
-    for own, voxels in kept:
+    for own, voxels in found:
         mask |= on_box(voxels, own, box, False)
     return Click(side, box, mask, id)
 
@@ -105,7 +105,7 @@ def segment_voxels(places: Floats, radii: Sequence[float] | Floats, geometry: Ge
     geometry : Geometry
     """
     spacing, first, last = np.array(geometry.spacing), places[0], places[-1]
-    low, high = _reach(places, radii, geometry)
+    low, high = _extent(places, radii, geometry)
     if (low >= high).any():
         return None
     axes = np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)], indexing="ij", sparse=True)
@@ -129,8 +129,8 @@ def segment_voxels(places: Floats, radii: Sequence[float] | Floats, geometry: Ge
     return box_at((corner[0], corner[1], corner[2]), mask.shape), mask
 
 
-def _reach(places: Floats, radii: Sequence[float] | Floats, geometry: Geometry) -> tuple[NDArray, NDArray]:
+def _extent(places: Floats, radii: Sequence[float] | Floats, geometry: Geometry) -> tuple[NDArray, NDArray]:
     """First voxel that a piece of a path may reach in the volume, and the one after the last."""
-    reach, shape = max(radii) / np.array(geometry.spacing), np.array(geometry.shape)
-    low = np.clip(np.floor(places.min(axis=0) - reach), 0, shape)
-    return low.astype(int), np.clip(np.ceil(places.max(axis=0) + reach) + 1, 0, shape).astype(int)
+    width, shape = max(radii) / np.array(geometry.spacing), np.array(geometry.shape)
+    low = np.clip(np.floor(places.min(axis=0) - width), 0, shape)
+    return low.astype(int), np.clip(np.ceil(places.max(axis=0) + width) + 1, 0, shape).astype(int)

@@ -118,7 +118,7 @@ def check_left(before: Clicks, after: Clicks) -> None:
     for id in sorted(set(before.ids()) - set(after.ids()) - {NO_OBJECT}):
         of = "" if {one.id for one in before.clicks} == {1} else f" of object {id}"
         raise InputError(
-            f"clicks: nothing would be left that is clicked inside{of}", "click inside elsewhere first, or click smaller"
+            f"clicks: nothing would be left that is clicked inside{of}", "click inside elsewhere first, or smaller"
         )
 
 

@@ -97,8 +97,8 @@ class LocalModel:
     passes : ndarray of bool or None
         The mask of the run.
     whole : callable
-        Makes the whole model of clicks: needed for a partition, where a click takes voxels from an earlier one, and where
-        one says that the first proposal was far too large.
+        Makes the whole model of clicks: needed for a partition, where a click takes voxels from an earlier one, and
+        where one says that the first proposal was far too large.
     threads : int, optional
         What a click needs is computed in so many threads; the result is the same for any number.
     """

@@ -188,7 +188,7 @@ def bombs(folder):
         return object_starts.read(str(folder / "a.csv"), image.geometry, 2)
 
     noise = np.random.default_rng(0).integers(0, 256, (48, 48, 48)).astype(np.uint8)
-    wide = np.zeros((80, 90, 100), np.uint8)
+    wide = Volume.from_array(np.zeros((80, 90, 100), np.uint8))
     toml = folder / "a.toml"
     return {
         "gzip of 2 GB": nifti,
@@ -216,7 +216,7 @@ def bombs(folder):
         "text that claims much": lambda: nrrd("ascii", b"1 2 3", "600 500 400"),
         "many balls": many_balls,
         "long path": lambda: segment(noise, inside="path:" + "1,2,3,4;" * 1_000_000),
-        "wide path": lambda: read_clicks(["path:" + ";".join(["1,2,3,1e9"] * 10_000)], "inside", Volume.from_array(wide)),
+        "wide path": lambda: read_clicks(["path:" + ";".join(["1,2,3,1e9"] * 10_000)], "inside", wide),
     }
 
 

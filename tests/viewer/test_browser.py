@@ -462,6 +462,51 @@ def _drive(browser, server, folder):
     assert not [message for message in severe if "/paraview/" not in message], severe
 
 
+def test_a_stroke_and_the_list_of_changes_in_the_page(tmp_path):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    server = Served(tmp_path)
+    try:
+        with driven(tmp_path) as browser:
+            browser.get(server.address)
+
+            def lines():
+                rows = browser.find_elements("css selector", "#history button")
+                states = (("undone" in row.get_attribute("class"), row.get_attribute("aria-current")) for row in rows)
+                return [(row.text, *state) for row, state in zip(rows, states, strict=True)]
+
+            picture = until(lambda: browser.find_elements("id", "picture"))[0]
+            until(lambda: browser.find_element("id", "state").text == "paused")
+            assert [row[0] for row in lines()] == ["0: as at first"]
+            picture.send_keys("o")
+            until(lambda: browser.find_element("id", "tool-outside").get_attribute("aria-checked") == "true")
+            picture.send_keys("i")
+            until(lambda: browser.find_element("id", "tool-inside").get_attribute("aria-checked") == "true")
+            width, height = picture.size["width"], picture.size["height"]
+            before = picture.get_attribute("src")
+            chain = ActionChains(browser).move_to_element_with_offset(picture, int(0.11 * width), int(-0.25 * height))
+            chain.click_and_hold()
+            for _ in range(4):
+                chain.move_by_offset(6, 1)
+            chain.perform()
+            drawn = until(lambda: picture.get_attribute("src") != before and picture.get_attribute("src"))
+            assert len(lines()) == 1  # nothing is asked of the session before the release
+            ActionChains(browser).release().perform()
+            until(lambda: len(lines()) == 2)
+            assert lines()[1][0].startswith("1: inside: stroke of") and lines()[1][1:] == (False, "true")
+            until(lambda: picture.get_attribute("src") != drawn)
+            browser.find_element("id", "change-0").click()
+            until(lambda: lines()[1][1] and lines()[0][2] == "true")
+            browser.find_element("id", "change-1").click()
+            until(lambda: not lines()[1][1] and lines()[1][2] == "true")
+            picture.send_keys(Keys.CONTROL, "z")
+            until(lambda: lines()[1][1])
+            assert not browser.find_element("id", "next-doubt").is_enabled()  # the run has not ended
+    finally:
+        assert server.close() == 0, server.log_text()
+
+
 def server_says(element, name, value):
     label = element(name).find_element("xpath", "..")
     return value in label.text

@@ -1,4 +1,4 @@
-"""Which object of a run a ball is meant for, when the user has not said so."""
+"""Which object of a run a click is meant for, when the user has not said so."""
 
 from __future__ import annotations
 
@@ -10,22 +10,28 @@ from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.run import Run
 
 
-def nearest_object(run: Run, ball: str) -> int:
-    """Return the id of the object that is nearest to a ball's centre; the one that contains it, if there is one.
+def nearest_object(run: Run, where: str) -> int:
+    """Return the id of the object that is nearest to a place; the one that contains it, if there is one.
 
     Parameters
     ----------
     run : Run
         Between two steps.
-    ball : str
-        ``ball:X,Y,Z,R``.
+    where : str
+        ``ball:X,Y,Z,R``, of which it is the centre, ``point:X,Y,Z``, or ``path:X,Y,Z,R;...``, which begins there.
 
     Raises
     ------
     UsageError, InputError
-        When it is no ball or lies outside.
+        When it is no such place or lies outside.
     """
-    centre = BallEdit("add", *starts.ball_of(ball, run.geometry)).on_level(run.grid)[0]
+    kind, _, rest = where.partition(":")
+    if kind in ("point", "path"):
+        suffix = "vox" if rest.endswith("vox") else ""
+        numbers = rest.partition(";")[0].removesuffix("vox").split(",")[:3]
+        # Its voxel has its centre within a ball of this radius.
+        where = f"ball:{','.join(numbers)},{float(np.linalg.norm(run.geometry.spacing)) + 1.0:g}{suffix}"
+    centre = BallEdit("add", *starts.ball_of(where, run.geometry)).on_level(run.grid)[0]
     return min(run.objects, key=lambda one: _distance(one, centre)).id
 
 

@@ -9,6 +9,8 @@ from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.settings.edits import Edit
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.change_log import ChangeLine
+from accelsurf.viewer.core.doubts import Doubt
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.timeline import Timeline
 
@@ -44,6 +46,12 @@ class Status(NamedTuple):
         How many undone changes can be made again.
     refinements : tuple of Refinement
         Corrections after the run's end; while it goes on again, those that are made when it ends.
+    changes : tuple of ChangeLine
+        What was changed, in order, and what of it is undone.
+    rests : tuple of int
+        Steps in which the surface rested before it broke through, and that have been made.
+    doubts : tuple of Doubt
+        Where to click next, the most doubtful place first; found some time after the run's end.
     """
 
     ready: bool
@@ -59,6 +67,9 @@ class Status(NamedTuple):
     objects: tuple[int, ...] = ()
     redoable: int = 0
     refinements: tuple[Refinement, ...] = ()
+    changes: tuple[ChangeLine, ...] = ()
+    rests: tuple[int, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:
@@ -82,6 +93,8 @@ class Status(NamedTuple):
             objects=tuple(one.id for one in timeline.run.objects) if timeline.run.has_ids else (),
             redoable=timeline.log.redoable,
             refinements=timeline.corrections.wanted,
+            changes=timeline.log.lines,
+            rests=rests_of(timeline),
         )
 
     @property
@@ -98,6 +111,14 @@ class View(NamedTuple):
     frame: Frame
     histories: tuple[tuple[StepRecord, ...], ...]
     status: Status
+
+
+def rests_of(timeline: Timeline) -> tuple[int, ...]:
+    """Return the steps in which an object rested before it broke through, also those ahead that were made already."""
+    last = timeline.checkpoints.last
+    watches = [one.evolution.state.rests for one in timeline.run.objects]
+    watches += [one.evolution.loop.rests for one in (last.objects if last is not None else ())]
+    return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
 
 
 def error_line(error: BaseException) -> str:

@@ -1,10 +1,11 @@
-"""The legend: what each colour is, at the upper right of a tile."""
+"""The legend: what each colour is, at the upper right of a tile; and a scale of colours."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import pyvista as pv
+from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 
 from accelsurf.viewer.scene.overlay import Label, Pixels
 
@@ -45,3 +46,20 @@ class Legend:
         """Make the text readable."""
         for label in self._labels:
             label.fit(pixels)
+
+
+def color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
+    """Return a horizontal scale of the colours at the lower edge, hidden until something is coloured."""
+    scale = vtkScalarBarActor()
+    scale.SetOrientationToHorizontal()
+    scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+    scale.SetPosition(0.2, 0.1)
+    scale.SetWidth(0.6)
+    scale.SetHeight(0.025)
+    scale.SetBarRatio(1.0)
+    scale.SetNumberOfLabels(0)
+    scale.DrawTickLabelsOff()
+    scale.SetMaximumNumberOfColors(256)
+    scale.VisibilityOff()
+    renderer.AddViewProp(scale)
+    return scale

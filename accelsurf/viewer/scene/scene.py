@@ -29,6 +29,7 @@ from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend
+from accelsurf.viewer.scene.marks import Marks
 from accelsurf.viewer.scene.measure_marks import MeasureLayer
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.scene.pictures import grab, png_bytes
@@ -75,6 +76,8 @@ class Scene:
     measures : MeasureLayer
     unit : str
         Of lengths in the file, and in read-outs.
+    marks : Marks
+        Strokes that are painted, and doubtful places.
 
     Raises
     ------
@@ -116,6 +119,7 @@ class Scene:
         self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
         self._redraw = self.tiles.redraw
         self.measures = MeasureLayer(self.geometry, self.slice_tiles, self.space, self.unit, self._redraw)
+        self.marks = Marks(self.geometry, self.slice_tiles, self.space, self._redraw)
         self.paint(theme)
         others = self._legend, self._chart, self.measures
         plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
@@ -156,31 +160,23 @@ class Scene:
 
     # -- what is drawn ------------------------------------------------------------------------------------
 
-    def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = ()) -> None:
-        """Draw a frame.
-
-        Parameters
-        ----------
-        frame : Frame
-            Of this image.
-        histories : sequence of sequences of StepRecord, optional
-            The records of each object up to this frame, for the chart.
-        """
+    def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False) -> None:
+        """Draw a frame of this image, its objects' ``histories`` in the chart; ``coarse`` as of `Tiles.coarsen`."""
         self.frame = frame
         if frame.has_surface and not self._cursor_is_set:
             self._cursor = np.clip(frame.middle(), 0.0, np.array(self.geometry.shape) - 1.0)
             self._cursor_is_set = True
             self._show_slices()
-        self._show_frame()
+        self._show_frame(coarse)
         self._chart.update(histories)
         self._redraw.mark_all()
 
-    def _show_frame(self) -> None:
+    def _show_frame(self, coarse: bool = False) -> None:
         frame = self.frame
         if frame is None:
             return
         if self.space is not None:
-            self.space.show(frame, self._color)
+            self.space.show(frame, self._color, coarse)
         for tile in self.slice_tiles.values():
             tile.draw_objects(frame)
         self._legend.show(legend_lines(frame, self._theme.ink, self.dice))
@@ -309,6 +305,7 @@ class Scene:
                     tile.draw_objects(self.frame)
             self._redraw.mark(tile.renderer)
         self.measures.move()
+        self.marks.show_slices()
         if self.space is not None and self.space.shows_planes:
             self.space.move_planes(self._cursor)
             self._redraw.mark(self.space.renderer)
@@ -316,12 +313,11 @@ class Scene:
     def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
         """Draw a ball that is being placed (world mm), in 3D and where it cuts the slices; None removes it."""
         middle = None if center is None else np.asarray(center, float)
-        if self.space is not None:
-            self.space.mark_ball(middle, radius)
+        if self.space is not None and self.space.mark_ball(middle, radius):
             self._redraw.mark(self.space.renderer)
         for tile in self.slice_tiles.values():
-            tile.mark_ball(middle, radius, self.geometry)
-            self._redraw.mark(tile.renderer)
+            if tile.mark_ball(middle, radius, self.geometry):
+                self._redraw.mark(tile.renderer)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
         """Draw in the slices what belongs to the object if it has the size that a drag stands for; None removes it.
@@ -367,16 +363,18 @@ class Scene:
             return Picked("space", self.space.pick(x, y))
         return Picked("energies", None)
 
-    def smooth_edges(self, on: bool) -> None:
-        """Draw edges smoothly (the default), or not: two to four times faster where there is no graphics card."""
+    def smooth_edges(self, on: bool) -> bool:
+        """Draw edges smoothly (the default), or not: faster without a graphics card. Returns whether that changes."""
         window, samples = self.plotter.render_window, SAMPLES if on else 0
-        if window.GetMultiSamples() != samples:
-            window.SetMultiSamples(samples)
-            self._redraw.mark_all()  # the next picture begins empty
+        if window.GetMultiSamples() == samples:
+            return False
+        window.SetMultiSamples(samples)
+        self._redraw.begin_anew()
+        return True
 
     def resize(self, width: int, height: int) -> None:
         """Change the size of the picture, pixels."""
-        self._redraw.mark_all()
+        self._redraw.begin_anew()
         before = None if self.space is None else self.space.fitted_scale()
         self.plotter.render_window.SetSize(width, height)
         if self.space is not None and before is not None:

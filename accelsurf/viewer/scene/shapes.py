@@ -122,6 +122,15 @@ def slice_of(surface: SurfaceFrame, axis: int, index: float) -> NDArray[np.float
     return np.asarray((1 - share) * first + share * surface.psi.take(low + 1, axis=axis))
 
 
+def box_edges(geometry: Geometry) -> pv.PolyData:
+    """The edges of the volume, along the outer faces of its border voxels."""
+    ends = [(-0.5, n - 0.5) for n in geometry.shape]
+    corners = np.array([[z, y, x] for z in ends[0] for y in ends[1] for x in ends[2]])
+    edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+    lines = np.array([(2, a, b) for a, b in edges])
+    return pv.PolyData(geometry.index_to_world(corners).astype(np.float32), lines=lines.ravel())
+
+
 class GreyTexture:
     """A picture in grey for a quad; ``texture`` is VTK's."""
 
@@ -139,6 +148,22 @@ class GreyTexture:
         """Show a picture, its first row at the lower edge of the quad."""
         image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
         image.point_data["grey"] = np.repeat(rows.reshape(-1, 1), 3, axis=1)
+        self.texture.SetInputData(image)
+
+
+class ColorTexture:
+    """A picture in colours with opacity for a quad; each voxel is a rectangle."""
+
+    def __init__(self) -> None:
+        self.texture = vtkTexture()
+        self.texture.InterpolateOff()
+        self.texture.SetColorModeToDirectScalars()
+        self.show(np.zeros((2, 2, 4), np.uint8))
+
+    def show(self, rows: NDArray[np.uint8]) -> None:
+        """Show a picture (rows, columns, 4), its first row at the lower edge of the quad."""
+        image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
+        image.point_data["color"] = rows.reshape(-1, 4)
         self.texture.SetInputData(image)
 
 

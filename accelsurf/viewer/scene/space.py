@@ -8,20 +8,24 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonDataModel import vtkPlane
-from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
+from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import MARK, REFERENCE, SHADES, Theme, color_range, object_color
+from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, Theme, color_range, object_color
+from accelsurf.viewer.scene.legend import color_scale
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_cube
-from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
+from accelsurf.viewer.scene.picking import place_in_renderer
+from accelsurf.viewer.scene.ray import first_met
+from accelsurf.viewer.scene.shapes import GreyTexture, box_edges, isosurface
 
 #: Most voxels along an axis of the image as it is drawn in 3D; more take too long.
 MAX_ALONG = 160
 #: Width of the edges of the volume, pixels of a usual screen.
 BOX = 1.0
+#: Voxels of psi from which a surface is drawn coarsely.
+COARSE_VOXELS = 400_000
 #: Where the camera is, as a direction (x, y, z) in LPS, and which direction is up; it begins at `corner`.
 VIEWS = {
     "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
@@ -66,20 +70,25 @@ class SpaceTile:
         self.renderer, self._plotter = plotter.renderer, plotter
         self._geometry, self._image, self._window = geometry, image, window
         self._meshes: list[pv.PolyData] = []
+        self._frame: Frame | None = None
+        self._wanted = "plain"
+        #: Whether fewer triangles are drawn than the frame has.
+        self.is_coarse = False
         self._color = "plain"
         self._surfaces = [self._add_surface(0)]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
-        self.box = _box(geometry)
+        self.box = box_edges(geometry)
         self.reference: pv.PolyData | None = None
         self._box = self._add(self.box, theme.lines)
         self._box.prop.lighting = False
         self._ball: pv.Actor | None = None
+        self._places: pv.Actor | None = None
         self._volume: pv.Volume | None = None
         self._cut = vtkPlane()
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
         self._table = pv.LookupTable()
-        self._scale = _color_scale(self.renderer)
+        self._scale = color_scale(self.renderer)
         self._quantity = Label(self.renderer, theme.ink, (0.5, 0.135))
         # VTK's own labels come to lie on the colours in a picture that is drawn once.
         self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
@@ -90,9 +99,15 @@ class SpaceTile:
 
     # -- the surface --------------------------------------------------------------------------------------
 
-    def show(self, frame: Frame, color: str) -> None:
-        """Draw the surfaces of a frame, coloured by a quantity; each in its own colour where it lacks that."""
-        self._meshes = [isosurface(surface, self._geometry, color) for surface in frame.surfaces]
+    def show(self, frame: Frame, color: str, coarse: bool = False) -> None:
+        """Draw the surfaces of a frame, coloured by a quantity; each in its own colour where it lacks that.
+
+        ``coarse`` draws large ones with fewer triangles, in a fraction of the time.
+        """
+        self._frame, self._wanted = frame, color
+        drawn = tuple(one.coarser(COARSE_VOXELS) for one in frame.surfaces) if coarse else frame.surfaces
+        self.is_coarse = any(one is not fine for one, fine in zip(drawn, frame.surfaces, strict=True))
+        self._meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
         while len(self._surfaces) < len(self._meshes):
             self._surfaces.append(self._add_surface(len(self._surfaces)))
         for actor in self._surfaces[len(self._meshes) :]:
@@ -102,6 +117,13 @@ class SpaceTile:
             actor.SetVisibility(mesh.n_points > 0)
             actor.mapper.SetScalarVisibility(color in mesh.point_data)
         self._show_scale(color)
+
+    def coarsen(self, on: bool) -> bool:
+        """Draw the same coarsely, or in full; returns whether that is a change."""
+        if self._frame is None or self.is_coarse == on:
+            return False
+        self.show(self._frame, self._wanted, on)
+        return self.is_coarse == on
 
     def _show_scale(self, color: str) -> None:
         """Colour the surfaces that have this quantity on a common scale, and draw the scale."""
@@ -141,14 +163,31 @@ class SpaceTile:
         self.reference = mesh
         self._add(mesh, REFERENCE, opacity=0.35)
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
-        """Draw a translucent ball (world mm); nothing for None."""
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
+        """Draw a translucent ball (world mm); nothing for None. Returns whether the picture has changed."""
+        if center is None and (self._ball is None or not self._ball.GetVisibility()):
+            return False
         if self._ball is None:
             self._ball = self._add(pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32), MARK, opacity=0.55)
         self._ball.SetVisibility(center is not None)
         if center is not None:
             self._ball.position = tuple(center)
             self._ball.scale = (radius, radius, radius)
+        return True
+
+    @property
+    def smallest(self) -> float:
+        """Radius, mm, that a ball must have to be seen."""
+        return 0.006 * float(max(self._geometry.extent_mm))
+
+    def mark_places(self, places: NDArray[np.float64]) -> None:
+        """Draw a diamond at each of these points (x, y, z), world mm, (n, 3)."""
+        if self._places is None:
+            self._places = self._add(pv.PolyData(), CURSOR)
+            self._places.prop.lighting = False
+        diamonds = [pv.Octahedron(radius=2.5 * self.smallest, center=place) for place in places]
+        self._places.mapper.SetInputData(pv.merge(diamonds) if diamonds else pv.PolyData())
+        self._places.SetVisibility(bool(diamonds))
 
     # -- the image ----------------------------------------------------------------------------------------
 
@@ -305,15 +344,15 @@ class SpaceTile:
 
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
         """Point (x, y, z) of a surface under a pixel of the window; None beside them."""
-        picker = vtkCellPicker()
-        picker.SetTolerance(0.0)
-        picker.PickFromListOn()
-        for actor, mesh in zip(self._surfaces, self._meshes, strict=False):
-            if mesh.n_points:
-                picker.AddPickList(actor)
-        if not any(mesh.n_points for mesh in self._meshes) or not picker.Pick(x, y, 0.0, self.renderer):
+        inside = place_in_renderer(self.renderer, x, y)
+        if inside is None:
             return None
-        return np.asarray(picker.GetPickPosition())
+        ends = []
+        for depth in (0.0, 1.0):
+            self.renderer.SetViewPoint(2.0 * inside[0] - 1.0, 2.0 * inside[1] - 1.0, depth)
+            self.renderer.ViewToWorld()
+            ends.append(np.array(self.renderer.GetWorldPoint()[:3]))
+        return first_met(() if self._frame is None else self._frame.surfaces, self._geometry, *ends)
 
     def place_cube(self, on: bool) -> None:
         """Draw the cube of directions where the tile lies now, or not."""
@@ -358,29 +397,3 @@ class SpaceTile:
         actor.prop.color, actor.prop.opacity = color, opacity
         self.renderer.add_actor(actor, reset_camera=False, render=False)
         return actor
-
-
-def _box(geometry: Geometry) -> pv.PolyData:
-    """The edges of the volume, along the outer faces of its border voxels."""
-    ends = [(-0.5, n - 0.5) for n in geometry.shape]
-    corners = np.array([[z, y, x] for z in ends[0] for y in ends[1] for x in ends[2]])
-    edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
-    lines = np.array([(2, a, b) for a, b in edges])
-    return pv.PolyData(geometry.index_to_world(corners).astype(np.float32), lines=lines.ravel())
-
-
-def _color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
-    """A horizontal scale of the colours at the lower edge, hidden until something is coloured."""
-    scale = vtkScalarBarActor()
-    scale.SetOrientationToHorizontal()
-    scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    scale.SetPosition(0.2, 0.1)
-    scale.SetWidth(0.6)
-    scale.SetHeight(0.025)
-    scale.SetBarRatio(1.0)
-    scale.SetNumberOfLabels(0)
-    scale.DrawTickLabelsOff()
-    scale.SetMaximumNumberOfColors(256)
-    scale.VisibilityOff()
-    renderer.AddViewProp(scale)
-    return scale
