@@ -41,6 +41,21 @@ class PageOptions:
     """With --browser: images in this folder, and in those in it, can be opened from the page; none elsewhere."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ViewerOptions:
+    """How window and page look, and what they remember."""
+
+    theme: Annotated[Literal["dark", "light"], Parameter(group=SHOW)] = "dark"
+    """Colours of the window or page: dark or light."""
+
+    keep: Annotated[float, Parameter(group=SHOW)] = 512.0
+    """Memory for stored steps to which you can return, MB."""
+
+    recent: Annotated[bool, Parameter(group=SHOW)] = True
+    """List the images that were opened last, and remember those that are opened now."""
+
+
 def view(
     input: InputFile = None,
     *,
@@ -49,9 +64,7 @@ def view(
     reference: Annotated[Path | None, Parameter(group=FILES)] = None,
     overwrite: Overwrite = False,
     page: PageOptions | None = None,
-    theme: Annotated[Literal["dark", "light"], Parameter(group=SHOW)] = "dark",
-    keep: Annotated[float, Parameter(group=SHOW)] = 512.0,
-    recent: Annotated[bool, Parameter(group=SHOW)] = True,
+    viewer: ViewerOptions | None = None,
     settings: Settings | None = None,  # type: ignore[valid-type]
 ) -> int:
     """Watch and steer a segmentation in a window, or in a browser.
@@ -79,14 +92,8 @@ def view(
         Label map of the true object, on the same grid: also drawn, with the Dice coefficient.
     overwrite
         Replace files in the folder that this session has not written.
-    theme
-        Colours of the window or page: dark or light.
-    keep
-        Memory for stored steps to which you can return, MB.
-    recent
-        List the images that were opened last, and remember those that are opened now.
     """
-    made, page = run_config(settings, config), page or PageOptions()
+    made, page, viewer = run_config(settings, config), page or PageOptions(), viewer or ViewerOptions()
     if input is None and reference is not None:
         raise UsageError("reference: it was given without an image", "give the image, too")
     page = _front_end(page)
@@ -96,16 +103,16 @@ def view(
     with ExitStack() as stack:
         first = None if input is None else _read(input, made, reference)
         stack.enter_context(default_handling())
-        opening = _opening(made, recent, page)
+        opening = _opening(made, viewer.recent, page)
         session = None
         if first is not None:
-            session = stack.enter_context(first.session(keep))
+            session = stack.enter_context(first.session(viewer.keep))
             session.ready.result()
         opened = None if first is None or session is None else (first, session)
         if page.browser:
-            _serve(opening, opened, result, theme, overwrite, keep, page)
+            _serve(opening, opened, result, overwrite, viewer, page)
         else:
-            _open_window(opening, opened, result, theme, overwrite, keep)
+            _open_window(opening, opened, result, overwrite, viewer)
     return 0
 
 
@@ -172,15 +179,15 @@ def _front_end(page: PageOptions) -> PageOptions:
 
 
 def _open_window(
-    opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, theme: str, overwrite: bool,
-    keep: float,
+    opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, overwrite: bool,
+    viewer: ViewerOptions,
 ) -> None:
     """Open a window until the user closes it."""
     from accelsurf.viewer.frontends.desktop import application
     from accelsurf.viewer.frontends.main_window import MainWindow
 
     app = application()
-    window = MainWindow(opening, folder, theme, overwrite, keep)
+    window = MainWindow(opening, folder, viewer.theme, overwrite, viewer.keep)
     if first is not None:
         window.open(*first)
     window.show()
@@ -188,8 +195,8 @@ def _open_window(
 
 
 def _serve(
-    opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, theme: str, overwrite: bool,
-    keep: float, page: PageOptions,
+    opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, overwrite: bool,
+    viewer: ViewerOptions, page: PageOptions,
 ) -> None:
     """Serve the page until Ctrl-C."""
     import webbrowser
@@ -208,4 +215,5 @@ def _serve(
             "and download files; nothing is encrypted",
             file=sys.stderr,
         )
-    serve(opening, first, folder, theme, overwrite, keep, page.host or LOCAL, page.port or 0, show_address)
+    host, port = page.host or LOCAL, page.port or 0
+    serve(opening, first, folder, viewer.theme, overwrite, viewer.keep, host, port, show_address)

@@ -93,7 +93,7 @@ class Opening:
             "answer": self._answer,
             "list_folder": self._list_folder,
             "drop_failed": self._drop_failed,
-            **({} if self._served is not None else {"drop": self._drop}),
+            **({} if self._served is not None else {"drop": self._open_dropped}),
         }
 
     @property
@@ -197,7 +197,7 @@ class Opening:
         self._renew_lists()
         self.say("")
 
-    def _drop(self, *names: Any) -> None:
+    def _open_dropped(self, *names: Any) -> None:
         """Open what was dropped on the window; on a page things are uploaded first."""
         if len(names) != 1:
             raise UsageError(f"{len(names)} files were dropped, one expected", "drop the folder of a scan")
