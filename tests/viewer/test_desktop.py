@@ -392,7 +392,9 @@ def test_without_the_packages_of_the_window_the_page_is_served(scan, hide, capsy
     pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
     viewing.needs_graphics()
     served = []
-    monkeypatch.setattr("accelsurf.viewer.frontends.browser.serve", lambda session, *given: served.append(session.name))
+    monkeypatch.setattr(
+        "accelsurf.viewer.frontends.browser.serve", lambda opening, first, *given: served.append(first[0].name)
+    )
     hide("PySide6", "pyvistaqt")
     assert command(["view", str(scan), "--start", "ball:24,24,20,6"]) == 0
     assert served == ["scan"]
@@ -414,4 +416,4 @@ def test_a_screen_that_is_gone_is_one_line(scan, monkeypatch, capsys):
 def test_bad_settings_are_an_error_before_a_window_is_opened(scan, capsys):
     assert command(["view", str(scan), "--smoothness", "-1"]) == 2
     assert "smoothness: -1 was given" in capsys.readouterr().err
-    assert command(["view"]) == 2
+    assert command(["view", "--reference", str(scan)]) == 2

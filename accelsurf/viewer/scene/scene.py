@@ -34,7 +34,6 @@ from accelsurf.viewer.scene.measure_marks import MeasureLayer
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.scene.pictures import grab, png_bytes
 from accelsurf.viewer.scene.reference import Reference
-from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
 from accelsurf.viewer.scene.tiles import Tiles
@@ -139,8 +138,6 @@ class Scene:
         if flat is None:
             plotter.subplot(0, 0)
             self.space = SpaceTile(plotter, self.geometry, image, self._window, *style)
-            if self._reference is not None:
-                self.space.show_reference(label_surface(self._reference.inside, self.geometry))
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
@@ -155,8 +152,8 @@ class Scene:
         self._legend = Legend(largest)
         for tile in self.slice_tiles.values():
             tile.show(self._cursor)
-            if self._reference is not None:
-                tile.draw_reference(self._reference.contour_function)
+        if self._reference is not None:
+            self._reference.draw(self.space, self.slice_tiles.values())
 
     # -- what is drawn ------------------------------------------------------------------------------------
 
@@ -190,6 +187,13 @@ class Scene:
     def theme(self) -> Theme:
         """The colours in use."""
         return self._theme
+
+    def compare(self, labels: Volume) -> None:
+        """Compare with labels from now on; InputError when they are on another grid."""
+        self._reference = Reference(labels, self.geometry)
+        self._reference.draw(self.space, self.slice_tiles.values())
+        self._show_frame()
+        self._redraw.mark_all()
 
     @property
     def legend(self) -> tuple[str, ...]:
@@ -320,11 +324,7 @@ class Scene:
                 self._redraw.mark(tile.renderer)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
-        """Draw in the slices what belongs to the object if it has the size that a drag stands for; None removes it.
-
-        Only the slices are drawn: the surface, and still more the image in 3D, takes longer where there is no graphics
-        card.
-        """
+        """Draw in the slices, which is quick, an object of the size that a drag stands for; None removes it."""
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
             tile.mark_size(drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}")

@@ -79,6 +79,7 @@ class SpaceTile:
         #: Edges of the volume; the reference's surface, None without one; both world mm.
         self.box = box_edges(geometry)
         self.reference: pv.PolyData | None = None
+        self._reference_actor: Any = None
         self._box = self._add(self.box, theme.lines)
         self._box.prop.lighting = False
         self._ball: pv.Actor | None = None
@@ -160,8 +161,9 @@ class SpaceTile:
 
     def show_reference(self, mesh: pv.PolyData) -> None:
         """Draw a second surface, translucent."""
-        self.reference = mesh
-        self._add(mesh, REFERENCE, opacity=0.35)
+        if self._reference_actor is not None:
+            self.renderer.RemoveActor(self._reference_actor)
+        self.reference, self._reference_actor = mesh, self._add(mesh, REFERENCE, opacity=0.35)
 
     def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
         """Draw a translucent ball (world mm); nothing for None. Returns whether the picture has changed."""
