@@ -29,7 +29,7 @@ _WHOLE = re.compile(r"[0-9]{1,18}")
 MAX_ID = 2**32 - 1
 #: What goes together: the key that says what is done, and what it may be given with.
 _KINDS: dict[str, tuple[str, ...]] = {
-    "merge": (), "remove": (), "split": ("new",), "new": ("inside", "outside", "size"),
+    "merge": (), "remove": (), "split": ("new", "object"), "new": ("inside", "outside", "size"),
     "": ("inside", "outside", "near", "object"),
 }
 
@@ -53,7 +53,8 @@ class Refinement(BaseModel):
     merge : tuple of int
         Ids of objects that become the first of them.
     split : str, optional
-        A point, ``point:X,Y,Z``: what is connected to it becomes an object, without the rest of its former one.
+        A point, ``point:X,Y,Z``: what is connected to it becomes an object, without the rest of its former one
+        (``object``; by default that in which the point lies).
     remove : int, optional
         Id of an object that is not wanted.
 
@@ -151,9 +152,8 @@ def _refinement(value: Any) -> Refinement:
         raise UsageError(f"refine: size {shown(size)} was given, expected a volume with its unit", FORM)
     if split is not None and not (isinstance(split, str) and split.startswith("point:")):
         raise UsageError(f"refine: split {shown(split)} was given, expected point:X,Y,Z", FORM)
-    return Refinement(
-        near=_near(table.get("near", "auto")), size=size, split=split, merge=_ids(table.get("merge", ())), **ids, **sides
-    )
+    near, merge = _near(table.get("near", "auto")), _ids(table.get("merge", ()))
+    return Refinement(near=near, size=size, split=split, merge=merge, **ids, **sides)
 
 
 def _refuse_mixed(given: set[str]) -> None:
