@@ -35,17 +35,18 @@ def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
 
     Examples
     --------
-    >>> common_terms([[{"name": "threshold", "LO": 3}], [{"name": "threshold", "LO": 4}]])
-    [{'name': 'threshold', 'LO': 'by object'}]
-    >>> common_terms([[{"name": "chan-vese"}], [{"name": "seeded"}]])
-    [{'name': 'chan-vese'}, {'name': 'seeded'}]
+    >>> common_terms([[{"term": "threshold", "LO": 3}], [{"term": "threshold", "LO": 4}]])
+    [{'term': 'threshold', 'LO': 'by object'}]
+    >>> common_terms([[{"term": "chan-vese"}], [{"term": "seeded"}]])
+    [{'term': 'chan-vese'}, {'term': 'seeded'}]
     """
-    same: dict[tuple[str, int], list[dict[str, Any]]] = {}
+    same: dict[tuple[Any, int], list[dict[str, Any]]] = {}
     for own in terms:
-        counts = Counter[str]()
+        counts = Counter[Any]()
         for term in own:
-            same.setdefault((term["name"], counts[term["name"]]), []).append(term)
-            counts[term["name"]] += 1
+            name = term.get("term")
+            same.setdefault((name, counts[name]), []).append(term)
+            counts[name] += 1
     return [
         {key: value if all(one.get(key) == value for one in alike) else "by object" for key, value in alike[0].items()}
         for alike in same.values()

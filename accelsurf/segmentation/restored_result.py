@@ -86,7 +86,8 @@ def _replayed(state: StateFile, base: Result) -> tuple[ObjectModels, dict[int, S
         masks = masks_of(state)
     except ValueError as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
-    models = ObjectModels(base.state, frozen_settings(dataclasses.replace(base, config=state.config, edits_done=state.edits_done)))
+    ended = dataclasses.replace(base, config=state.config, edits_done=state.edits_done)
+    models = ObjectModels(base.state, frozen_settings(ended))
     known = dict(base.by_id)
     for number, one in enumerate(state.config.refine):
         has_ids = base.has_ids or state.config.replace(refine=state.config.refine[:number]).has_ids
@@ -114,8 +115,9 @@ def _replay(
     elif one.kind == "clicks":
         for id in known:
             model = models.model(id) if (mine := clicks_on(new, id)) else None
-            for click in mine if model is not None else ():
-                model.add(click)
+            if model is not None:
+                for click in mine:
+                    model.add(click)
     elif one.merge:
         models.merge(one.merge)
         for id in one.merge[1:]:

@@ -145,15 +145,15 @@ def _refinement(value: Any) -> Refinement:
             hint = f"{did_you_mean(str(key), valid)}Valid are {', '.join(valid)}"
             raise UsageError(f"refine: {shown(key)}: there is no such setting", hint)
     _refuse_mixed({key for key, given in table.items() if given not in (None, (), [], "", "auto")})
-    sides = {side: _texts(side, table.get(side, ())) for side in ("inside", "outside")}
-    ids = {key: _id(key, table.get(key)) for key in ("object", "new", "remove")}
+    fields: dict[str, Any] = {side: _texts(side, table.get(side, ())) for side in ("inside", "outside")}
+    fields |= {key: _id(key, table.get(key)) for key in ("object", "new", "remove")}
     size, split = checked_volume(table.get("size")), table.get("split")
     if size is not None and (not isinstance(size, str) or not re.fullmatch(VOLUME, size)):
         raise UsageError(f"refine: size {shown(size)} was given, expected a volume with its unit", FORM)
     if split is not None and not (isinstance(split, str) and split.startswith("point:")):
         raise UsageError(f"refine: split {shown(split)} was given, expected point:X,Y,Z", FORM)
     near, merge = _near(table.get("near", "auto")), _ids(table.get("merge", ()))
-    return Refinement(near=near, size=size, split=split, merge=merge, **ids, **sides)
+    return Refinement(near=near, size=size, split=split, merge=merge, **fields)
 
 
 def _refuse_mixed(given: set[str]) -> None:
