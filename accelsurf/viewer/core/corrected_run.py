@@ -41,7 +41,7 @@ class CorrectedRun:
         result = dataclasses.replace(result_of(run), config=repeating(run), state=state_at_end(run))
         self._refiner = Refiner(result)
         #: Where each object has been inside, on the grid of the region of interest; looked for once.
-        self._boxes = [_box_of_inside(one.psi < 0, one.corner) for one in self._refiner.surfaces]
+        self._boxes = {one.id: _box_of_inside(one.psi < 0, one.corner) for one in self._refiner.surfaces}
 
     @property
     def made(self) -> tuple[Refinement, ...]:
@@ -51,8 +51,40 @@ class CorrectedRun:
     @property
     def stop(self) -> Stop:
         """Why the last correction of each object ended."""
-        stops = [one.stop for one in self._refiner.surfaces]
-        return overall_stop(stops) if self._run.has_ids else stops[0]
+        stops = list(self.stops.values())
+        return overall_stop(stops) if self.has_ids else stops[0]
+
+    @property
+    def stops(self) -> dict[int, Stop]:
+        """Why the last correction of each object ended."""
+        return {one.id: one.stop for one in self._refiner.surfaces}
+
+    @property
+    def has_ids(self) -> bool:
+        """Whether labels are ids."""
+        return self._refiner.has_ids
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Ids of the objects."""
+        return tuple(self.stops)
+
+    def nearest(self, place: str) -> int:
+        """The object that is nearest to a ball's centre.
+
+        Raises
+        ------
+        UsageError, InputError
+            When it is no ball or lies outside.
+        """
+        centre = starts.ball_of(place, self._run.geometry)[0]
+        return min(self._refiner.surfaces, key=lambda one: distance_of(one, np.asarray(centre), self._run)).id
+
+    def taken(self, ball: str, object_id: int) -> BoxMask | None:
+        """Voxels that an object which is pressed at a ball may not have: those of the others, but for one in which the
+        ball lies.
+        """
+        return self._refiner.taken(ball, object_id)
 
     @property
     def histories(self) -> tuple[tuple[StepRecord, ...], ...]:
@@ -70,7 +102,9 @@ class CorrectedRun:
         changes = self._refiner.apply(refinement, on_step=lambda record, own: on_step(record.step))
         for change in changes:
             if change.voxels:  # the object gained or lost, and others lost there
-                self._boxes = [_around(box, change.box) for box in self._boxes]
+                self._boxes = {
+                    one.id: _around(self._boxes.get(one.id), change.box) for one in self._refiner.surfaces
+                }
         return changes
 
     def undo(self) -> None:
@@ -84,7 +118,8 @@ class CorrectedRun:
     def frame(self) -> Frame:
         """What is drawn: of each object a copy of the box in which it is."""
         prepared, surfaces = self._run.prepared, []
-        for one, box in zip(self._refiner.surfaces, self._boxes, strict=True):
+        for one in self._refiner.surfaces:
+            box = self._boxes[one.id]
             record, corner = one.history[-1], one.corner
             part = None if box is None else _within(counted_from(box, corner), one.psi.shape)
             psi = one.psi[:0, :0, :0].copy() if part is None or not one.inside else one.psi[part].copy()

@@ -18,8 +18,7 @@ from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with
 from accelsurf.viewer.core.corrections import Corrections
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
-from accelsurf.viewer.core.nearest_object import nearest_object
-from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.core.object_commands import ObjectCommands
 
 #: Why an object has ended for good: there is nothing to continue from.
 FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
@@ -47,6 +46,7 @@ class Timeline:
     checkpoints : CheckpointHistory
     corrections : Corrections
     log : ChangeLog
+    objects : ObjectCommands
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Timeline:
         self._playing, self._last_step, self._message = False, -1, ""
         self.log, self.corrections = ChangeLog(), Corrections(config.refine)
         self._written: set[Path] = set()
-        self._drag: SizeDrag | None = None
+        self.objects = ObjectCommands(self, config)
         self.run = Run(volume, config.replace(refine=()), None, self._channels)
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -78,6 +78,10 @@ class Timeline:
     def message(self) -> str:
         """One line: what was done last."""
         return self._message
+
+    def say(self, message: str) -> None:
+        """Have another `message`."""
+        self._message = message
 
     @property
     def stop(self) -> Stop | None:
@@ -248,9 +252,11 @@ class Timeline:
         UsageError, InputError
             When it is no ball or lies outside, or there is no such object.
         """
-        (edit,) = RunConfig(edit=[{"step": self.step_number, kind: ball, "object": object_id}]).edit
-        if object_id is None and self.run.has_ids:
-            edit = edit.model_copy(update={"object": nearest_object(self.run, ball)})
+        object_id = self.objects.whose(ball, object_id)
+        if self.run.stop is not None and self.objects.is_beside(object_id):
+            return self.add_click("inside" if kind == "add" else "outside", (ball,), object_id)
+        own = self.objects.of_run(object_id)
+        (edit,) = RunConfig(edit=[{"step": self.step_number, kind: ball, "object": own}]).edit
         self._replace_edits((*self._edits_so_far(), edit), joined)
         whose = "" if edit.object is None else f" {'to' if kind == 'add' else 'from'} object {edit.object}"
         self._message = f"{'added' if kind == 'add' else 'removed'} {ball}{whose}"
@@ -271,43 +277,49 @@ class Timeline:
         UsageError, InputError
             When one is no place, lies outside, or contradicts another click.
         """
+        object_id = self.objects.whose(where[0], object_id)
+        if object_id is not None and object_id not in self.objects.ids:
+            return self.objects.begin(object_id, side, where)
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
-        if object_id is None and self.run.has_ids:
-            clicks["object"] = nearest_object(self.run, where[0])
         whose = "" if clicks["object"] is None else f", object {clicks['object']}"
         said = f"{side}: {where[0]}{f' and {len(where) - 1} more' if len(where) > 1 else ''}{whose}"
-        if self.run.stop is not None and not all(reason in FINAL_REASONS for reason in self._reasons()):
+        is_final = all(reason in FINAL_REASONS for reason in self._reasons())
+        if self.run.stop is not None and (self.objects.is_beside(object_id) or not is_final):
             (refinement,) = RunConfig(refine=[clicks]).refine
             before, self._message = self._now(), self.corrections.correct(self.run, refinement, said)
             return self.log.add(before)
+        clicks["object"] = self.objects.of_run(object_id)
         (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
         self._replace_edits((*self._edits_so_far(), edit))
         self._message = said
 
-    def press(self, ball: str, voxels: int) -> SizeDrag:
-        """Begin to drag the size of an object: compute the arrival times from a ball in it."""
-        self._drag = SizeDrag.of_press(self.run, ball, voxels)
-        self._message = f"pressed {ball}: drag outwards until it fits"
-        return self._drag
-
-    def release(self, drag_mm: float) -> None:
-        """Begin another run from the press and the size that a drag of so many mm stands for.
+    def refine(self, correction: dict[str, Any], said: str) -> None:
+        """Make a correction of the run's end; while the run goes on it is made there, and the run goes on to it.
 
         Raises
         ------
-        UsageError
-            When nothing was pressed.
+        UsageError, InputError
+            When it cannot be made; nothing is changed then.
         """
-        if self._drag is None:
-            raise UsageError("nothing was pressed, so there is no size to take", "press in the object first")
-        drag, self._drag = self._drag, None
-        before, size = self._now(), drag.size_text(drag_mm)
+        (refinement,) = RunConfig(refine=[correction]).refine
+        before = self._now()
+        if self.run.stop is None:
+            self.corrections.wanted = (*self.corrections.wanted, refinement)
+            self.play()
+            self._message = f"{said}: when the run has ended"
+        else:
+            self._message = self.corrections.correct(self.run, refinement, said)
+        self.log.add(before)
+
+    def start_from_click(self, click: str, size: str) -> None:
+        """Begin another run from a click and the size of the object."""
+        before = self._now()
         self.pause()
-        settings = {"inside": (drag.click,), "outside": (), "size": size, "start": ("clicks",), "energy": "seeded"}
+        settings = {"inside": (click,), "outside": (), "size": size, "start": ("clicks",), "energy": "seeded"}
         self._replace_run(self.run.settings.replace(preset=None, **settings))
         self.log.add(before._replace(step=0))
         self.corrections.wanted = ()
-        self._message = f"inside: {drag.click}, size {size}"
+        self._message = f"inside: {click}, size {size}"
 
     def start_from(self, start: tuple[str, ...]) -> None:
         """Begin another run, with the settings in force."""
@@ -388,7 +400,8 @@ class Timeline:
         """Write files, see `saving.save`; those written before may be replaced."""
         self.run.apply_edits()
         known, corrected = None if overwrite else self._written, self.corrections.result()
-        written = saving.save(self.run, folder, name, source, what, known, corrected)
+        labels = self.objects.named_settings(self.run.config)
+        written = saving.save(self.run, folder, name, source, what, known, corrected, labels)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written
