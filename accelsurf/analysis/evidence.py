@@ -23,6 +23,8 @@ STEP, SAMPLES, NORMAL_SIGMA = 1.5, 20_000, 1.0
 HALF_EDGE, HALF_MODEL, LIKE = 3.0, 1.5, 2.5
 #: A patch of the surface is a Gaussian of this part of the object's radius (that of the ball of its volume).
 PATCH = 0.3
+#: Patches that are looked at one after another lie so many radii of a patch apart.
+APART = 3.0
 #: Least noise, as a part of the spread of the object's values and of those beside it.
 MIN_NOISE = 0.05
 
@@ -119,6 +121,16 @@ def doubtful_place(
 
     Doubt is summed over the patch: a large doubtful piece counts for more than a small one. Ties go to the first.
     """
+    return doubtful_places(evidence, spacing, volume_mm3, 1)[0]
+
+
+def doubtful_places(
+    evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float, count: int
+) -> list[tuple[tuple[int, int, int], float]]:
+    """The same of several patches, the most doubtful first, each as of `doubtful_place`; at least one.
+
+    A further one lies at least three patches' radii from those before it.
+    """
     doubt = 1.0 - evidence.total
     # Counted from the object's own first voxel: the blocks do not depend on where its grid begins.
     places = (evidence.index - evidence.index.min(axis=0)) * np.asarray(spacing)
@@ -126,18 +138,32 @@ def doubtful_place(
     # Blocks of half a patch stand for the places in them.
     blocks, member = np.unique((places / (0.5 * radius)).astype(np.int64), axis=0, return_inverse=True)
     member = member.reshape(-1)
-    count = np.bincount(member, minlength=len(blocks)).astype(np.float64)
+    counts = np.bincount(member, minlength=len(blocks)).astype(np.float64)
     sums = np.bincount(member, doubt, len(blocks))
-    middles = np.stack([np.bincount(member, places[:, a], len(blocks)) for a in range(3)], axis=1) / count[:, None]
-    best, most, share = 0, -1.0, 0.0
+    middles = np.stack([np.bincount(member, places[:, a], len(blocks)) for a in range(3)], axis=1) / counts[:, None]
+    totals, shares = np.zeros(len(blocks)), np.zeros(len(blocks))
     for i, middle in enumerate(middles):
         weight = np.exp(-0.5 * ((middles - middle) ** 2).sum(axis=1) / radius**2)
-        total = float((weight * sums).sum())
-        if total > most * (1.0 + 1e-9):
-            best, most, share = i, total, total / float((weight * count).sum())
-    own = np.flatnonzero(member == best)
-    z, y, x = evidence.index[own[int(np.argmax(doubt[own]))]]
-    return (int(z), int(y), int(x)), share
+        totals[i] = float((weight * sums).sum())
+        shares[i] = totals[i] / float((weight * counts).sum())
+    out: list[tuple[tuple[int, int, int], float]] = []
+    far = np.ones(len(blocks), np.bool_)
+    while len(out) < count and far.any():
+        best = _first_largest(totals, far)
+        own = np.flatnonzero(member == best)
+        z, y, x = evidence.index[own[int(np.argmax(doubt[own]))]]
+        out.append(((int(z), int(y), int(x)), float(shares[best])))
+        far &= ((middles - middles[best]) ** 2).sum(axis=1) > (APART * radius) ** 2
+    return out
+
+
+def _first_largest(totals: Floats, among: NDArray[np.bool_]) -> int:
+    """The largest of some numbers; of those that are equal but for rounding the first."""
+    best, most = 0, -1.0
+    for i in np.flatnonzero(among):
+        if totals[i] > most * (1.0 + 1e-9):
+            best, most = int(i), float(totals[i])
+    return best
 
 
 def _places(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[NDArray[np.int64], Floats]:

@@ -64,8 +64,8 @@ def refine(
     result
         Folder with the outputs of a run, or its report where several runs are in the folder.
     inside
-        Voxels that are in the object, and stay in it: point:X,Y,Z, stroke:FILE, or as --start; may be repeated. All
-        clicks of one command are one correction.
+        Voxels that are in the object, and stay in it: point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or as --start; may
+        be repeated. All clicks of one command are one correction.
     outside
         Voxels that are not in the object, and stay out of it.
     near

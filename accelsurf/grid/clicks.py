@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, on_box, shared
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, on_box, shared
 
 Side = Literal["inside", "outside"]
 #: The two sides, and the id of what is no object.
@@ -40,6 +40,27 @@ class Click(NamedTuple):
     def mask_on(self, box: Box) -> NDArray[np.bool_]:
         """Return its voxels on a box of the grid; none where it lies elsewhere."""
         return on_box(self.mask, self.box, box, False)
+
+    def contradicts(self, other: Click) -> bool:
+        """Whether no voxel can be in both: some object would have it inside and outside."""
+        if self.side == other.side:
+            return self.side == "inside" and self.id != other.id
+        return self.id == other.id
+
+    def without(self, later: Iterable[Click]) -> Click | None:
+        """Return what is left of it by later clicks that contradict it; itself where that is all, None for nothing."""
+        mask = self.mask
+        for click in later:
+            if click.contradicts(self) and _overlap(click.box, self.box):
+                mask = mask & ~click.mask_on(self.box)
+        if mask is self.mask or np.array_equal(mask, self.mask):
+            return self
+        box = bounding_box(mask)
+        if box is None:
+            return None
+        z, y, x = (a.start + b.start for a, b in zip(self.box, box, strict=True))
+        left = np.ascontiguousarray(mask[box])
+        return self._replace(box=box_at((z, y, x), left.shape), mask=left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +125,31 @@ class Clicks:
     def with_more(self, more: Iterable[Click]) -> Clicks:
         """Return these clicks and some after them."""
         return Clicks((*self.clicks, *more), self.shape)
+
+    def with_later(self, later: Sequence[Click]) -> Clicks:
+        """Return these clicks and later ones, which take the voxels that they contradict from these.
+
+        A click of which nothing is left is left out; one from which nothing is taken stays the same object.
+
+        Examples
+        --------
+        >>> here = (slice(0, 1), slice(0, 1), slice(2, 4))
+        >>> clicks = Clicks((Click("inside", here, np.ones((1, 1, 2), bool)),), (1, 1, 5))
+        >>> there = (slice(0, 1), slice(0, 1), slice(3, 5))
+        >>> clicks = clicks.with_later([Click("outside", there, np.ones((1, 1, 2), bool))])
+        >>> clicks.mask("inside"), clicks.mask("outside")
+        (array([[[False, False,  True, False, False]]]), array([[[False, False, False,  True,  True]]]))
+        """
+        left = (click.without(later) for click in self.clicks)
+        return Clicks((*(click for click in left if click is not None), *later), self.shape)
+
+    def starts_with(self, other: Clicks) -> bool:
+        """Whether these are other clicks, unchanged, and maybe more."""
+        return len(self) >= len(other) and all(a is b for a, b in zip(other.clicks, self.clicks, strict=False))
+
+
+def _overlap(one: Box, other: Box) -> bool:
+    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
 
 
 def _click_on_box(click: Click, corner: Corner, shape: tuple[int, int, int]) -> Click | None:

@@ -13,18 +13,19 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, whole_box, widened
-from accelsurf.grid.clicks import SIDES, Click, Clicks, Side
+from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks, Side
 from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
+from accelsurf.initialization.click_paths import FORM, click_of_path
 from accelsurf.io.files import naming
 from accelsurf.settings import budgets
 from accelsurf.settings.wording import shown
 
 #: Kinds of clicks besides those of starts -> the form in which they are written.
-KINDS = {"point": "point:X,Y,Z", "stroke": "stroke:FILE"}
+KINDS = {"point": "point:X,Y,Z", "path": FORM, "stroke": "stroke:FILE"}
 #: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
 WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
 _FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
@@ -44,7 +45,7 @@ def read_clicks(
     Parameters
     ----------
     texts : iterable of str
-        ``point:X,Y,Z``, ``stroke:FILE``, or a start.
+        ``point:X,Y,Z``, ``path:X,Y,Z,R;X,Y,Z,R;...``, ``stroke:FILE``, or a start.
     side : {"inside", "outside"}
     volume : Volume
         The image.
@@ -70,6 +71,8 @@ def read_clicks(
         if kind == "point":
             voxels = point_voxels([_point(text, rest)], text, side, window.geometry, rest.endswith("vox"))
             out += window.clicks([click_of_voxels(side, voxels, id)])
+        elif kind == "path":
+            out += window.clicks([click_of_path(text, side, window.geometry, id)])
         elif kind == "stroke":
             out += _stroke(text, rest, side, window, id)
         else:
@@ -102,6 +105,21 @@ def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int
             raise InputError(
                 f"clicks: {where} is clicked both inside and outside{of}", "take one away, or make one smaller"
             )
+
+
+def check_left(before: Clicks, after: Clicks) -> None:
+    """Refuse later clicks that leave nothing clicked inside of an object that had such voxels ``before``.
+
+    Raises
+    ------
+    InputError
+        With the object, where there are several.
+    """
+    for id in sorted(set(before.ids()) - set(after.ids()) - {NO_OBJECT}):
+        of = "" if {one.id for one in before.clicks} == {1} else f" of object {id}"
+        raise InputError(
+            f"clicks: nothing would be left that is clicked inside{of}", "click inside elsewhere first, or smaller"
+        )
 
 
 def voxel_named(index: NDArray[np.int64], geometry: Geometry, first: Sequence[int] = (0, 0, 0)) -> str:

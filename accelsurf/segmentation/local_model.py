@@ -96,8 +96,8 @@ class LocalModel:
     passes : ndarray of bool or None
         The mask of the run.
     whole : callable
-        Makes the whole model of clicks: needed for a partition, and where a click says that the first proposal was far
-        too large.
+        Makes the whole model of clicks: needed for a partition, where a click takes voxels from an earlier one, and
+        where one says that the first proposal was far too large.
     threads : int, optional
         What a click needs is computed in so many threads; the result is the same for any number.
     """
@@ -127,8 +127,10 @@ class LocalModel:
         click : Click
             On the grid of the model, as its object sees it.
         """
-        before, clicks = self.state, self.state.clicks.with_more([click])
-        if before.answer is None or before.answer.is_contradicted(click):
+        before, clicks = self.state, self.state.clicks.with_later([click])
+        # A model learns from each click: where voxels are taken from one, nothing that came of it may stay.
+        taken = not clicks.starts_with(before.clicks)
+        if before.answer is None or taken or before.answer.is_contradicted(click):
             self.state = LocalState.of(self._whole(clicks))
         else:
             with ThreadPoolExecutor(max(self._threads, 1)) as pool:

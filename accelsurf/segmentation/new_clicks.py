@@ -84,15 +84,15 @@ def check_object(refinement: Refinement, ids: Sequence[int] | None) -> None:
 
 
 def refuse_contradictions(
-    new: Sequence[Click], clicks: Clicks, ids: Sequence[int], geometry: Geometry, first: Corner
+    new: Sequence[Click], shape: tuple[int, int, int], ids: Sequence[int], geometry: Geometry, first: Corner
 ) -> None:
-    """Refuse new clicks that put a voxel on both sides of an object; costs no more than their boxes.
+    """Refuse clicks of one correction that put a voxel on both sides of an object; costs no more than their boxes.
 
     Parameters
     ----------
     new : sequence of Click
-    clicks : Clicks
-        All, the new ones included.
+    shape : (nz, ny, nx)
+        Of their grid.
     ids : sequence of int
         Of the objects.
     geometry : Geometry
@@ -105,14 +105,16 @@ def refuse_contradictions(
     InputError
         With the voxel.
     """
+    if len({click.side for click in new}) == 1 and len({click.id for click in new}) == 1:
+        return
     for id in ids:
-        own = clicks.of(id)
-        for one in Clicks(tuple(new), clicks.shape).of(id).clicks:
+        own = Clicks(tuple(new), shape).of(id)
+        for one in own.clicks:
             here = own.on_box(one.box)
             both = here.mask("inside") & here.mask("outside")
             if both.any():
                 voxel = np.argwhere(both)[0] + np.array(corner_of(one.box))
                 raise InputError(
-                    f"refine: {voxel_named(voxel, geometry, first)} is clicked both inside and outside",
-                    "undo the earlier click, or make the new one smaller",
+                    f"refine: {voxel_named(voxel, geometry, first)} is clicked both inside and outside at once",
+                    "make two corrections of it: the later one wins",
                 )

@@ -87,7 +87,7 @@ def begin(
         objects.replace([one for one in objects.surfaces if one.id != own], {})
     objects.models.add(new)
     takes = frozenset(objects.holders(new))
-    objects.models.begin(number, refinement, _taken(objects, takes))
+    objects.models.begin(number, refinement, taken_voxels(objects, takes))
     model = objects.models.model(own)
     assert model is not None
     margin = [math.ceil(MARGIN * max(objects.spacing) / h) for h in objects.spacing]
@@ -117,7 +117,7 @@ def begin(
     return surface, box, surface.inside
 
 
-def _taken(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | None:
+def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | None:
     """Voxels of the objects that a new one takes nothing from."""
     boxes, taken = [], None
     others = [one for place, one in enumerate(objects.surfaces) if place not in takes]

@@ -108,7 +108,7 @@ class ObjectModels:
 
     def add(self, clicks: Sequence[Click]) -> None:
         """Note new clicks."""
-        self.clicks = self.clicks.with_more(clicks)
+        self.clicks = self.clicks.with_later(clicks)
 
     def begin(self, number: int, refinement: Refinement, taken: BoxMask | None) -> None:
         """Begin an object at clicks that have been noted.

@@ -18,6 +18,7 @@ from accelsurf.grid.boxes import Box, box_at
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
+from accelsurf.initialization.clicks import check_left
 from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import object_changes
@@ -39,6 +40,7 @@ from accelsurf.segmentation.refined_objects import RefinedObjects
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_setup import setup_of, window_reach
+from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.segmentation.solver_setup import correction_rule, is_maker
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
@@ -110,6 +112,18 @@ class Refiner:
         """Whether labels are ids of objects."""
         return self._objects.has_ids
 
+    def taken(self, place: NDArray[np.float64], own: int) -> BoxMask | None:
+        """Voxels that an object which begins at a place, an index (z, y, x) of the region, may not have.
+
+        Those of the others (but for the object ``own``, which begins anew), and for one in which the place lies.
+        """
+        voxel = np.rint(place).astype(int)
+        (z, y, x) = (slice(int(i), int(i) + 1) for i in voxel)
+        click = Click("inside", (z, y, x), np.ones((1, 1, 1), np.bool_))
+        ids = self._objects.ids
+        takes = {*self._objects.holders([click]), *([ids.index(own)] if own in ids else [])}
+        return object_changes.taken_voxels(self._objects, frozenset(takes))
+
     # -- corrections ---------------------------------------------------------------------------------------
 
     def apply(
@@ -136,10 +150,12 @@ class Refiner:
         UsageError
             When no object has the id.
         InputError
-            When a click contradicts an earlier one, or lies outside of region or mask.
+            When a voxel is clicked on both sides, or a click lies outside of region or mask, or takes all that was
+            clicked inside.
 
         Notes
         -----
+        Clicks take the voxels that they contradict from earlier ones.
         All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
         """
         objects, number = self._objects, len(self.config.refine)
@@ -186,7 +202,8 @@ class Refiner:
         if refinement.new in ids:  # it begins anew
             before = Clicks(tuple(one for one in before.clicks if one.id != refinement.new), before.shape)
         known = sorted({*ids, refinement.new or ids[0]})
-        refuse_contradictions(new, before.with_more(new), known, prepared.geometry, prepared.first)
+        refuse_contradictions(new, self._shape, known, prepared.geometry, prepared.first)
+        check_left(before, before.with_later(new))
         return new
 
     def _correct_all(

@@ -13,7 +13,7 @@ from accelsurf.grid.click_bounds import ClickBounds, click_bounds
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.volume import Volume
-from accelsurf.initialization.clicks import check_contradictions, read_clicks, voxel_named
+from accelsurf.initialization.clicks import check_contradictions, check_left, read_clicks, voxel_named
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelArrays
 from accelsurf.settings.edits import Edit
@@ -40,7 +40,12 @@ def placed(
     Raises
     ------
     InputError
-        When a click inside an object lies outside of region or mask, or a voxel is clicked on both sides.
+        When a click inside an object lies outside of region or mask, one voxel is clicked on both sides at once, or
+        nothing is left that is clicked inside an object.
+
+    Notes
+    -----
+    Clicks that are given at once must agree; later ones take the voxels that they contradict from those of ``before``.
     """
     geometry = volume.geometry
     shape = tuple(s.stop - s.start for s in box)
@@ -57,8 +62,11 @@ def placed(
             voxel = voxel_named(at[int(np.flatnonzero(lost)[0])], geometry)
             raise InputError(f"clicks: {voxel} is clicked inside, and lies outside of {where}", "make one of them fit")
     own = Clicks(tuple(clicks), geometry.shape).on_box(box)
-    whole = own if before is None else before.with_more(own.clicks)
-    check_contradictions(whole, geometry, (box[0].start, box[1].start, box[2].start))
+    check_contradictions(own, geometry, (box[0].start, box[1].start, box[2].start))
+    if before is None:
+        return own
+    whole = before.with_later(own.clicks)
+    check_left(before, whole)
     return whole
 
 

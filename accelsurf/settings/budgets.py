@@ -67,6 +67,10 @@ class Budget:
 
 CONFIG = Budget("a configuration file", 1 << 20, "bytes", "is it the right file? a configuration has a few lines")
 EXPRESSION = Budget("an energy, a start or an edit", 1 << 14, "characters", "write it shorter")
+PATH = Budget("a painted path", 1 << 17, "characters", "take a larger radius, or write it as a stroke:FILE")
+PATH_VOXELS = Budget(
+    "voxels of the boxes around the pieces of a path", 1 << 32, "voxels", "take a smaller radius, or fewer places"
+)
 EDITS = Budget("the edits of a run", 4096, "edits", "leave out those that do not matter")
 TABLE = Budget("a table of balls", 1 << 22, "bytes", "give the objects as a label map instead")
 CASES = Budget("a table of cases", 1 << 26, "bytes", "split the table")
@@ -125,7 +129,7 @@ STATE_UNPACKED = Budget(
 
 #: All of them, in the order of the reference page.
 BUDGETS = (
-    CONFIG, EXPRESSION, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW, PACKBITS, TIFF_TAGS,
-    TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING,
-    STATE_FILE, STATE_UNPACKED,
+    CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW,
+    PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS,
+    OBJECT_VOXELS, SMOOTHING, STATE_FILE, STATE_UNPACKED,
 )

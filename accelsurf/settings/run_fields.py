@@ -300,8 +300,9 @@ class RunFields(BaseModel):
     )
     inside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
-        "Voxels that are in the object, and stay in it: point:X,Y,Z, stroke:FILE, or written as a start. With --inside "
-        "and neither --start nor --energy the program chooses everything. Each is a click of its own.",
+        "Voxels that are in the object, and stay in it: point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or written as a "
+        "start. With --inside and neither --start nor --energy the program chooses everything. Each is a click of its "
+        "own.",
         entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
     )
     outside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(

@@ -114,3 +114,42 @@ def test_bounds_on_a_box_are_those_of_the_whole():
     assert bounds.is_met_by(whole) and not bounds.is_met_by(np.ones(shape, np.float32))
     low, high = bounds.extent()
     assert tuple(low) == (5, 5, 5) and tuple(high) == (6, 6, 6)
+
+
+def test_later_clicks_take_what_they_contradict_and_nothing_else():
+    """Against the rule voxel by voxel: the last click that speaks of a voxel and an object decides."""
+    shape, rng = (3, 6, 7), np.random.default_rng(8)
+    for _ in range(60):
+        several = bool(rng.random() < 0.5)
+        given = [
+            click(rng.choice(["inside", "outside"]), rng.random(shape) < 0.2, int(rng.integers(0, 3)) if several else 1)
+            for _ in range(int(rng.integers(1, 6)))
+        ]
+        clicks = Clicks((), shape)
+        want = {id: np.zeros(shape, np.int8) for id in (0, 1, 2)}
+        for one in given:
+            clicks = clicks.with_later([one])
+            mask = one.mask_on((slice(0, 3), slice(0, 6), slice(0, 7)))
+            if one.side == "inside":
+                for id in want:
+                    # What was outside of another object stays so; what was inside of it is not any more.
+                    want[id][mask] = 1 if id == one.id else np.where(want[id][mask] == 1, 0, want[id][mask])
+            else:
+                want[one.id][mask] = -1
+        for id, sides in want.items():
+            np.testing.assert_array_equal(clicks.mask("inside", id), sides == 1)
+            np.testing.assert_array_equal(clicks.mask("outside", id), sides == -1)
+            seen = clicks.of(id)
+            assert not (seen.mask("inside") & seen.mask("outside")).any()
+        assert all(one.mask.any() and bounding_box(one.mask) == tuple(slice(0, n) for n in one.mask.shape)
+                   for one in clicks.clicks)
+
+
+def test_clicks_that_nothing_is_taken_from_stay_the_same_objects():
+    shape = (1, 4, 5)
+    first, second = click("inside", some(shape, (0, 0, 0))), click("inside", some(shape, (0, 3, 4), (0, 3, 3)))
+    clicks = Clicks((first, second), shape)
+    later = clicks.with_later([click("outside", some(shape, (0, 3, 4)))])
+    assert later.clicks[0] is first and later.clicks[1] is not second and not later.starts_with(clicks)
+    assert clicks.with_later([click("outside", some(shape, (0, 2, 2)))]).starts_with(clicks)
+    assert clicks.with_later([click("outside", some(shape, (0, 0, 0)))]).clicks[0] is second

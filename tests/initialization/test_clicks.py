@@ -81,6 +81,11 @@ def test_a_stroke_of_labels_says_both_sides(volume, tmp_path):
         ("blob:1,2,3", UsageError, "inside 'blob:1,2,3': unknown kind"),
         ("clicks", UsageError, "there is no click inside"),
         ("stroke:", UsageError, "no file named"),
+        ("path:1,2,3", UsageError, "x, y, z and a radius for each place expected"),
+        ("path:1,2,3,-1", UsageError, "x, y, z and a radius for each place expected"),
+        ("path:1,2,3,1;nan,1,1,1", UsageError, "x, y, z and a radius for each place expected"),
+        ("path:900,1,1,2;950,1,1,2", InputError, "no voxel is in it"),
+        ("path:" + "1,2,3,4;" * 20_000, UsageError, "a path: 160005 characters, at most"),
         ("stroke:none.csv", InputError, "none.csv"),
         ("label:none.nii", InputError, "none.nii"),
     ],
@@ -88,6 +93,32 @@ def test_a_stroke_of_labels_says_both_sides(volume, tmp_path):
 def test_what_is_no_click_is_refused(volume, text, error, message):
     with pytest.raises(error, match=message.replace("(", r"\(")):
         read_clicks([text], "inside", volume)
+
+
+def test_a_path_is_all_voxels_near_its_line(volume):
+    """Against the distance to the line, voxel by voxel, with a radius that changes along it."""
+    text = "path:3,5,9,1;9,12,18,2.5;9,4,18,2.5"
+    (click,) = read_clicks([text], "inside", volume)
+    index = np.indices((10, 20, 30)).reshape(3, -1).T * np.array(SPACING)
+    ends = np.array([[9, 5, 3], [18, 12, 9], [18, 4, 9]], float)
+    want = np.zeros(len(index), bool)
+    for (a, b), (r, s) in zip(zip(ends, ends[1:], strict=False), ((1, 2.5), (2.5, 2.5)), strict=True):
+        share = np.clip((index - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        want |= np.linalg.norm(index - a - share[:, None] * (b - a), axis=1) < r + share * (s - r)
+    got = Clicks((click,), (10, 20, 30)).mask("inside").ravel()
+    assert got[want].all() and want.sum() > 100
+    extra = index[got & ~want]  # what the line passes where it is thinner than the voxels are thick
+    assert len(extra) < 0.1 * want.sum()
+    assert voxels(read_clicks(["path:6,8,12,2.5"], "inside", volume)) == voxels(
+        read_clicks(["ball:6,8,12,2.5"], "inside", volume)
+    )
+
+
+def test_a_path_without_a_width_is_a_line_of_voxels(volume):
+    (click,) = read_clicks(["path:3,5,4,0;20,5,4,0vox"], "outside", volume)
+    assert voxels([click], "outside") == {(4, 5, x) for x in range(3, 21)}
+    # Beyond the volume it is cut off.
+    assert voxels(read_clicks(["path:28,5,4,0;90,5,4,0vox"], "inside", volume)) == {(4, 5, 28), (4, 5, 29)}
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,8 @@ NAMES = (
     "packed TIFF that claims much",
     "text that claims much",
     "many balls",
+    "long path",
+    "wide path",
 )
 MAX_SECONDS, MAX_RSS_MB = 5.0, 1024
 
@@ -77,6 +79,7 @@ def bombs(folder):
     from accelsurf.evolution.serialization import from_bytes
     from accelsurf.grid.volume import Volume
     from accelsurf.initialization import object_starts, starts
+    from accelsurf.initialization.clicks import read_clicks
     from accelsurf.io import meshes
     from accelsurf.io.formats import png, tiff_file
     from accelsurf.settings import energy_expression
@@ -185,6 +188,7 @@ def bombs(folder):
         return object_starts.read(str(folder / "a.csv"), image.geometry, 2)
 
     noise = np.random.default_rng(0).integers(0, 256, (48, 48, 48)).astype(np.uint8)
+    wide = Volume.from_array(np.zeros((80, 90, 100), np.uint8))
     toml = folder / "a.toml"
     return {
         "gzip of 2 GB": nifti,
@@ -211,6 +215,8 @@ def bombs(folder):
         "packed TIFF that claims much": lambda: claims(32773),
         "text that claims much": lambda: nrrd("ascii", b"1 2 3", "600 500 400"),
         "many balls": many_balls,
+        "long path": lambda: segment(noise, inside="path:" + "1,2,3,4;" * 1_000_000),
+        "wide path": lambda: read_clicks(["path:" + ";".join(["1,2,3,1e9"] * 10_000)], "inside", wide),
     }
 
 

@@ -229,12 +229,37 @@ def test_several_objects_never_overlap_and_the_named_one_is_corrected():
         refine(before, inside=f"point:{world(12, 14, 21)}")
 
 
-def test_a_contradiction_is_refused_with_the_voxel_and_changes_nothing(result):
+def test_a_later_stroke_takes_the_voxels_of_an_earlier_one(result):
+    """For every energy; undo gives the earlier stroke back, and made at once the two make the same bytes."""
+    refiner = Refiner(result)
+    first, later = {"inside": f"ball:{world(12, 14, 24)},3"}, {"outside": f"ball:{world(12, 14, 25)},2.5"}
+    refiner.apply(*refinements_of(first))
+    before = refiner.result()
+    refiner.apply(*refinements_of(later))
+    after = refiner.result()
+    taken, left = refiner.clicks.mask("outside"), refiner.clicks.mask("inside")
+    assert taken.any() and left.any() and not (taken & left).any()
+    assert not after.labels[taken].any() and after.labels[left].all()
+    assert (before.labels[taken] > 0).any()
+    again = Refiner(result)
+    for one in after.config.refine:
+        again.apply(one)
+    assert again.result().psi.tobytes() == after.psi.tobytes()
+    refiner.undo()
+    assert refiner.result().psi.tobytes() == before.psi.tobytes()
+    assert refiner.clicks.mask("inside").sum() > left.sum()
+    assert not refiner.clicks.mask("outside").any()
+
+
+def test_what_contradicts_itself_or_leaves_nothing_is_refused_and_changes_nothing(result):
     refiner = Refiner(result)
     refiner.apply(*refinements_of({"inside": f"point:{world(12, 14, 24)}", "near": 5}))
     psi, config = refiner.result().psi, refiner.config
-    with pytest.raises(InputError, match=r"voxel 24,14,12 .* both inside and outside"):
-        refiner.apply(*refinements_of({"outside": f"point:{world(12, 14, 24)}"}))
+    here = f"point:{world(12, 14, 24)}"
+    with pytest.raises(InputError, match=r"voxel 24,14,12 .* both inside and outside at once"):
+        refiner.apply(*refinements_of({"outside": here, "inside": here}))
+    with pytest.raises(InputError, match="nothing would be left that is clicked inside"):
+        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 18)},12"}))
     assert refiner.result().psi.tobytes() == psi.tobytes() and refiner.config == config
     # What was refused is no correction: undo takes back the one before it.
     refiner.undo()

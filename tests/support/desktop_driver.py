@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QListWidget, QWidget
 
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
@@ -73,6 +73,8 @@ def places(window: Window) -> dict[str, Any]:
         "buttons": {name: middle(getattr(bar, name)) for name in ("restart", "back", "play", "forward")}
         | {"undo": middle(side.changes.undo), "save": middle(side.changes.save), "timeline": ends(bar.timeline)}
         | {name: middle(button) for name, button in tools.tools.items()}
+        | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
+        | {"next doubt": middle(side.panels["HistoryPanel"].next)}
         | {name: ends(amount.slider) for name, amount in settings.amounts.items()},
         "tiles": tiles,
     }
@@ -90,6 +92,14 @@ def shown(session: Session, window: Window) -> dict[str, Any]:
         "color": state["color"], "theme": state["theme"], "help": window.help.isVisible(), "state": state,
         "play": window.bar.play.text(), "title": window.windowTitle(), "cursor": window.scene.cursor.tolist(),
     }
+
+
+def row_of(rows: QListWidget, number: int) -> list[int] | None:
+    item = rows.item(number)
+    if item is None:
+        return None
+    place = rows.viewport().mapToGlobal(rows.visualItemRect(item).center())
+    return [place.x(), place.y()]
 
 
 def middle(widget: QWidget) -> list[int]:

@@ -1,6 +1,7 @@
 """Clicks after the end of a run: one engine for command line, Python and session; undo, redo, repeats."""
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -123,9 +124,105 @@ def test_undo_and_redo_of_corrections_bring_back_every_byte(image):
         assert session.status.redoable == 0
         with pytest.raises(UsageError, match="no undone change"):
             session.redo().result(60)
-        with pytest.raises(InputError, match="both inside and outside"):
-            session.add_click("outside", OTHER).result(60)
+        with pytest.raises(InputError, match="nothing would be left"):
+            session.add_click("outside", "ball:17,8,9,40").result(60)
         assert len(session.status.refinements) == 2 and session.status.failed
+
+
+@pytest.mark.parametrize("steps", [4, None], ids=["while it runs", "after its end"])
+def test_a_later_stroke_wins_over_an_earlier_one_and_the_settings_repeat_it(steps, image, tmp_path):
+    with Session(image, CONFIGS["seeded"], name="scan") as session:
+        at(session, steps) if steps else ended(session)
+        session.add_click("inside", "path:9,8,9,2;19,8,9,2").result(60)
+        session.add_click("outside", "path:17,4,9,1.5;17,12,9,1.5").result(60)
+        if steps:
+            ended(session)
+        paths = session.save(tmp_path, ("labels", "run")).result(60)
+        lines, clicks = session.status.changes, views(session)[-1].frame.clicks
+    assert [line.line for line in lines[:2]] == ["inside: stroke of 2 places", "outside: stroke of 2 places"]
+    labels = io.read_labels(next(path for path in paths if "_seg" in path.name)).array
+    sides = {side: np.zeros(SHAPE, bool) for side in ("inside", "outside")}
+    for one in clicks:
+        sides[one.side][one.box] |= one.mask
+    assert sides["outside"][6, 8, 17] and not sides["inside"][6, 8, 17] and sides["inside"][6, 8, 20]
+    assert labels[sides["inside"]].all() and not labels[sides["outside"]].any()
+    again = accelsurf.segment(image, config=RunConfig.from_toml(tmp_path / "run.toml"))
+    assert np.array_equal(again.labels, labels)
+
+
+def test_the_list_of_changes_leads_back_and_forward_in_one_go(image):
+    with Session(image, CONFIGS["seeded"]) as session:
+        ended(session)
+        shown = [psi_shown(session)]
+        for side, where in (("inside", OTHER), ("outside", STROKE), ("outside", "point:9,8,16.5")):
+            session.add_click(side, where).result(60)
+            shown.append(psi_shown(session))
+        words = ["inside: ball:25,8,9,1.5", "outside: ball:13,6,9,1 and 1 more", "outside: point:9,8,16.5"]
+        for count in (0, 3, 1, 2, 0, 2):
+            session.go_to_change(count).result(60)
+            assert session.wait(60) and psi_shown(session).tobytes() == shown[count].tobytes()
+            status = session.status
+            assert (status.undoable, status.redoable) == (count, 3 - count)
+            assert [(one.number, one.line, one.done) for one in status.changes] == [
+                (number, line, number <= count) for number, line in enumerate(words, 1)
+            ]
+        for wrong in (-1, 4):
+            with pytest.raises(UsageError, match="expected a number from 0 to 3"):
+                session.go_to_change(wrong).result(60)
+        session.change(smoothness=0.4).result(60)
+        assert [one.line for one in session.status.changes] == [*words[:2], "smoothness 0.4"]
+
+
+def test_nothing_of_an_undone_change_stays_in_the_picture(image, scene_of):
+    """Surfaces, contours and marks after undo are those that were drawn before: the same pixels."""
+    scene = scene_of(image, size=(480, 272))
+    with Session(image, CONFIGS["seeded"]) as session:
+        ended(session)
+
+        def drawn():
+            view = views(session)[-1]
+            scene.update(view.frame, view.histories)
+            return scene.screenshot()
+
+        pictures = [drawn()]
+        for side, where in (("inside", OTHER), ("outside", STROKE)):
+            session.add_click(side, where).result(60)
+            pictures.append(drawn())
+            assert (pictures[-1] != pictures[-2]).any()
+        for wanted in (1, 0):
+            session.undo().result(60)
+            np.testing.assert_array_equal(drawn(), pictures[wanted])
+        session.go_to_change(2).result(60)
+        np.testing.assert_array_equal(drawn(), pictures[2])
+
+
+def test_where_to_click_next_is_offered_after_the_end_and_is_that_of_the_quality():
+    z, y, x = np.indices(SHAPE) * np.array(SPACING)[:, None, None, None]
+    bridge = (x > 12) & (x < 22) & (abs(y - 8) < 3)  # of nearly the balls' brightness: no edge is there
+    image = Volume.from_array((scan().array + 90.0 * bridge).clip(None, 100).astype(np.float32), SPACING)
+    with Session(image, CONFIGS["seeded"]) as session:
+        at(session, 3)
+        time.sleep(0.6)
+        assert session.status.doubts == ()  # it has not ended
+        ended(session)
+        until(lambda: session.status.doubts)
+        first, result = session.status.doubts, accelsurf.segment(image, config=CONFIGS["seeded"])
+        assert first[0].world == result.quality.next_click and first[0].share == result.quality.next_doubt
+        session.add_click("inside", OTHER).result(60)
+        assert session.status.doubts == ()
+        until(lambda: session.status.doubts)
+        assert session.status.doubts[0].world == refine(result, inside=OTHER).quality.next_click
+        assert session.status.doubts != first
+        session.undo().result(60)
+        until(lambda: session.status.doubts)
+        assert session.status.doubts == first
+
+
+def until(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def psi_shown(session):

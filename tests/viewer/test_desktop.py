@@ -227,6 +227,53 @@ def test_balls_points_brushes_undo(person):
 
 
 @needs_screen
+def test_strokes_history_and_where_to_click_next(screen, tmp_path):
+    """Two bright balls with a bridge that has hardly an edge; strokes by mouse, the list of changes by clicks."""
+    z, y, x = np.indices((24, 40, 64))
+    balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
+    bridge = (abs(y - 20) < 4) & (abs(z - 12) < 4) & (x > 16) & (x < 48)
+    values = 100.0 * balls + 80.0 * bridge * ~balls + np.random.default_rng(0).normal(0, 6, balls.shape)
+    io.write(Volume.from_array(values.astype(np.float32)), tmp_path / "scan.nii")
+    image = io.read(tmp_path / "scan.nii")
+    place = ",".join(f"{v:g}" for v in image.geometry.index_to_world((12, 20, 16)))
+    person = Person(screen, tmp_path / "scan.nii", tmp_path, inside=f"ball:{place},4", result=tmp_path / "out")
+    try:
+        person.key("space")
+        first = person.until(lambda now: now["stop"] and not now["playing"], 120)
+        doubtful = person.until(lambda now: now["state"]["doubts"])
+        person.key("n")
+        person.until(lambda now: now["state"]["doubt_at"] == 1 and now["cursor"] != doubtful["cursor"])
+        person.key("i")
+        now = person.until(lambda now: now["state"]["tool"] == "inside")
+        x, y = now["tiles"]["axial"]
+        person.drag((x + 30, y), (x + 40, y), (x + 50, y + 4))
+        grown = person.until(lambda now: len(now["state"]["changes"]) == 1 and now["drawn"][1] != first["drawn"][1])
+        assert "inside: stroke of" in grown["state"]["changes"][0]["line"]
+        person.key("o")
+        person.until(lambda now: now["state"]["tool"] == "outside")
+        person.drag((x + 45, y - 6), (x + 45, y + 6))
+        cut = person.until(lambda now: len(now["state"]["changes"]) == 2 and now["drawn"][1] != grown["drawn"][1])
+        person.click("change 0")
+        back = person.until(lambda now: now["drawn"][1] == first["drawn"][1])
+        assert [one["done"] for one in back["state"]["changes"]] == [False, False]
+        person.click("change 2")
+        again = person.until(lambda now: all(one["done"] for one in now["state"]["changes"]))
+        person.until(lambda now: now["drawn"][1] == cut["drawn"][1])
+        assert again["state"]["undoable"] == 2
+        person.key("ctrl+s")
+        person.until(lambda now: "saved in" in now["message"], 120)
+        person.leave()
+    finally:
+        if person.process.poll() is None:
+            person.process.kill()
+            person.process.wait()
+    config = RunConfig.from_toml(tmp_path / "out/run.toml")
+    assert len(config.refine) == 2 and config.refine[0].inside[0].startswith("path:")
+    labels = segment(image, config=config).labels
+    assert labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()
+
+
+@needs_screen
 def test_looks_help_and_errors(person, tmp_path):
     person.picture(tmp_path / "dark.png")
     person.key("F1")

@@ -186,6 +186,46 @@ def test_a_stroke_is_undone_whole_and_made_again_whole(session):
     assert session.status.edits == drawn[:1]
 
 
+def test_a_stroke_in_one_command_is_one_change_and_the_same_as_ball_by_ball(session, tmp_path):
+    balls = [f"ball:{x},15,16,4" for x in (25, 27, 29)]
+    session.edit_balls("add", balls).result(60)
+    assert session.status.undoable == 1 and session.status.changes[0].line == "added a stroke of 3 balls"
+    at_once = labels_of(session, tmp_path / "one")[0]
+    session.undo().result(60)
+    for ball in balls:
+        session.edit_ball("add", ball).result(60)
+    assert session.status.undoable == 3 and labels_of(session, tmp_path / "two")[0] == at_once
+    with pytest.raises(InputError):  # all or nothing
+        session.edit_balls("add", [balls[0], "ball:900,0,0,3"]).result(60)
+    assert session.status.undoable == 3
+
+
+def test_the_steps_of_rest_stay_known_when_it_has_gone_back():
+    """Two balls joined by a neck: the front rests in the first one before it breaks through."""
+    z, y, x = np.indices((28, 28, 60)) - np.array([13.5, 13.5, 0.0])[:, None, None, None]
+    balls = z**2 + y**2 + np.minimum(abs(x - 14), abs(x - 44)) ** 2 < 11**2
+    neck = (z**2 + y**2 < 3.2**2) & (x > 14) & (x < 44)
+    image = Volume.from_array((100.0 * (balls | neck)).astype(np.float32))
+    config = RunConfig(start="ball:14,13.5,13.5,4vox", energy="threshold:50,", smoothness=0.3, max_steps=300, threads=1)
+    with Session(image, config) as session:
+        at(session, 3)
+        assert session.status.rests == ()
+        session.play().result(60)
+        assert session.wait(120)
+        result = segment(image, config=config.replace(levels=1))
+        (rest,) = result.objects[0].rests
+        assert session.status.rests == (rest.step,)
+        session.go_to(2).result(60)
+        session.wait(60)
+        assert session.status.rests == (rest.step,)  # it is ahead, and was made already
+        session.go_to(rest.step).result(60)
+        assert session.wait(60) and session.status.step == rest.step
+        session.go_to(2).result(60)
+        session.wait(60)
+        session.change(smoothness=0.5).result(60)  # what was ahead is forgotten
+        assert session.status.rests == ()
+
+
 def test_noise_that_comes_later_has_a_seed_that_is_saved(session, tmp_path):
     at(session, 4).change(noise=0.3, noise_time=100).result(60)
     saved, toml = labels_of(at(session, 12), tmp_path)

@@ -18,31 +18,56 @@ class Moment(NamedTuple):
     refinements: tuple[Refinement, ...]
 
 
+class ChangeLine(NamedTuple):
+    """A change as lists show it: its ``number`` from 1, the ``step`` at which it was made, what it is in one ``line``,
+    and whether it is in force (``done``), not undone.
+    """
+
+    number: int
+    step: int
+    line: str
+    done: bool
+
+
+class _Change(NamedTuple):
+    """A change: what it is, and the ``moment`` before it; of one that was undone the moment after it."""
+
+    line: str
+    moment: Moment
+
+
 class ChangeLog:
     """Past changes, and those that were undone since the last one."""
 
     def __init__(self) -> None:
-        self._before: list[Moment] = []
-        self._undone: list[Moment] = []
+        self._done: list[_Change] = []
+        self._undone: list[_Change] = []
+        self._lines: tuple[ChangeLine, ...] = ()
 
     @property
     def undoable(self) -> int:
         """How many changes can be undone."""
-        return len(self._before)
+        return len(self._done)
 
     @property
     def redoable(self) -> int:
         """How many undone changes can be made again."""
         return len(self._undone)
 
-    def add(self, before: Moment, joined: bool = False) -> None:
+    @property
+    def lines(self) -> tuple[ChangeLine, ...]:
+        """All changes in their order, those that are undone last; the same object until something changes."""
+        return self._lines
+
+    def add(self, before: Moment, line: str, joined: bool = False) -> None:
         """Note what was in force before a change that has been made; what was undone is forgotten.
 
         One that is ``joined``, a further ball of a stroke, is undone together with the change before it.
         """
-        if not (joined and self._before and not self._undone):
-            self._before.append(before)
+        if not (joined and self._done and not self._undone):
+            self._done.append(_Change(line, before))
         self._undone.clear()
+        self._renew()
 
     def undo(self, now: Moment) -> Moment:
         """Return what was in force before the last change, which is undone now.
@@ -52,11 +77,9 @@ class ChangeLog:
         UsageError
             When there is none.
         """
-        if not self._before:
+        if not self._done:
             raise UsageError("there is no change to undo")
-        before = self._before.pop()
-        self._undone.append(now._replace(step=before.step))
-        return before
+        return self.move_to(self.undoable - 1, now)
 
     def redo(self, now: Moment) -> Moment:
         """Return what was in force after the change that was undone last, which is made again now.
@@ -68,9 +91,35 @@ class ChangeLog:
         """
         if not self._undone:
             raise UsageError("there is no undone change to make again")
-        after = self._undone.pop()
-        self._before.append(now._replace(step=after.step))
-        return after
+        return self.move_to(self.undoable + 1, now)
+
+    def move_to(self, count: int, now: Moment) -> Moment:
+        """Return what is in force when the first ``count`` changes are, and those after them are undone.
+
+        Raises
+        ------
+        UsageError
+            When there are not so many.
+        """
+        if not 0 <= count <= self.undoable + self.redoable:
+            most = self.undoable + self.redoable
+            raise UsageError(f"change {count} was given, expected a number from 0 to {most}")
+        while self.undoable > count:
+            change = self._done.pop()
+            self._undone.append(_Change(change.line, now._replace(step=change.moment.step)))
+            now = change.moment
+        while self.undoable < count:
+            change = self._undone.pop()
+            self._done.append(_Change(change.line, now._replace(step=change.moment.step)))
+            now = change.moment
+        self._renew()
+        return now
+
+    def _renew(self) -> None:
+        both = [*((one, True) for one in self._done), *((one, False) for one in reversed(self._undone))]
+        self._lines = tuple(
+            ChangeLine(number, one.moment.step, one.line, done) for number, (one, done) in enumerate(both, 1)
+        )
 
 
 def edits_with(config: RunConfig, edits: tuple[Edit, ...], step: int, settings: dict[str, Any]) -> tuple[Edit, ...]:

@@ -60,16 +60,18 @@ class CommandQueue:
         self._closing = True
         self._queue.put(None)
 
-    def next(self, block: bool) -> Command | None:
+    def next(self, block: bool, timeout: float | None = None) -> Command | None:
         """Take out the next command; None when there is none, or to wake the thread up.
 
         Parameters
         ----------
         block : bool
             Wait for a command, or for `wake` or `close`.
+        timeout : float, optional
+            Wait for so many seconds at most.
         """
         try:
-            return self._queue.get(block=block)
+            return self._queue.get(block=block, timeout=timeout)
         except queue.Empty:
             return None
 

@@ -62,15 +62,18 @@ class Corrections:
         return line
 
     def go_to(self, run: Run, wanted: tuple[Refinement, ...]) -> bool:
-        """Make one more than there are, or take back the last; False where it takes another run to have them."""
+        """Take back corrections and make others, so that these are made; False where it takes another run."""
         now = self.wanted
-        if self._corrected is not None and len(now) == len(wanted) + 1 and now[:-1] == wanted:
-            self._corrected.undo()
-        elif run.stop is not None and len(wanted) == len(now) + 1 and wanted[:-1] == now:
-            self.correct(run, wanted[-1], "made again")
-        else:
+        if run.stop is None or now == wanted or (self._corrected is None and now):
             return False
-        self.wanted = wanted
+        pairs = enumerate(zip(now, wanted, strict=False))
+        common = next((n for n, (a, b) in pairs if a != b), min(len(now), len(wanted)))
+        for _ in now[common:]:
+            assert self._corrected is not None
+            self._corrected.undo()
+        self.wanted = now[:common]
+        for number, refinement in enumerate(wanted[common:], 1):
+            self.correct(run, refinement, f"made again, {number} of {len(wanted) - common}")
         return True
 
     def leave(self) -> None:
@@ -85,7 +88,7 @@ class Corrections:
 
     def stops(self, run: Run) -> dict[int, Stop | None]:
         """Why each object, or its last correction, ended."""
-        return {one.id: one.stop for one in run.objects} if self._corrected is None else self._corrected.stops
+        return {one.id: one.stop for one in run.objects} if self._corrected is None else {**self._corrected.stops}
 
     @property
     def ids(self) -> tuple[int, ...] | None:

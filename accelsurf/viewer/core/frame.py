@@ -134,6 +134,18 @@ class SurfaceFrame:
         """Whether there is something to draw."""
         return self.psi.size > 0
 
+    def coarser(self, max_voxels: int) -> SurfaceFrame:
+        """Return the same with psi at every second voxel along each axis, or third, ..., so that it has at most so many
+        voxels; itself where it has no more.
+        """
+        step = 1
+        while math.prod(-(-n // step) for n in self.psi.shape) > max_voxels:
+            step += 1
+        if step == 1:
+            return self
+        part = slice(None, None, step)
+        return replace(self, psi=np.ascontiguousarray(self.psi[part, part, part]), stride=self.stride * step)
+
     def to_image(self, places: ArrayLike) -> Floats:
         """Where (continuous) indices (z, y, x) of ``psi`` lie in the image, as indices of its voxels, (..., 3)."""
         factors = np.array(self.level.factors, float)

@@ -34,6 +34,11 @@ class CheckpointHistory:
         """Memory that the checkpoints take."""
         return self._bytes
 
+    @property
+    def last(self) -> RunCheckpoint | None:
+        """The checkpoint of the last step; None without any."""
+        return self._checkpoints[max(self._checkpoints)] if self._checkpoints else None
+
     def __len__(self) -> int:
         return len(self._checkpoints)
 

@@ -100,7 +100,7 @@ class ObjectCommands:
         """
         timeline = self._timeline
         if object_id is not None:
-            return object_id
+            return None if not self.has_ids and self.ids == (object_id,) else object_id
         nearest = timeline.corrections.nearest(place)
         if nearest is not None or not timeline.run.has_ids:
             return nearest
@@ -155,7 +155,9 @@ class ObjectCommands:
         (drag, object_id), self._drag = self._drag, None
         size, ids = drag.size_text(drag_mm), self.ids
         if len(ids) == 1 and object_id in (None, ids[0]) and not self.has_ids:
-            return self._timeline.start_from_click(drag.click, size)
+            settings: dict[str, Any] = {"inside": (drag.click,), "outside": (), "start": ("clicks",)}
+            settings |= {"energy": "seeded", "size": size, "preset": None}
+            return self._timeline.start_with(settings, f"inside: {drag.click}, size {size}")
         own = object_id or ids[0]
         said = f"{'object' if own in ids else 'new object'} {own}: {drag.click}, size {size}"
         return self._timeline.refine({"new": own, "inside": [drag.click], "size": size}, said)

@@ -20,6 +20,8 @@ from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
+from accelsurf.viewer.core.doubts import QUIET, DoubtWatch
+from accelsurf.viewer.core.object_commands import ObjectCommands
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.core.timeline import Timeline
@@ -83,7 +85,7 @@ class Session:
         self._config, self._checkpoint_mb, self._channels = config, checkpoint_mb, tuple(channels)
         self._commands, self._views = CommandQueue(), ViewSlot()
         #: Counts what changes the picture: steps and commands.
-        self._version = 0
+        self._version, self._doubts = 0, DoubtWatch()
         self._status = Status.preparing(config, "preparing", False)
         #: Set when the image is prepared; has the error if it could not be.
         self.ready: Future[None] = Future()
@@ -166,56 +168,61 @@ class Session:
     def edit_ball(
         self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None, joined: bool = False
     ) -> Future[None]:
-        """Add a ball, ``ball:X,Y,Z,R``, to an object, or remove one from it.
+        """Add a ball, ``ball:X,Y,Z,R``, to an object, or remove one from it, see `edit_balls`."""
+        return self.edit_balls(kind, (ball,), object_id, joined)
 
-        Of several objects it is the one with this id, or else the one that is nearest to the ball's centre. A ball
-        that is ``joined``, a further one of a stroke, is undone together with the change before it.
+    def edit_balls(
+        self, kind: Literal["add", "remove"], balls: Sequence[str], object_id: int | None = None, joined: bool = False
+    ) -> Future[None]:
+        """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one change.
+
+        Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. A
+        change that is ``joined``, a further part of a stroke, is undone together with the change before it.
 
         Raises
         ------
         UsageError, InputError
-            From the Future, when it is no ball or lies outside the volume, or there is no such object.
+            From the Future, when one is no ball or lies outside the volume, or there is no such object.
         """
-        return self._do(lambda timeline: timeline.edit_ball(kind, ball, object_id, joined))
+        texts = tuple(balls)
+        return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id, joined))
 
     def add_click(self, side: Side, where: str | Sequence[str], object_id: int | None = None) -> Future[None]:
-        """Say of voxels that they are in the object, or are not: ``ball:X,Y,Z,R``, ``point:X,Y,Z``, ``stroke:FILE``.
+        """Say of voxels that they are in the object, or are not, as `--inside` takes them: balls, points, paths.
 
-        Several at once are one stroke: one change. While the run goes on they are an edit; after its end a correction,
-        as `accelsurf refine` makes it. Of several objects it is the one with this id, or else the one that is nearest
-        to the first ball's centre.
+        Several at once are one stroke: one change. They take voxels that they contradict from earlier ones. While the
+        run goes on they are an edit; after its end a correction, as `accelsurf refine` makes it. Of several objects it
+        is the one with this id, or else the one that is nearest to where the first begins.
 
         Raises
         ------
         UsageError, InputError
-            From the Future, when it is no place, lies outside, or contradicts another click.
+            From the Future, when it is no place or lies outside, or nothing would be left that is clicked inside.
         """
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
 
-    def press(self, ball: str, voxels: int = FIRST_VOXELS) -> Future[SizeDrag]:
+    def press(self, ball: str, voxels: int = FIRST_VOXELS, object_id: int | None = None) -> Future[SizeDrag]:
         """Begin to drag the size of an object from a ball in it, ``ball:X,Y,Z,R``.
 
         The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
         that a drag never waits for a step. They reach ``voxels`` voxels; `size_drag.Dragging` asks for more when a
-        drag needs them. `release` ends it.
+        drag needs them. `release` ends it. Of several objects one is named; with an id that none has it is a new one.
 
         Raises
         ------
         UsageError, InputError
-            From the Future, when it is no ball or lies outside the volume, or the run has several objects.
+            From the Future, when it is no ball or lies outside, or there are several objects and none is named.
         """
-        return self._do(lambda timeline: timeline.press(ball, voxels))
+        return self._do(lambda timeline: timeline.objects.press(ball, voxels, object_id))
 
     def release(self, drag_mm: float) -> Future[None]:
-        """Begin another run from what was pressed, with the size that a drag of so many mm stands for.
+        """Begin another run from what was pressed, of a size that a drag of so many mm stands for; others stay."""
+        return self._do(lambda timeline: timeline.objects.release(drag_mm))
 
-        Raises
-        ------
-        UsageError
-            From the Future, when nothing was pressed.
-        """
-        return self._do(lambda timeline: timeline.release(drag_mm))
+    def objects(self, work: Callable[[ObjectCommands], Any]) -> Future[None]:
+        """Have objects merged, split, removed, named or coloured; all or nothing."""
+        return self._do(lambda timeline: work(timeline.objects))
 
     def start_from(self, start: Sequence[str]) -> Future[None]:
         """Begin another run from another start, with the settings in force."""
@@ -228,6 +235,10 @@ class Session:
     def redo(self) -> Future[None]:
         """Make the change again that was undone last."""
         return self._do(lambda timeline: timeline.redo())
+
+    def go_to_change(self, count: int) -> Future[None]:
+        """Undo changes, or make them again, until the first ``count`` of `Status.changes` are in force; in one go."""
+        return self._do(lambda timeline: timeline.go_to_change(count))
 
     def save(
         self, folder: Path, what: Sequence[str] = saving.KINDS, overwrite: bool = False
@@ -313,13 +324,16 @@ class Session:
     def _carry_out_commands(self, timeline: Timeline) -> None:
         """Carry out commands, and make steps while the timeline plays, until the session is closed."""
         while True:
-            command = self._commands.next(block=not timeline.is_playing)
+            looks = self._doubts.is_wanted(self._version, timeline.stop is not None) and not timeline.is_playing
+            command = self._commands.next(not timeline.is_playing, QUIET if looks else None)
             if command is not None:
                 self._carry_out(command, timeline)
             elif self._commands.is_closed:
                 return
             elif timeline.is_playing:
                 self._step(timeline)
+            elif looks:
+                self._look_for_doubts(timeline)
             if self._commands.is_empty:
                 self._make_view(timeline)
             if not timeline.is_playing:
@@ -352,8 +366,19 @@ class Session:
     def _report(self, timeline: Timeline, error: Exception | None = None) -> None:
         """Renew the status after something was done, well or with an error."""
         self._version += 1
+        self._doubts.postpone()
         message = timeline.message if error is None else error_line(error)
         self._status = Status.of(timeline, message, error is not None)
+
+    def _look_for_doubts(self, timeline: Timeline) -> None:
+        """Find where to click next, when it has been quiet for some time."""
+        try:
+            found = self._doubts.find(self._version, timeline.run, timeline.corrections.result())
+        except Exception as error:
+            self._status = self._status._replace(message=error_line(error), failed=True)
+            return
+        if found is not None:
+            self._status = self._status._replace(doubts=found)
 
     def _show_progress(self, message: str) -> None:
         """Renew the message while a command is being carried out."""

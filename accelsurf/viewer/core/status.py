@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.settings.edits import Edit
+from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.change_log import ChangeLine
+from accelsurf.viewer.core.doubts import Doubt
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.timeline import Timeline
 
@@ -38,12 +43,22 @@ class Status(NamedTuple):
         Whether that is an error.
     undoable : int
         How many changes can be undone.
+    labels : LabelTable
+        Names and colours that were given to objects.
+    object_words : dict of int to str
+        The state of each object in one word, by id.
     objects : tuple of int
         Ids of the objects; none for a run of one object without an id.
     redoable : int
         How many undone changes can be made again.
     refinements : tuple of Refinement
         Corrections after the run's end; while it goes on again, those that are made when it ends.
+    changes : tuple of ChangeLine
+        What was changed, in order, and what of it is undone.
+    rests : tuple of int
+        Steps in which the surface rested before it broke through, and that have been made.
+    doubts : tuple of Doubt
+        Where to click next, the most doubtful place first; found some time after the run's end.
     """
 
     ready: bool
@@ -58,7 +73,12 @@ class Status(NamedTuple):
     undoable: int
     objects: tuple[int, ...] = ()
     redoable: int = 0
+    labels: LabelTable = LabelTable()
+    object_words: Mapping[int, str] = MappingProxyType({})
     refinements: tuple[Refinement, ...] = ()
+    changes: tuple[ChangeLine, ...] = ()
+    rests: tuple[int, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:
@@ -79,9 +99,13 @@ class Status(NamedTuple):
             message=message,
             failed=failed,
             undoable=timeline.log.undoable,
-            objects=tuple(one.id for one in timeline.run.objects) if timeline.run.has_ids else (),
+            objects=timeline.objects.ids if timeline.objects.has_ids else (),
+            labels=timeline.objects.labels,
+            object_words=timeline.objects.words,
             redoable=timeline.log.redoable,
             refinements=timeline.corrections.wanted,
+            changes=timeline.log.lines,
+            rests=rests_of(timeline),
         )
 
     @property
@@ -98,6 +122,14 @@ class View(NamedTuple):
     frame: Frame
     histories: tuple[tuple[StepRecord, ...], ...]
     status: Status
+
+
+def rests_of(timeline: Timeline) -> tuple[int, ...]:
+    """Return the steps in which an object rested before it broke through, also those ahead that were made already."""
+    last = timeline.checkpoints.last
+    watches = [one.evolution.state.rests for one in timeline.run.objects]
+    watches += [one.evolution.loop.rests for one in (last.objects if last is not None else ())]
+    return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
 
 
 def error_line(error: BaseException) -> str:

@@ -15,6 +15,7 @@ from accelsurf.settings.edits import Edit
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with
+from accelsurf.viewer.core.change_words import balls_in_words, clicks_in_words, in_words
 from accelsurf.viewer.core.corrections import Corrections
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
@@ -126,7 +127,7 @@ class Timeline:
         if stop is not None and "max-steps" in self._reasons():
             run.restore(self._present)
         elif stop is not None:
-            self._replace_edits((*self._edits_so_far(), Edit(step=self.step_number)))
+            self._replace_edits((*self._edits_so_far(), Edit(step=self.step_number)), "runs on")
         if self.step_number >= run.max_steps:
             run.extend(self.step_number + max(run.config.max_steps, 1))
         if 0 <= last_step <= self.step_number:
@@ -183,9 +184,9 @@ class Timeline:
         self._restore(0)
         edits = (Edit(step=0, **changed),) if changed else ()
         if edits != config.edit:
-            self._replace_edits(edits)
+            self._replace_edits(edits, "restart")
         elif before.refinements:
-            self.log.add(before)
+            self.log.add(before, "restart")
         self.corrections.wanted = ()
         self._message = "at the start"
 
@@ -237,70 +238,55 @@ class Timeline:
         """
         run, step, edits = self.run, self.step_number, self._edits_so_far()
         run.check(Edit(step=step, **settings))
-        altered = edits_with(run.config, edits, step, settings)
+        altered, said = edits_with(run.config, edits, step, settings), in_words(settings)
         if altered != edits:
-            self._replace_edits(altered)
-        self._message = ", ".join(f"{key} {value}" for key, value in settings.items())
+            self._replace_edits(altered, said)
+        self._message = said
 
-    def edit_ball(
-        self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None, joined: bool = False
+    def edit_balls(
+        self, kind: Literal["add", "remove"], balls: tuple[str, ...], object_id: int | None, joined: bool
     ) -> None:
-        """Add a ball to an object (``add``), or remove one from it (``remove``), see `Session.edit_ball`.
+        """Add balls to an object (``add``), or remove them from it (``remove``), see `Session.edit_balls`.
 
         Raises
         ------
         UsageError, InputError
-            When it is no ball or lies outside, or there is no such object.
+            When one is no ball or lies outside, or there is no such object.
         """
-        object_id = self.objects.whose(ball, object_id)
+        object_id = self.objects.whose(balls[0], object_id)
         if self.run.stop is not None and self.objects.is_beside(object_id):
-            return self.add_click("inside" if kind == "add" else "outside", (ball,), object_id)
-        own = self.objects.of_run(object_id)
-        (edit,) = RunConfig(edit=[{"step": self.step_number, kind: ball, "object": own}]).edit
-        self._replace_edits((*self._edits_so_far(), edit), joined)
-        whose = "" if edit.object is None else f" {'to' if kind == 'add' else 'from'} object {edit.object}"
-        self._message = f"{'added' if kind == 'add' else 'removed'} {ball}{whose}"
+            return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
+        rows = [{"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)} for ball in balls]
+        said = balls_in_words(kind, balls, object_id)
+        self._replace_edits((*self._edits_so_far(), *RunConfig(edit=rows).edit), said, joined)
+        self._message = said
+        return None
 
     def add_click(self, side: Side, where: tuple[str, ...], object_id: int | None = None) -> None:
-        """Say of voxels that they are in the object, or are not; this holds from here on.
-
-        Parameters
-        ----------
-        side : {"inside", "outside"}
-        where : tuple of str
-            Each as ``--inside`` takes it; all together are one change.
-        object_id : int, optional
-            Of a run of objects with ids: the one that is nearest to the first ball's centre unless given.
+        """Say of voxels that they are in the object, or are not, see `Session.add_click`.
 
         Raises
         ------
         UsageError, InputError
-            When one is no place, lies outside, or contradicts another click.
+            When one is no place or lies outside, or nothing would be left that is clicked inside.
         """
         object_id = self.objects.whose(where[0], object_id)
         if object_id is not None and object_id not in self.objects.ids:
             return self.objects.begin(object_id, side, where)
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
-        whose = "" if clicks["object"] is None else f", object {clicks['object']}"
-        said = f"{side}: {where[0]}{f' and {len(where) - 1} more' if len(where) > 1 else ''}{whose}"
+        said = clicks_in_words(side, where, object_id)
         is_final = all(reason in FINAL_REASONS for reason in self._reasons())
         if self.run.stop is not None and (self.objects.is_beside(object_id) or not is_final):
             (refinement,) = RunConfig(refine=[clicks]).refine
             before, self._message = self._now(), self.corrections.correct(self.run, refinement, said)
-            return self.log.add(before)
+            return self.log.add(before, said)
         clicks["object"] = self.objects.of_run(object_id)
         (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
-        self._replace_edits((*self._edits_so_far(), edit))
+        self._replace_edits((*self._edits_so_far(), edit), said)
         self._message = said
 
     def refine(self, correction: dict[str, Any], said: str) -> None:
-        """Make a correction of the run's end; while the run goes on it is made there, and the run goes on to it.
-
-        Raises
-        ------
-        UsageError, InputError
-            When it cannot be made; nothing is changed then.
-        """
+        """Make a correction of the run's end, all or nothing; while the run goes on, it goes on to its end first."""
         (refinement,) = RunConfig(refine=[correction]).refine
         before = self._now()
         if self.run.stop is None:
@@ -309,26 +295,20 @@ class Timeline:
             self._message = f"{said}: when the run has ended"
         else:
             self._message = self.corrections.correct(self.run, refinement, said)
-        self.log.add(before)
-
-    def start_from_click(self, click: str, size: str) -> None:
-        """Begin another run from a click and the size of the object."""
-        before = self._now()
-        self.pause()
-        settings = {"inside": (click,), "outside": (), "size": size, "start": ("clicks",), "energy": "seeded"}
-        self._replace_run(self.run.settings.replace(preset=None, **settings))
-        self.log.add(before._replace(step=0))
-        self.corrections.wanted = ()
-        self._message = f"inside: {click}, size {size}"
+        self.log.add(before, said)
 
     def start_from(self, start: tuple[str, ...]) -> None:
         """Begin another run, with the settings in force."""
-        run, before = self.run, self._now()
+        self.start_with({"start": start}, "start: " + " + ".join(start))
+
+    def start_with(self, settings: dict[str, Any], said: str) -> None:
+        """Begin another run, with other settings besides those in force."""
+        before = self._now()
         self.pause()
-        self._replace_run(run.settings.replace(start=start))
-        self.log.add(before._replace(step=0))
+        self._replace_run(self.run.settings.replace(**settings))
+        self._message = said
+        self.log.add(before._replace(step=0), said)
         self.corrections.wanted = ()
-        self._message = "start: " + " + ".join(start)
 
     def undo(self) -> None:
         """Undo the last change, and go to the step where it was made.
@@ -351,6 +331,18 @@ class Timeline:
         """
         self._go_back_to(self.log.redo(self._now()))
         self._message = f"made the undone change again, at step {self.step_number}"
+
+    def go_to_change(self, count: int) -> None:
+        """Undo changes, or make them again, until the first ``count`` are in force; in one go.
+
+        Raises
+        ------
+        UsageError
+            When there are not so many.
+        """
+        if count != self.log.undoable:
+            self._go_back_to(self.log.move_to(count, self._now()))
+        self._message = f"after change {count}" if count else "before all changes"
 
     def _now(self) -> Moment:
         """What is in force, before a change at the present step."""
@@ -376,7 +368,7 @@ class Timeline:
     def _edits_so_far(self) -> tuple[Edit, ...]:
         return tuple(edit for edit in self.run.config.edit if edit.step <= self.step_number)
 
-    def _replace_edits(self, edits: tuple[Edit, ...], joined: bool = False) -> None:
+    def _replace_edits(self, edits: tuple[Edit, ...], said: str, joined: bool = False) -> None:
         """Continue with other edits from the present step; the steps made after it are forgotten."""
         run, step, before = self.run, self.step_number, self._now()
         if edits == before.config.edit and run.stop is None:
@@ -390,7 +382,7 @@ class Timeline:
         run.set_edits(edits)
         self.checkpoints.drop_after(step)
         self.corrections.leave()
-        self.log.add(before, joined)
+        self.log.add(before, said, joined)
 
     # -- files --------------------------------------------------------------------------------------------
 

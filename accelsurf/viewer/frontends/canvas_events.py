@@ -11,8 +11,6 @@ from pyvistaqt import QtInteractor
 from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, ZOOM, MouseFeature
 from accelsurf.viewer.workplace.workplace import Workplace
 
-#: Names of renderers without a graphics card.
-SOFTWARE = ("llvmpipe", "softpipe", "SWR", "Software")
 _BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}
 _PRESSES = (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick)
 _KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease)
@@ -32,23 +30,8 @@ class CanvasEvents(QObject):
     def __init__(self, workplace: Workplace, canvas: QtInteractor, refresh: Callable[[], None]) -> None:
         super().__init__(canvas)
         self._workplace, self._canvas, self._refresh = workplace, canvas, refresh
-        self._is_software: bool | None = None
         canvas.setMouseTracking(True)
         canvas.installEventFilter(self)
-
-    # -- edges --------------------------------------------------------------------------------------------
-
-    @property
-    def is_software(self) -> bool:
-        """Whether the processor draws, not a graphics card."""
-        if self._is_software is None:
-            capabilities = self._canvas.render_window.ReportCapabilities()
-            self._is_software = any(name in capabilities for name in SOFTWARE)
-        return self._is_software
-
-    def smooth_edges(self, on: bool) -> None:
-        """Smooth edges while nothing moves; a processor that draws needs three times as long for it."""
-        self._workplace.scene.smooth_edges(on or not self.is_software)
 
     # -- events -------------------------------------------------------------------------------------------
 
@@ -77,7 +60,6 @@ class CanvasEvents(QObject):
         if kind == QEvent.Type.MouseButtonDblClick and event.button() == Qt.MouseButton.LeftButton:
             self._ask("double", place)
         if kind in _PRESSES and event.button() in _BUTTONS:
-            self.smooth_edges(False)
             shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
             self._ask("press", place, _BUTTONS[event.button()], shift)
         elif kind == QEvent.Type.MouseMove:
@@ -85,7 +67,6 @@ class CanvasEvents(QObject):
             self._ask("move" if is_dragging else "hover", place)
         elif kind == QEvent.Type.MouseButtonRelease:
             self._workplace.request("release")
-            self.smooth_edges(not self._workplace.session.status.playing)
             self._refresh()
 
     def _ask(self, name: str, place: QPointF, *more: object) -> None:

@@ -31,6 +31,8 @@ from accelsurf.viewer.frontends.canvas_events import CanvasEvents
 from accelsurf.viewer.frontends.panels.side import SidePanels
 from accelsurf.viewer.frontends.playback_bar import PlaybackBar
 from accelsurf.viewer.scene.scene import SIZE, Scene
+from accelsurf.viewer.workplace.mouse import MouseFeature
+from accelsurf.viewer.workplace.quiet import Quiet
 from accelsurf.viewer.workplace.slices import READ_OUT
 from accelsurf.viewer.workplace.workplace import Workplace
 
@@ -90,6 +92,7 @@ class Window(QMainWindow):
         self.side = SidePanels(self.workplace)
         self.bar = PlaybackBar(self.workplace)
         self.events = CanvasEvents(self.workplace, self.canvas, self.refresh)
+        self.quiet = Quiet(self.workplace)
         self.drawing_seconds = 0.0
         self._shown: dict[str, Any] = {}
         self._lay_out()
@@ -172,23 +175,27 @@ class Window(QMainWindow):
         """Draw what has changed, and show the state: at once, not when the session has something new."""
         if self.workplace.changed:
             self.workplace.changed = False
+            self.quiet.touch()
             self.scene.render()
         self._show_state()
 
     def _poll(self) -> None:
         self.workplace.collect_results()
-        view = self.session.next_view(self.drawing_seconds)
+        # While a button is down the hand comes first.
+        is_moving = self.workplace.feature(MouseFeature).is_moving
+        view = None if is_moving else self.session.next_view(self.drawing_seconds)
         if view is not None:
             began, spent = time.perf_counter(), time.thread_time()
-            self.events.smooth_edges(not view.status.playing)
             self.workplace.update(view)
             self.workplace.changed = False
+            self.quiet.touch()
             self.scene.render()
             if view.status.playing:
                 # The work of a graphics card takes nothing from the solver, nor do the finer pictures of a paused run.
                 wall, own = time.perf_counter() - began, time.thread_time() - spent
-                self.drawing_seconds = wall if self.events.is_software else own
+                self.drawing_seconds = wall if self.quiet.is_software else own
         self.refresh()
+        self.quiet.draw_in_full()
 
     def _show_state(self) -> None:
         state, before = self.workplace.state(), self._shown

@@ -32,13 +32,14 @@ from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.help import help_rows
+from accelsurf.viewer.workplace.mouse import MouseFeature
+from accelsurf.viewer.workplace.quiet import Quiet
 from accelsurf.viewer.workplace.workplace import Workplace
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
 POLL_SECONDS = 0.02
-#: Seconds after the last change until edges are drawn smoothly, and until a page that shows nothing gets the next
-#: picture all the same.
-SMOOTH_DELAY, PATIENCE = 0.4, 2.0
+#: Seconds until a page that shows nothing gets the next picture all the same.
+PATIENCE = 2.0
 
 
 class Page:
@@ -88,7 +89,7 @@ class Page:
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
-        self._changed_at, self._is_smooth = time.perf_counter(), True
+        self.quiet = Quiet(self.workplace)
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
 
@@ -169,18 +170,19 @@ class Page:
         """Draw what is new, and send it to the page."""
         now = time.perf_counter()
         self.workplace.collect_results()
-        view = self.session.next_view(min(self._drawing))
+        # While a button is down the hand comes first.
+        is_moving = self.workplace.feature(MouseFeature).is_moving
+        view = None if is_moving else self.session.next_view(min(self._drawing))
         if view is not None:
             self.workplace.update(view)
         if view is not None or self.workplace.changed:
-            self._changed_at, self._is_smooth = now, False
+            self.quiet.touch()
             may_send = self._may_send(now)
             if may_send:
-                self._drawing.append(self._draw(smooth=False))
+                self._drawing.append(self._draw())
             self.workplace.changed = not may_send
-        elif not self._is_smooth and now - self._changed_at > SMOOTH_DELAY and self._may_send(now):
-            self._draw(smooth=True)
-            self._is_smooth = True
+        elif self._may_send(now) and self.quiet.draw_in_full():
+            self._draw()
         with self._server.state as state:
             state.update(self._state())
 
@@ -188,10 +190,9 @@ class Page:
         """Whether the page has shown the last picture; a slow page does not get more than it can show."""
         return self._is_shown or now - self._sent_at > PATIENCE
 
-    def _draw(self, smooth: bool) -> float:
+    def _draw(self) -> float:
         """Draw and send a picture; returns the seconds that it took."""
         began = time.perf_counter()
-        self.scene.smooth_edges(smooth)
         data = _jpeg(self.scene.screenshot())
         self._server.state.picture = "data:image/jpeg;base64," + base64.b64encode(data).decode()
         self._sent_at, self._is_shown = time.perf_counter(), False
@@ -199,7 +200,7 @@ class Page:
 
 
 #: The panels of the page, in their order, that of the window.
-PANELS = ("head", "tools", "settings", "slices", "picture", "files", "help")
+PANELS = ("head", "tools", "settings", "slices", "picture", "history", "files", "help")
 #: A key by Qt's name of it; keys that are typed into a field, or turn a control, are left to it.
 _ON_KEY = """
   const typed = ['INPUT', 'SELECT', 'TEXTAREA', 'BUTTON', 'SUMMARY', 'A'].includes($event.target.tagName);

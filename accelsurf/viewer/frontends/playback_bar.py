@@ -2,13 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSlider, QWidget
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSlider, QStyle, QWidget
 
+from accelsurf.viewer.scene.colors import CURSOR
 from accelsurf.viewer.workplace.workplace import Workplace
+
+#: Half the width in which a tick is hit, and its height, pixels.
+HIT, HEIGHT = 5, 5
+
+
+class RestSlider(QSlider):
+    """A slider with ticks where the surface rested; a click on a tick goes to its step.
+
+    Attributes
+    ----------
+    tick_clicked : Signal(int)
+        The tick of this step was clicked.
+    """
+
+    tick_clicked = Signal(int)
+
+    def __init__(self) -> None:
+        super().__init__(Qt.Orientation.Horizontal)
+        self._ticks: list[tuple[float, int]] = []
+
+    def show_ticks(self, places: Sequence[float], steps: Sequence[int]) -> None:
+        """Show ticks of these steps at these places of the slider's range."""
+        ticks = list(zip(places, steps, strict=True))
+        if ticks != self._ticks:
+            self._ticks = ticks
+            words = ", ".join(str(step) for step in steps)
+            self.setToolTip("Stored steps: drag to go back and forward" + (f"; it rested at {words}" if words else ""))
+            self.update()
+
+    def tick_at(self, place: float) -> int:
+        """Pixel of a place of the slider's range, from its left end."""
+        margin = self.style().pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self) / 2
+        share = place / self.maximum() if self.maximum() else 0.0
+        return round(margin + share * (self.width() - 2 * margin))
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the ticks over the slider."""
+        super().paintEvent(event)
+        painter = QPainter(self)
+        painter.setPen(QPen(QColor(CURSOR), 2))
+        for place, _ in self._ticks:
+            x = self.tick_at(place)
+            painter.drawLine(x, 0, x, HEIGHT)
+            painter.drawLine(x, self.height() - HEIGHT, x, self.height())
+        painter.end()
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Go to a tick that is clicked, unless the handle is there."""
+        handle = self.tick_at(float(self.value()))
+        x = event.position().x()
+        for place, step in self._ticks:
+            if abs(x - self.tick_at(place)) <= HIT and abs(x - handle) > HIT:
+                self.tick_clicked.emit(step)
+                event.accept()
+                return
+        super().mousePressEvent(event)
 
 
 class PlaybackBar(QWidget):
@@ -32,9 +90,10 @@ class PlaybackBar(QWidget):
         self.forward = _button(">", "One step (Right)")
         self.play.setFixedWidth(84)
         self.play.setObjectName("play")
-        self.timeline = QSlider(Qt.Orientation.Horizontal)
+        self.timeline = RestSlider()
         self.timeline.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.timeline.setToolTip("Stored steps: drag to go back and forward")
+        self.timeline.setAccessibleName("stored steps")
         self.where = QLabel("")
         self.where.setMinimumWidth(170)
         self.help = _button("?", "Keys and mouse (F1)")
@@ -52,6 +111,7 @@ class PlaybackBar(QWidget):
             button.clicked.connect(lambda _=False, name=name: workplace.request(name))
         self.help.clicked.connect(self.help_wanted)
         self.timeline.valueChanged.connect(self._slid)
+        self.timeline.tick_clicked.connect(lambda step: workplace.request("go_to", step))
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the state of the workplace."""
@@ -60,12 +120,21 @@ class PlaybackBar(QWidget):
         for part in (self.play, self.forward, self.restart):
             part.setEnabled(state["ready"])
         self.back.setEnabled(state["step"] > 0)
+        self.timeline.show_ticks([self._place_of(step) for step in state["rests"]], state["rests"])
         with QSignalBlocker(self.timeline):
             self.timeline.setRange(0, max(len(self._steps) - 1, 0))
             if not self.timeline.isSliderDown() and state["step"] in self._steps:
                 self.timeline.setValue(self._steps.index(state["step"]))
         edits = f", {state['edits']} edit{'' if state['edits'] == 1 else 's'}" if state["edits"] else ""
         self.where.setText(f"step {state['step']}{edits}")
+
+    def _place_of(self, step: int) -> float:
+        """Where a step is among the stored ones, which the slider counts."""
+        after = sum(stored <= step for stored in self._steps)
+        if not 0 < after < len(self._steps):
+            return float(max(min(after, len(self._steps)) - 1, 0))
+        before, following = self._steps[after - 1], self._steps[after]
+        return after - 1 + (step - before) / (following - before)
 
     def _slid(self, place: int) -> None:
         if place < len(self._steps) and self._steps[place] != self._workplace.session.status.step:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 
 from vtkmodules.vtkCommonCore import vtkLogger
+from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
 from accelsurf.errors import AccelsurfError
 
@@ -19,6 +20,8 @@ HINT = (
     "install a software renderer: on Debian and Ubuntu apt install libosmesa6 or libegl1 libgl1-mesa-dri, "
     "on Fedora mesa-libOSMesa or mesa-libEGL"
 )
+#: Names of renderers without a graphics card.
+SOFTWARE = ("llvmpipe", "softpipe", "SWR", "Software")
 _PROBE = """
 import vtkmodules.vtkRenderingOpenGL2
 from vtkmodules.vtkCommonCore import vtkLogger
@@ -59,6 +62,12 @@ def require_graphics() -> str:
         raise GraphicsError("no picture can be drawn: neither a screen nor EGL nor OSMesa was found", HINT)
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
     return name
+
+
+def draws_in_software(window: vtkRenderWindow) -> bool:
+    """Return whether the processor draws a window, not a graphics card."""
+    capabilities = window.ReportCapabilities()
+    return any(name in capabilities for name in SOFTWARE)
 
 
 @functools.cache

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 
 import pyvista as pv
-from vtkmodules.vtkRenderingCore import vtkRenderWindow
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
+
+#: A picture with the tile in 3D that takes more seconds is slow.
+SLOW = 0.025
 
 
 class Redraw:
@@ -16,46 +20,98 @@ class Redraw:
     window : vtkRenderWindow
     renderers : iterable of pyvista.Renderer
         All of its tiles.
+
+    Attributes
+    ----------
+    hurries : bool
+        While this is set, tiles with something over them (the one in 3D) wait if their last picture was slow.
     """
 
     def __init__(self, window: vtkRenderWindow, renderers: Iterable[pv.Renderer]) -> None:
         self._window, self._renderers = window, tuple(renderers)
-        self._shown = set(self._renderers)
-        self._waiting: set[pv.Renderer] = set(self._renderers)
+        self._shown: set[vtkRenderer] = set(self._renderers)
+        self._waiting: set[vtkRenderer] = set(self._renderers)
+        #: What is drawn over a tile, after it -> the tile.
+        self._overlays: dict[vtkRenderer, pv.Renderer] = {}
+        self._seconds = 0.0
+        self.hurries, self._is_empty = False, True
         self._is_ours = False
         window.AddObserver("StartEvent", lambda *_: self._before_picture())  # type: ignore[arg-type]
+
+    def overlay(self, tile: pv.Renderer, over: vtkRenderer) -> None:
+        """Draw a renderer over a tile: with it, and alone when it alone has changed."""
+        self._overlays[over] = tile
+        self._window.AddRenderer(over)
 
     def mark(self, *renderers: pv.Renderer) -> None:
         """These have changed."""
         self._waiting.update(renderers)
 
+    def mark_overlay(self, over: vtkRenderer) -> None:
+        """Something was added to what is drawn over a tile."""
+        self._waiting.add(over)
+
     def mark_all(self) -> None:
         """All have changed."""
         self._waiting.update(self._renderers)
 
+    def begin_anew(self) -> None:
+        """The next picture begins empty: nothing may wait."""
+        self._is_empty = True
+        self.mark_all()
+
     def show_only(self, renderers: Iterable[pv.Renderer]) -> None:
         """Draw no others from now on."""
         self._shown = set(renderers)
-        self.mark_all()
+        self.begin_anew()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether something has changed and is not drawn."""
+        return bool(self._due())
 
     def draw(self) -> None:
         """Draw what has changed."""
-        if not self._waiting & self._shown:
+        due = self._due()
+        if not due:
             return
-        self._choose(self._waiting & self._shown)
-        self._is_ours = True
+        tiles = set(self._overlays.values())
+        if self.hurries and self._seconds > SLOW and not self._is_empty:
+            due -= tiles
+            if not due:
+                return
+        self._choose(due)
+        self._is_ours, began = True, time.perf_counter()
         try:
             self._window.Render()
         finally:
             self._is_ours = False
-        self._waiting.clear()
-        self._choose(self._shown)
+        if due & tiles:
+            self._seconds = time.perf_counter() - began
+        self._is_empty = False
+        self._waiting -= due
+        self._choose(self._whole())
+
+    def _due(self) -> set[vtkRenderer]:
+        """What has changed and is shown, with what is drawn over it."""
+        due = self._waiting & self._shown
+        over = {
+            over for over, tile in self._overlays.items()
+            if tile in self._shown and (tile in due or over in self._waiting)
+        }
+        return due | over
+
+    def _whole(self) -> set[vtkRenderer]:
+        return self._shown | {over for over, tile in self._overlays.items() if tile in self._shown}
 
     def _before_picture(self) -> None:
         """Before a picture that the window system has asked for: all of it is needed."""
         if not self._is_ours:
-            self._choose(self._shown)
+            self._choose(self._whole())
 
-    def _choose(self, renderers: set[pv.Renderer]) -> None:
+    def _choose(self, renderers: set[vtkRenderer]) -> None:
         for renderer in self._renderers:
             renderer.SetDraw(renderer in renderers)
+        for over, tile in self._overlays.items():
+            over.SetViewport(tile.GetViewport())
+            over.SetDraw(over in renderers)

@@ -28,6 +28,7 @@ from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend
+from accelsurf.viewer.scene.marks import Marks
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.scene.pictures import grab, png_bytes
 from accelsurf.viewer.scene.reference import Reference
@@ -70,6 +71,8 @@ class Scene:
         What is drawn now.
     tiles : Tiles
         How the tiles lie, and what part of the image each shows.
+    marks : Marks
+        Strokes that are painted, and doubtful places.
 
     Raises
     ------
@@ -110,6 +113,7 @@ class Scene:
         self._build()
         self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
         self._redraw = self.tiles.redraw
+        self.marks = Marks(self.geometry, self.slice_tiles, self.space, self._redraw)
         self.paint(theme)
         plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
 
@@ -149,31 +153,23 @@ class Scene:
 
     # -- what is drawn ------------------------------------------------------------------------------------
 
-    def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = ()) -> None:
-        """Draw a frame.
-
-        Parameters
-        ----------
-        frame : Frame
-            Of this image.
-        histories : sequence of sequences of StepRecord, optional
-            The records of each object up to this frame, for the chart.
-        """
+    def update(self, frame: Frame, histories: Sequence[Sequence[StepRecord]] = (), coarse: bool = False) -> None:
+        """Draw a frame of this image, its objects' ``histories`` in the chart; ``coarse`` as of `Tiles.coarsen`."""
         self.frame = frame
         if frame.has_surface and not self._cursor_is_set:
             self._cursor = np.clip(frame.middle(), 0.0, np.array(self.geometry.shape) - 1.0)
             self._cursor_is_set = True
             self._show_slices()
-        self._show_frame()
+        self._show_frame(coarse)
         self._chart.update(histories)
         self._redraw.mark_all()
 
-    def _show_frame(self) -> None:
+    def _show_frame(self, coarse: bool = False) -> None:
         frame = self.frame
         if frame is None:
             return
         if self.space is not None:
-            self.space.show(frame, self._color)
+            self.space.show(frame, self._color, coarse)
         for tile in self.slice_tiles.values():
             tile.draw_objects(frame)
         self._legend.show(legend_lines(frame, self._theme.ink, self.dice))
@@ -301,6 +297,7 @@ class Scene:
                 if self.frame is not None:
                     tile.draw_objects(self.frame)
             self._redraw.mark(tile.renderer)
+        self.marks.show_slices()
         if self.space is not None and self.space.shows_planes:
             self.space.move_planes(self._cursor)
             self._redraw.mark(self.space.renderer)
@@ -359,16 +356,18 @@ class Scene:
             return Picked("space", self.space.pick(x, y))
         return Picked("energies", None)
 
-    def smooth_edges(self, on: bool) -> None:
-        """Draw edges smoothly (the default), or not: two to four times faster where there is no graphics card."""
+    def smooth_edges(self, on: bool) -> bool:
+        """Draw edges smoothly (the default), or not: faster without a graphics card. Returns whether that changes."""
         window, samples = self.plotter.render_window, SAMPLES if on else 0
-        if window.GetMultiSamples() != samples:
-            window.SetMultiSamples(samples)
-            self._redraw.mark_all()  # the next picture begins empty
+        if window.GetMultiSamples() == samples:
+            return False
+        window.SetMultiSamples(samples)
+        self._redraw.begin_anew()
+        return True
 
     def resize(self, width: int, height: int) -> None:
         """Change the size of the picture, pixels."""
-        self._redraw.mark_all()
+        self._redraw.begin_anew()
         before = None if self.space is None else self.space.fitted_scale()
         self.plotter.render_window.SetSize(width, height)
         if self.space is not None and before is not None:

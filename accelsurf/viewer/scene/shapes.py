@@ -142,6 +142,22 @@ class GreyTexture:
         self.texture.SetInputData(image)
 
 
+class ColorTexture:
+    """A picture in colours with opacity for a quad; each voxel is a rectangle."""
+
+    def __init__(self) -> None:
+        self.texture = vtkTexture()
+        self.texture.InterpolateOff()
+        self.texture.SetColorModeToDirectScalars()
+        self.show(np.zeros((2, 2, 4), np.uint8))
+
+    def show(self, rows: NDArray[np.uint8]) -> None:
+        """Show a picture (rows, columns, 4), its first row at the lower edge of the quad."""
+        image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
+        image.point_data["color"] = rows.reshape(-1, 4)
+        self.texture.SetInputData(image)
+
+
 def _to_world(
     mesh: pv.PolyData, points: NDArray[np.float64], geometry: Geometry, steps: NDArray[np.float64]
 ) -> None:

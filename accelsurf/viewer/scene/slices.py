@@ -16,7 +16,7 @@ from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme, object_color
 from accelsurf.viewer.scene.overlay import Label, ScaleBar
-from accelsurf.viewer.scene.shapes import GreyTexture, contour, slice_of
+from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, contour, slice_of
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
 FILL = 0.82
@@ -218,6 +218,26 @@ class SliceTile:
             if plane is not None:
                 lines = self.to_tile(self._in_slice(contour(plane)) + np.asarray(drag.first))
         self._draw_lines("size", lines, MARK, 2.2)
+
+    def mark_places(self, places: NDArray[np.float64]) -> None:
+        """Draw a diamond in another one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
+        left, right, bottom, top = self.extent
+        here = self.to_tile(places[np.rint(places[:, self.axis]) == self.index].reshape(-1, 3))
+        corners = ARM * max(right - left, top - bottom) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        lines = [place + size * sides for place in here for size in (1.4, 2.4)]
+        self._draw_lines("places", np.concatenate(lines) if lines else np.zeros((0, 2, 2)), CURSOR, 2.5)
+
+    def hung(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values of a slice of the image (its two other axes in their order) as rows of a picture, lowest first."""
+        turned = self._up.reorient(np.expand_dims(values, self.axis)).take(0, axis=self.plane)
+        return turned[::-1] if self._down else turned
+
+    def add_picture(self, quad: pv.PolyData, texture: ColorTexture) -> pv.Actor:
+        """Draw a picture over the image."""
+        actor = self._add(quad, "white")
+        actor.SetTexture(texture.texture)
+        return actor
 
     def _draw_clicks(self, frame: Frame) -> None:
         """Draw the clicks that this slice cuts: + inside, x outside."""

@@ -8,17 +8,21 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkPolyDataMapper
+from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import MARK, REFERENCE, SHADES, Theme, color_range, object_color
+from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, Theme, color_range, object_color
 from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
+from accelsurf.viewer.scene.picking import place_in_renderer
+from accelsurf.viewer.scene.ray import first_met
 from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
 
 #: Most voxels along an axis of the image as it is drawn in 3D; more take too long.
 MAX_ALONG = 160
+#: Voxels of psi from which a surface is drawn coarsely.
+COARSE_VOXELS = 400_000
 #: Where the camera is, as a direction (x, y, z) in LPS, and which direction is up; it begins at `corner`.
 VIEWS = {
     "corner": ((0.55, -1.0, 0.5), (0.0, 0.0, 1.0)),
@@ -60,6 +64,10 @@ class SpaceTile:
         self.renderer, self._plotter = plotter.renderer, plotter
         self._geometry, self._image, self._window = geometry, image, window
         self._meshes: list[pv.PolyData] = []
+        self._frame: Frame | None = None
+        self._wanted = "plain"
+        #: Whether fewer triangles are drawn than the frame has.
+        self.is_coarse = False
         self._color = "plain"
         self._surfaces = [self._add_surface(0)]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
@@ -68,6 +76,7 @@ class SpaceTile:
         self._box = self._add(self.box, theme.lines)
         self._box.prop.lighting, self._box.prop.line_width = False, 1.0
         self._ball: pv.Actor | None = None
+        self._places: pv.Actor | None = None
         self._volume: pv.Volume | None = None
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
@@ -83,9 +92,15 @@ class SpaceTile:
 
     # -- the surface --------------------------------------------------------------------------------------
 
-    def show(self, frame: Frame, color: str) -> None:
-        """Draw the surfaces of a frame, coloured by a quantity; each in its own colour where it lacks that."""
-        self._meshes = [isosurface(surface, self._geometry, color) for surface in frame.surfaces]
+    def show(self, frame: Frame, color: str, coarse: bool = False) -> None:
+        """Draw the surfaces of a frame, coloured by a quantity; each in its own colour where it lacks that.
+
+        ``coarse`` draws large ones with fewer triangles, in a fraction of the time.
+        """
+        self._frame, self._wanted = frame, color
+        drawn = tuple(one.coarser(COARSE_VOXELS) for one in frame.surfaces) if coarse else frame.surfaces
+        self.is_coarse = any(one is not fine for one, fine in zip(drawn, frame.surfaces, strict=True))
+        self._meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
         while len(self._surfaces) < len(self._meshes):
             self._surfaces.append(self._add_surface(len(self._surfaces)))
         for actor in self._surfaces[len(self._meshes) :]:
@@ -95,6 +110,13 @@ class SpaceTile:
             actor.SetVisibility(mesh.n_points > 0)
             actor.mapper.SetScalarVisibility(color in mesh.point_data)
         self._show_scale(color)
+
+    def coarsen(self, on: bool) -> bool:
+        """Draw the same coarsely, or in full; returns whether that is a change."""
+        if self._frame is None or self.is_coarse == on:
+            return False
+        self.show(self._frame, self._wanted, on)
+        return self.is_coarse == on
 
     def _show_scale(self, color: str) -> None:
         """Colour the surfaces that have this quantity on a common scale, and draw the scale."""
@@ -142,6 +164,20 @@ class SpaceTile:
         if center is not None:
             self._ball.position = tuple(center)
             self._ball.scale = (radius, radius, radius)
+
+    @property
+    def smallest(self) -> float:
+        """Radius, mm, that a ball must have to be seen."""
+        return 0.006 * float(max(self._geometry.extent_mm))
+
+    def mark_places(self, places: NDArray[np.float64]) -> None:
+        """Draw a diamond at each of these points (x, y, z), world mm, (n, 3)."""
+        if self._places is None:
+            self._places = self._add(pv.PolyData(), CURSOR)
+            self._places.prop.lighting = False
+        diamonds = [pv.Octahedron(radius=2.5 * self.smallest, center=place) for place in places]
+        self._places.mapper.SetInputData(pv.merge(diamonds) if diamonds else pv.PolyData())
+        self._places.SetVisibility(bool(diamonds))
 
     # -- the image ----------------------------------------------------------------------------------------
 
@@ -286,15 +322,15 @@ class SpaceTile:
 
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
         """Point (x, y, z) of a surface under a pixel of the window; None beside them."""
-        picker = vtkCellPicker()
-        picker.SetTolerance(0.0)
-        picker.PickFromListOn()
-        for actor, mesh in zip(self._surfaces, self._meshes, strict=False):
-            if mesh.n_points:
-                picker.AddPickList(actor)
-        if not any(mesh.n_points for mesh in self._meshes) or not picker.Pick(x, y, 0.0, self.renderer):
+        inside = place_in_renderer(self.renderer, x, y)
+        if inside is None:
             return None
-        return np.asarray(picker.GetPickPosition())
+        ends = []
+        for depth in (0.0, 1.0):
+            self.renderer.SetViewPoint(2.0 * inside[0] - 1.0, 2.0 * inside[1] - 1.0, depth)
+            self.renderer.ViewToWorld()
+            ends.append(np.array(self.renderer.GetWorldPoint()[:3]))
+        return first_met(() if self._frame is None else self._frame.surfaces, self._geometry, *ends)
 
     def place_cube(self, on: bool) -> None:
         """Draw the cube of directions where the tile lies now, or not."""

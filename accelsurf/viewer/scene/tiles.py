@@ -133,3 +133,10 @@ class Tiles:
         if self._space is not None:
             self._space.zoom(factor)
             self.redraw.mark(self._space.renderer)
+
+    def coarsen(self, on: bool) -> bool:
+        """Draw large surfaces in 3D with fewer triangles, or in full; returns whether that changes the picture."""
+        if self._space is None or not self._space.coarsen(on):
+            return False
+        self.redraw.mark(self._space.renderer)
+        return True

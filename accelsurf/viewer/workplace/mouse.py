@@ -7,6 +7,7 @@ height from the top, each from 0 to 1.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -22,6 +23,8 @@ from accelsurf.viewer.workplace.tools import TOOLS
 LEFT, MIDDLE, RIGHT = 0, 1, 2
 #: Degrees that the camera turns per pixel of a picture 720 high; zoom per notch of the wheel.
 TURN, ZOOM = 0.45, 1.12
+#: A mouse that has not moved for so many seconds is still.
+STILL = 0.5
 #: In the list of objects: the one that is nearest to the ball's centre.
 NEAREST = "nearest"
 
@@ -42,6 +45,7 @@ class MouseFeature(Feature):
         self._tools = tuple(kind(workplace) for kind in TOOLS)
         self.tool: Tool = self._tools[0]
         self._tile, self._button, self._at = "", LEFT, (0.0, 0.0)
+        self._moved_at = 0.0
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
@@ -80,6 +84,11 @@ class MouseFeature(Feature):
         """Whether a button is down."""
         return bool(self._tile)
 
+    @property
+    def is_moving(self) -> bool:
+        """Whether a button is down and the mouse has moved a moment ago."""
+        return self.is_dragging and time.monotonic() - self._moved_at < STILL
+
     # -- choices ------------------------------------------------------------------------------------------
 
     def _use(self, name: Any) -> None:
@@ -105,9 +114,14 @@ class MouseFeature(Feature):
 
     def _press(self, x: Any, y: Any, button: Any = LEFT, shift: Any = False) -> None:
         pixel, button = self._pixel(x, y), whole(button, LEFT, RIGHT)
+        self._moved_at = time.monotonic()
         at = self.workplace.scene.pick(*pixel)
         self._button = MIDDLE if shift and button == LEFT else button
         self._tile, self._at = at.tile, pixel
+        tiles = self.workplace.scene.tiles
+        tiles.redraw.hurries = at.tile in self.workplace.scene.slice_tiles
+        if at.tile == "space":
+            tiles.coarsen(True)
         if self._button == LEFT and at.world is not None and self._uses_tool(at.tile):
             self.tool.press(at)
         self.workplace.changed = True
@@ -116,7 +130,7 @@ class MouseFeature(Feature):
         pixel = self._pixel(x, y)
         if not self._tile:
             return
-        right, up = pixel[0] - self._at[0], pixel[1] - self._at[1]
+        right, up, self._moved_at = pixel[0] - self._at[0], pixel[1] - self._at[1], time.monotonic()
         self._at = pixel
         if self._button == LEFT and self._uses_tool(self._tile):
             at = self.workplace.scene.pick(*pixel)
@@ -146,6 +160,7 @@ class MouseFeature(Feature):
 
     def _release(self) -> None:
         tile, self._tile = self._tile, ""
+        self.workplace.scene.tiles.redraw.hurries = False
         if tile and self._button == LEFT and self._uses_tool(tile):
             self.tool.release()
         self.workplace.changed = True

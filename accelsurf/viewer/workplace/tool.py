@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,7 +58,18 @@ class Tool:
 
 def ball_text(center: NDArray[np.float64], radius: float) -> str:
     """Return a ball as settings have it, ``ball:X,Y,Z,R``."""
-    return "ball:" + ",".join(f"{value:.6g}" for value in (*center, radius))
+    return f"ball:{numbers_text((*center, radius))}"
+
+
+def numbers_text(numbers: Iterable[float]) -> str:
+    """Return numbers as settings have them.
+
+    Examples
+    --------
+    >>> numbers_text((1.0, -2.5, 1 / 3))
+    '1,-2.5,0.333333'
+    """
+    return ",".join(f"{value:.6g}" for value in numbers)
 
 
 def finest(geometry: Geometry) -> float:
@@ -68,4 +80,4 @@ def finest(geometry: Geometry) -> float:
 def first_radius(geometry: Geometry) -> float:
     """Return the radius of click, ball and brush at first, mm."""
     sides = (h * n for h, n in zip(geometry.spacing, geometry.shape, strict=True) if n > 1)
-    return max(0.06 * min(sides, default=1.0), 2.0 * finest(geometry))
+    return max(0.012 * min(sides, default=1.0), 2.0 * finest(geometry))

@@ -1,22 +1,18 @@
-"""The tools: to look, to press and draw a size, to say what is inside and what is not, to start, to brush."""
+"""The tools that do not paint: to look, to press and draw a size, to start."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.clicks import Side
 from accelsurf.viewer.core.size_drag import Dragging
 from accelsurf.viewer.scene.picking import Picked
 from accelsurf.viewer.workplace.tool import Tool, ball_text
 
 if TYPE_CHECKING:
     from accelsurf.viewer.workplace.workplace import Workplace
-
-#: A brush or a stroke makes a ball each time it has moved by this part of its radius.
-STROKE_STEP = 0.5
 
 
 class Look(Tool):
@@ -54,6 +50,7 @@ class Ball(Tool):
 
     def release(self) -> None:
         if self.center is not None:
+            self.workplace.scene.cursor = self.center
             self.workplace.ask(self.workplace.session.start_from([ball_text(self.center, self.radius)]))
         # The mark stays until the surface is drawn that it has led to.
         self.center = None
@@ -101,6 +98,7 @@ class Size(Tool):
         self._center, self.drag_mm = at.world, 0.0
         self._dragging = Dragging(self.workplace.session.press, ball_text(at.world, self.radius))
         self.workplace.ask(self._dragging.pressed)
+        self.workplace.scene.cursor = at.world
         self.workplace.scene.mark_ball(at.world, self.radius)
 
     def move(self, at: Picked) -> None:
@@ -121,79 +119,5 @@ class Size(Tool):
         self.workplace.scene.mark_size(None)
 
 
-class Stroke(Tool):
-    """Draws a stroke of balls: one more each time the mouse has moved by a part of the radius."""
-
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__(workplace)
-        self._center: NDArray[np.float64] | None = None
-        self.balls: list[str] = []
-
-    def press(self, at: Picked) -> None:
-        self.balls, self._center = [], None
-        self.move(at)
-
-    def move(self, at: Picked) -> None:
-        world = at.world
-        if world is None:
-            return
-        if self._center is None or np.linalg.norm(world - self._center) >= STROKE_STEP * self.radius:
-            self._center = world
-            self.balls.append(ball_text(world, self.radius))
-            self.workplace.scene.mark_ball(world, self.radius)
-
-    def leave(self) -> None:
-        self.balls, self._center = [], None
-
-
-class Inside(Stroke):
-    """Says what is inside."""
-
-    side: Side = "inside"
-    name, key, text = "inside", "I", "Inside"
-    tip = "Click in a slice, or draw a stroke: this is in the object, and stays in it"
-
-    def release(self) -> None:
-        if self.balls:
-            session, workplace = self.workplace.session, self.workplace
-            workplace.ask(session.add_click(self.side, tuple(self.balls), workplace.object_id))
-        self.leave()
-
-
-class Outside(Inside):
-    """Says what is not."""
-
-    side: Side = "outside"
-    name, key, text = "outside", "O", "Outside"
-    tip = "Click in a slice, or draw a stroke: this is not in the object, and stays out of it"
-
-
-class Grow(Stroke):
-    """Adds what the brush covers."""
-
-    kind: Literal["add", "remove"] = "add"
-    name, key, text = "grow", "G", "Grow"
-    tip = "Press and drag in a slice or on the surface: add what the brush covers"
-
-    def move(self, at: Picked) -> None:
-        before = len(self.balls)
-        super().move(at)
-        if len(self.balls) > before:
-            session, workplace = self.workplace.session, self.workplace
-            joined = before > 0
-            workplace.ask(session.edit_ball(self.kind, self.balls[-1], workplace.object_id, joined=joined))
-
-    def release(self) -> None:
-        self.leave()
-
-
-class Shrink(Grow):
-    """Removes what the brush covers."""
-
-    kind: Literal["add", "remove"] = "remove"
-    name, key, text = "shrink", "K", "Shrink"
-    tip = "Press and drag in a slice or on the surface: remove what the brush covers"
-
-
-#: In the order of their buttons.
-TOOLS: tuple[type[Tool], ...] = (Look, Size, Inside, Outside, Ball, Points, Grow, Shrink)
+#: In the order of their buttons; those that paint follow.
+TOOLS: tuple[type[Tool], ...] = (Look, Size, Ball, Points)

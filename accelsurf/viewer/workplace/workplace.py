@@ -19,17 +19,21 @@ from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.checks import short
 from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.history import HistoryFeature
 from accelsurf.viewer.workplace.mouse import MouseFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
 from accelsurf.viewer.workplace.run import RunFeature
 from accelsurf.viewer.workplace.settings import SettingsFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
+from accelsurf.viewer.workplace.strokes import StrokesFeature
 from accelsurf.viewer.workplace.tool import Tool, first_radius
 
 #: The features, in the order in which window and page show them.
 FEATURES: tuple[type[Feature], ...] = (
     RunFeature,
     MouseFeature,
+    StrokesFeature,
+    HistoryFeature,
     SettingsFeature,
     SlicesFeature,
     PictureFeature,
@@ -162,7 +166,7 @@ class Workplace:
 
     def update(self, view: View) -> None:
         """Draw a view of the session."""
-        self.scene.update(view.frame, view.histories)
+        self.scene.update(view.frame, view.histories, coarse=True)  # in full when it is quiet
         if not self.feature(MouseFeature).is_dragging:
             self.scene.mark_ball(None)  # the surface is drawn that it has led to
         for feature in self.features:

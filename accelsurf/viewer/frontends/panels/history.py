@@ -1,0 +1,63 @@
+"""The panel of changes: a list to go back and forward in, and where to click next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from PySide6.QtCore import QSignalBlocker
+from PySide6.QtGui import QPalette
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QVBoxLayout
+
+from accelsurf.viewer.frontends.panels.section import Section, button
+from accelsurf.viewer.workplace.workplace import Workplace
+
+#: Lines that are in sight at once.
+LINES = 5
+
+
+class HistoryPanel(Section):
+    """All changes; a click on one goes there."""
+
+    def __init__(self, workplace: Workplace) -> None:
+        super().__init__("History", workplace)
+        self.list = QListWidget()
+        self.list.setAccessibleName("changes")
+        self.list.setToolTip("A click goes back, or forward again, to what was in force after that change")
+        self.list.setFixedHeight(LINES * self.list.fontMetrics().lineSpacing() + 14)
+        self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
+        self.next = button("Where to click next", "Go to the most doubtful place; again: the next one (N)")
+        self.next.clicked.connect(lambda: self.ask("next_doubt"))
+        self.where = QLabel("")
+        column = QVBoxLayout(self.body)
+        column.setContentsMargins(8, 2, 8, 6)
+        column.setSpacing(4)
+        column.addWidget(self.list)
+        line = QHBoxLayout()
+        line.addWidget(self.next)
+        line.addWidget(self.where, 1)
+        column.addLayout(line)
+        self._shown: list[Any] = []
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the changes, those that are undone in grey, and how many places are in doubt."""
+        doubts = state["doubts"]
+        self.next.setEnabled(bool(doubts))
+        at = state["doubt_at"]
+        self.where.setText(f"{at} of {len(doubts)}" if at else f"{len(doubts)} places" if doubts else "")
+        if state["changes"] == self._shown:
+            return
+        self._shown = state["changes"]
+        grey = self.palette().color(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text)
+        with QSignalBlocker(self.list):
+            self.list.clear()
+            self.list.addItem("0: as at first")
+            for one in self._shown:
+                item = QListWidgetItem(f"{one['number']}: {one['line']}")
+                item.setToolTip(f"{one['line']}, at step {one['step']}{'' if one['done'] else ', undone'}")
+                if not one["done"]:
+                    item.setForeground(grey)
+                self.list.addItem(item)
+            done = sum(one["done"] for one in self._shown)
+            self.list.setCurrentRow(done)
+            self.list.scrollToItem(self.list.item(done))

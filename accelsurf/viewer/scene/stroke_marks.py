@@ -1,0 +1,173 @@
+"""Strokes as they are painted: the voxels that they name, in the slices at once; beads along them in 3D.
+
+In 3D the beads are drawn over what is there, so that the surface, which takes longer, is not drawn anew for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
+
+from accelsurf.grid.clicks import SIDES, Click, Side
+from accelsurf.grid.geometry import Geometry
+from accelsurf.initialization.click_paths import segment_voxels
+from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
+from accelsurf.viewer.scene.redraw import Redraw
+from accelsurf.viewer.scene.shapes import ColorTexture
+from accelsurf.viewer.scene.slices import SliceTile
+from accelsurf.viewer.scene.space import SpaceTile
+
+#: How much of the picture below shows through, of 255; the depth of the layer in a tile, below the contours.
+OPACITY, DEPTH = 160, 1.5
+COLORS = {"inside": INSIDE, "outside": OUTSIDE}
+#: Colours (red, green, blue, opacity) of what no stroke names, of voxels inside and outside.
+_TABLE = np.array(
+    [[0, 0, 0, 0], *((*pv.Color(COLORS[side]).int_rgb, OPACITY) for side in SIDES)], np.uint8
+)
+
+
+class StrokeMarks:
+    """The strokes that are being painted, or that the surface has not obeyed yet.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        Of the image.
+    tiles : iterable of SliceTile
+    space : SpaceTile or None
+    redraw : Redraw
+    """
+
+    def __init__(
+        self, geometry: Geometry, tiles: Iterable[SliceTile], space: SpaceTile | None, redraw: Redraw
+    ) -> None:
+        self._geometry, self._redraw, self._space = geometry, redraw, space
+        self._layers = [_Layer(tile, geometry.shape) for tile in tiles]
+        self._beads = None if space is None else _Beads(space, redraw)
+        self._strokes: dict[int, list[Click]] = {}
+        self._last = 0
+
+    def new_stroke(self) -> int:
+        """Begin a stroke; returns its number."""
+        self._last += 1
+        self._strokes[self._last] = []
+        return self._last
+
+    def add(self, stroke: int, side: Side, places: Sequence[NDArray[np.float64]], radius: float) -> None:
+        """Draw a piece of a stroke: the voxels near one or two places (x, y, z), world mm."""
+        index = np.array([self._geometry.world_to_index(place) for place in places])
+        found = segment_voxels(index, [radius] * len(places), self._geometry)
+        if found is None or stroke not in self._strokes:
+            return
+        piece = Click(side, *found)
+        self._strokes[stroke].append(piece)
+        for layer in self._layers:
+            if layer.add(piece):
+                self._redraw.mark(layer.tile.renderer)
+        if self._beads is not None:
+            self._beads.add(side, places[-1], radius)
+
+    def end(self, stroke: int) -> None:
+        """Draw a stroke no longer."""
+        if self._strokes.pop(stroke, []):
+            self.show_slices()
+            if self._beads is not None and not any(self._strokes.values()):
+                self._beads.clear()
+
+    @property
+    def count(self) -> int:
+        """How many strokes are drawn."""
+        return sum(bool(pieces) for pieces in self._strokes.values())
+
+    def show_slices(self) -> None:
+        """Draw them in the slices that are shown now."""
+        pieces = [piece for stroke in self._strokes.values() for piece in stroke]
+        for layer in self._layers:
+            if layer.show(pieces):
+                self._redraw.mark(layer.tile.renderer)
+
+
+class _Layer:
+    """Named voxels over a slice."""
+
+    def __init__(self, tile: SliceTile, shape: tuple[int, int, int]) -> None:
+        self.tile, self._texture = tile, ColorTexture()
+        rows, columns = (n for axis, n in enumerate(shape) if axis != tile.axis)
+        self._sides, self._is_empty = np.zeros((rows, columns), np.uint8), True
+        left, right, bottom, top = tile.extent
+        middle = (0.5 * (left + right), 0.5 * (bottom + top), DEPTH)
+        quad = pv.Plane(center=middle, i_size=right - left, j_size=top - bottom, i_resolution=1, j_resolution=1)
+        self._actor = tile.add_picture(quad, self._texture)
+        self._actor.SetVisibility(False)
+
+    def show(self, pieces: Sequence[Click]) -> bool:
+        """Draw pieces alone; returns whether the picture has changed."""
+        was_empty = self._is_empty
+        self._sides[:], self._is_empty = 0, True
+        for piece in pieces:
+            self._put(piece)
+        if self._is_empty and was_empty:
+            return False
+        self._draw()
+        return True
+
+    def add(self, piece: Click) -> bool:
+        """Draw one more; returns whether this slice cuts it."""
+        if not self._put(piece):
+            return False
+        self._draw()
+        return True
+
+    def _put(self, piece: Click) -> bool:
+        axis, index = self.tile.axis, self.tile.index
+        if not piece.box[axis].start <= index < piece.box[axis].stop:
+            return False
+        cut = piece.mask.take(index - piece.box[axis].start, axis=axis)
+        rows, columns = (side for other, side in enumerate(piece.box) if other != axis)
+        self._sides[rows, columns][cut] = 1 + SIDES.index(piece.side)
+        self._is_empty = False
+        return True
+
+    def _draw(self) -> None:
+        self._actor.SetVisibility(not self._is_empty)
+        if not self._is_empty:
+            self._texture.show(_TABLE[self.tile.hung(self._sides)])
+
+
+class _Beads:
+    """Balls along strokes in 3D, in a renderer of their own that is drawn over the surface."""
+
+    def __init__(self, space: SpaceTile, redraw: Redraw) -> None:
+        self._redraw, self._space = redraw, space
+        self.renderer = vtkRenderer()
+        self.renderer.SetActiveCamera(space.renderer.camera)
+        self.renderer.EraseOff()
+        self.renderer.InteractiveOff()
+        redraw.overlay(space.renderer, self.renderer)
+        self._ball = pv.Sphere(radius=1.0, theta_resolution=10, phi_resolution=8)
+        self._actors: list[vtkActor] = []
+
+    def add(self, side: Side, place: NDArray[np.float64], radius: float) -> None:
+        """Draw one more."""
+        mapper = vtkPolyDataMapper()
+        mapper.SetInputData(self._ball)
+        actor = vtkActor()
+        actor.SetMapper(mapper)
+        actor.GetProperty().SetColor(*pv.Color(COLORS[side]).float_rgb)
+        actor.SetPosition(*(float(v) for v in place))
+        size = max(radius, self._space.smallest)
+        actor.SetScale(size, size, size)
+        self.renderer.AddActor(actor)
+        self._actors.append(actor)
+        self._redraw.mark_overlay(self.renderer)
+
+    def clear(self) -> None:
+        """Draw none."""
+        for actor in self._actors:
+            self.renderer.RemoveActor(actor)
+        self._actors = []
+        self._redraw.mark(self._space.renderer)

@@ -1,0 +1,104 @@
+"""Pictures of window and page with a real scan, at the sizes of common screens, dark and light, to be looked at.
+
+Usage: python -m benchmarks.viewer_tasks.pictures SCAN FOLDER [--inside WHERE] [--only window|page]
+
+The window at 1280 x 720, 1920 x 1080 and 2880 x 1800 (factor 2), the page at widths of 700, 1280 and 1920, after a run
+from one click.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.viewer_tasks.person import ROOT, Person, screen
+
+WINDOWS = ((1280, 720, 1.0), (1920, 1080, 1.0), (2880, 1800, 2.0))
+PAGES = ((700, 900), (1280, 720), (1920, 1080))
+THEMES = ("dark", "light")
+STEPS = 40
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("scan", type=Path)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--inside", default="")
+    options.add_argument("--only", choices=("window", "page"))
+    given = options.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    words = ["view", str(given.scan), *(["--inside", given.inside] if given.inside else [])]
+    if given.only != "page":
+        for width, height, factor in WINDOWS:
+            for theme in THEMES:
+                window_picture(words, width, height, factor, theme, given.folder)
+    if given.only != "window":
+        for theme in THEMES:
+            page_pictures(words, theme, given.folder)
+
+
+def window_picture(words: list[str], width: int, height: int, factor: float, theme: str, folder: Path) -> None:
+    """A picture of the window after some steps."""
+    with tempfile.TemporaryDirectory() as home, screen(width, height) as display:
+        person = Person(display, Path(home), [*words, "--theme", theme], size=(width, height), scale=factor)
+        person.key("space")
+        person.until(lambda now: now["step"] >= STEPS or now["stop"], 300)
+        person.key("space", "a")
+        time.sleep(3.0)
+        person.picture(folder / f"window-{width}x{height}@{factor:g}-{theme}.png")
+        person.close()
+
+
+def page_pictures(words: list[str], theme: str, folder: Path) -> None:
+    """Pictures of the page at each width, after some steps."""
+    from selenium import webdriver
+
+    command = [sys.executable, "-m", "accelsurf", *words, "--browser", "--no-open", "--theme", theme]
+    env = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
+    server = subprocess.Popen(command, env=env, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    address = server.stdout.readline().strip()
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium") or shutil.which("google-chrome") or ""
+    for flag in FLAGS:
+        options.add_argument(flag)
+    browser = webdriver.Chrome(options=options)
+    try:
+        browser.get(address)
+        wait(lambda: bool(browser.find_elements("id", "picture")), 120)
+        browser.find_element("id", "play").click()
+        wait(lambda: int(browser.find_element("id", "step").text.split()[1]) >= STEPS, 300)
+        browser.find_element("id", "play").click()
+        for width, height in PAGES:
+            browser.set_window_size(width, height)
+            time.sleep(4.0)
+            browser.save_screenshot(str(folder / f"page-{width}x{height}-{theme}.png"))
+    finally:
+        browser.quit()
+        server.send_signal(signal.SIGINT)
+        server.wait(60)
+
+
+def wait(condition: object, seconds: float) -> None:
+    """Wait until something is so."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():  # type: ignore[operator]
+            return
+        time.sleep(0.2)
+    raise TimeoutError("never seen in the page")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""Segments real objects in the window by mouse and keys alone, and counts actions and seconds.
+
+Usage: python -m benchmarks.viewer_tasks.run VOLUMES_FOLDER [TASK ...] [-o benchmarks/results/viewer_tasks.json]
+           [--pictures FOLDER] [--size 1920x1080]
+
+A simulated person knows the object from a reference, as somebody does who knows anatomy, and acts as one could: clicks to
+bring its thickest place into sight, a press there and a drag until the outline has the right size, up to five strokes
+where the surface is wrong most, save. Then run.toml is run by ``accelsurf segment``, which must make the same bytes.
+Scans are public: see benchmarks/README.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import hashlib
+import json
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from accelsurf import cli, io
+from benchmarks.viewer_tasks.person import ROOT, Person, screen
+
+#: Strokes at most after the first result, and the Dice at which a person is content.
+MAX_STROKES, CONTENT = 5, 0.93
+
+
+class Task(NamedTuple):
+    """An object to be segmented: scan, reference and the ids in it, further words of the command."""
+
+    scan: str
+    reference: str
+    labels: str
+    words: tuple[str, ...]
+
+
+TASKS = {
+    "liver": Task("ct_abdomen_hires.nii.gz", "ct_abdomen_hires_ref.nii.gz", "5", ()),
+    "ventricle": Task("mri_brain256.nii.gz", "mri_brain256_ref.nii.gz", "4", ()),
+}
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("volumes", type=Path)
+    options.add_argument("tasks", nargs="*", choices=[*TASKS, []], default=[])
+    options.add_argument("--size", default="1920x1080")
+    options.add_argument("--pictures", type=Path)
+    options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_tasks.json")
+    given = options.parse_args()
+    width, height = (int(side) for side in given.size.split("x"))
+    results = {}
+    with screen(width, height) as display:
+        for name in given.tasks or TASKS:
+            with tempfile.TemporaryDirectory() as folder:
+                size = (width, height)
+                results[name] = do_task(name, TASKS[name], given.volumes, display, Path(folder), given.pictures, size)
+            print(name, json.dumps(results[name]), flush=True)
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    given.output.write_text(json.dumps(results, indent=2) + "\n")
+
+
+def do_task(
+    name: str, task: Task, volumes: Path, display: str, folder: Path, pictures: Path | None, size: tuple[int, int]
+) -> dict[str, Any]:
+    """Do a task; returns what it took and what came of it."""
+    scan, reference = volumes / task.scan, volumes / task.reference
+    truth = io.read_labels(reference)
+    wanted = np.isin(truth.array, [int(one) for one in task.labels.split(",")])
+    mm3 = float(wanted.sum() * np.prod(truth.geometry.spacing))
+    words = ["view", str(scan), "--result", str(folder / "out"), "--mesh", "stl", *task.words]
+    person = Person(display, folder, words, reference, task.labels, size)
+    depth = ndimage.distance_transform_edt(wanted, sampling=truth.geometry.spacing)
+    place = truth.geometry.index_to_world(np.array(np.unravel_index(int(depth.argmax()), depth.shape), float))
+    show(person, place)
+    draw_size(person, place, mm3)
+    person.until(lambda now: now["settings"]["energy"] == "seeded", 60)
+    person.key("space")
+    person.until(lambda now: now["playing"] or now["stop"], 60)
+    hint = person.now()["settings"]["size"]
+    person.until(lambda now: now["stop"] is not None, 600)
+    first_s, judged_s = time.monotonic() - person.began, 0.0
+    dice, obeyed = [], []
+    while True:
+        began = time.monotonic()
+        seen = person.judge()
+        judged_s += time.monotonic() - began  # a person sees it
+        dice.append(seen["dice"])
+        small = seen["worst"]["depth"] < 1.5 * max(truth.geometry.spacing)
+        if seen["dice"] >= CONTENT or small or len(obeyed) == MAX_STROKES:
+            break
+        obeyed.append(correct(person, seen["worst"]))
+    if pictures:
+        pictures.mkdir(parents=True, exist_ok=True)
+        person.picture(pictures / f"task-{name}.png")
+    person.key("ctrl+s")
+    person.until(lambda now: "saved in" in now["message"], 120)
+    seconds, actions = time.monotonic() - person.began - judged_s, person.actions
+    person.close()
+    return {
+        "actions": actions, "seconds": round(seconds, 1), "opened_s": round(person.opened_s, 1),
+        "first_result_s": round(first_s, 1), "dice": [round(one, 3) for one in dice], "strokes": len(obeyed),
+        "obeyed_s": obeyed, "size": hint,
+        "ml": round(saved_ml(folder / "out"), 2), "ml_reference": round(mm3 / 1000, 2),
+        "same_bytes": same_bytes(scan, folder),
+    }
+
+
+def show(person: Person, world: np.ndarray) -> None:
+    """Bring a place into sight: a click in the coronal slice, which chooses the axial one, and a click there."""
+    person.key("v")
+    for tile in ("coronal", "sagittal", "axial"):
+        person.click(person.pixel(tile, world))
+        time.sleep(0.2)
+
+
+def draw_size(person: Person, place: np.ndarray, mm3: float) -> None:
+    """Press at a place, and drag until the outline has the size of the object."""
+    person.key("s")
+    start = person.pixel("axial", place)
+
+    # One looks at the outline while one drags: it is waited for, and no further than a ball of twice the size.
+    radius = (6.0 * mm3 / np.pi) ** (1 / 3) / 2
+    way = person.pixel("axial", place + [radius, 0.0, 0.0]) - start
+    shares = np.arange(0.1, 1.6, 0.03)
+    person.drag([start, *(start + share * way for share in shares)], stop=lambda: drawn_size(person) >= 0.97 * mm3)
+
+
+def drawn_size(person: Person) -> float:
+    """The size that is written beside the outline, once it has been drawn for where the mouse is."""
+    before, end = None, time.monotonic() + 3.0
+    while time.monotonic() < end:
+        title = person.now()["titles"]["axial"]
+        if title == before and "size" in title:
+            return float(title.partition("size ")[2].partition(" mm3")[0].replace(" ", ""))
+        before = title
+        time.sleep(0.1)
+    return 0.0
+
+
+def correct(person: Person, worst: dict[str, Any]) -> float:
+    """A stroke where the surface is wrong most; returns the seconds until the surface was drawn that obeys."""
+    show(person, np.array(worst["world"]))
+    person.key("i" if worst["side"] == "inside" else "o")
+    x, y = person.pixel("axial", worst["world"])
+    before = person.now()
+    person.drag([(x - 3, y), (x, y), (x + 3, y)])
+    began = time.monotonic()
+    person.until(lambda now: now["undoable"] > before["undoable"] and now["drawn"] != before["drawn"], 60)
+    return round(time.monotonic() - began, 2)
+
+
+def saved_ml(folder: Path) -> float:
+    """The volume that the saved table says."""
+    (table,) = folder.glob("*_statistics.csv")
+    with open(table, newline="") as lines:
+        return sum(float(line["volume_mm3"]) for line in csv.DictReader(lines)) / 1000.0
+
+
+def same_bytes(scan: Path, folder: Path) -> bool:
+    """Whether the saved run.toml makes the same label map and mesh from the command line."""
+    words = ["segment", str(scan), "--config", str(folder / "out/run.toml"), "-o", str(folder / "again"), "--quiet"]
+    if cli.execute(words):
+        return False
+    names = [path.name for path in (folder / "out").iterdir() if "_seg" in path.name or "_surface" in path.name]
+    return bool(names) and all(digest(folder / "out" / name) == digest(folder / "again" / name) for name in names)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file; none for a missing one."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+if __name__ == "__main__":
+    main()

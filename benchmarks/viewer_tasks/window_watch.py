@@ -1,0 +1,140 @@
+"""Opens the window by the command ``accelsurf view``, and writes to a file, every 40 ms, what a person would see.
+
+Usage: python -m benchmarks.viewer_tasks.window_watch STATE_FILE TRUTH|- ID WORDS OF ACCELSURF ...
+
+All that happens to the window comes from outside, as events of mouse and keys. TRUTH is a label map that the window does
+not know: with it the watcher says where the surface is wrong most, as a person would see it. In the seconds that this
+takes the window does not answer, so it is done only when a file of this name with the ending .judge asks for it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PySide6.QtCore import QPoint, QTimer
+from PySide6.QtWidgets import QWidget
+from scipy import ndimage
+
+from accelsurf import cli, io
+from accelsurf.viewer.frontends import desktop
+
+INTERVAL_MS = 40
+
+
+class WindowWatch:
+    """Says where the parts of a window are, what it shows, and where its surface is wrong."""
+
+    def __init__(self, window: Any, state_file: Path, truth: Any, label: int) -> None:
+        self._window, self._file, self._truth, self._label = window, state_file, truth, label
+        self._wanted = state_file.with_suffix(".judge")
+        self._verdict: dict[str, Any] = {}
+        self._frames: list[float] = []
+        self._timer = QTimer(window, interval=INTERVAL_MS)
+        self._timer.timeout.connect(self.write)
+        self._timer.start()
+
+    def write(self) -> None:
+        """Write the state, all or nothing."""
+        window = self._window
+        status, frame = window.session.status, window.scene.frame
+        if self._wanted.exists() and frame is not None:
+            self._verdict = {**self._judge(frame), "number": self._verdict.get("number", 0) + 1}
+            self._wanted.unlink()
+        said = {
+            "time": time.time(), "state": window.workplace.state(), "tiles": self._tiles(), "widgets": self._widgets(),
+            "step": status.step, "playing": status.playing, "message": window.message.text(),
+            "title": window.windowTitle(), "stop": status.stop and status.stop.reason,
+            "drawn": None if frame is None else [frame.step, frame.volume_mm3],
+            "undoable": status.undoable, "refinements": len(status.refinements), "edits": len(status.edits),
+            "settings": status.settings.model_dump(mode="json"),
+            "titles": {name: tile.title.text for name, tile in window.scene.slice_tiles.items()},
+            "verdict": self._verdict,
+        }
+        draft = self._file.with_suffix(".draft")
+        draft.write_text(json.dumps(said, default=str))
+        os.replace(draft, self._file)
+
+    def _tiles(self) -> dict[str, Any]:
+        """Of each tile its middle on the screen, and the pixel of a world point as ``origin + matrix @ world``."""
+        window, ratio = self._window, self._window.canvas.devicePixelRatioF()
+        corner, found = window.canvas.mapToGlobal(QPoint(0, 0)), {}
+        width, height = window.canvas.width(), window.canvas.height()
+        for name in window.scene.tiles.names:
+            renderer = window.scene.tiles.renderer(name)
+            left, bottom, right, top = renderer.GetViewport()
+            if right <= left:
+                continue
+            middle = [corner.x() + 0.5 * (left + right) * width, corner.y() + (1 - 0.5 * (bottom + top)) * height]
+            found[name] = {"middle": middle}
+            tile = window.scene.slice_tiles.get(name)
+            if tile is not None:
+                x, y, _ = renderer.camera.focal_point
+                mm = tile.mm_per_pixel() * ratio
+
+                def pixel(world: Any, tile: Any = tile, x: float = x, y: float = y, mm: float = mm,
+                          middle: Any = middle) -> Any:
+                    right, up = tile.to_tile(window.scene.geometry.world_to_index(np.asarray(world, float)))
+                    return np.array([middle[0] + (right - x) / mm, middle[1] - (up - y) / mm])
+
+                origin = pixel([0, 0, 0])
+                matrix = np.stack([pixel(unit) - origin for unit in np.eye(3)], axis=1)
+                found[name] |= {"origin": origin.tolist(), "matrix": matrix.tolist()}
+        return found
+
+    def _widgets(self) -> dict[str, Any]:
+        """Middle on the screen of what has a name, a text or a tool tip and is in sight."""
+        found = {}
+        for widget in self._window.findChildren(QWidget):
+            text = getattr(widget, "text", None)
+            name = widget.objectName() or (text() if callable(text) else "") or widget.accessibleName()
+            if name and isinstance(name, str) and len(name) < 60 and widget.isVisible():
+                place = widget.mapToGlobal(QPoint(widget.width() // 2, widget.height() // 2))
+                found[name] = [place.x(), place.y()]
+        return found
+
+    def _judge(self, frame: Any) -> dict[str, Any]:
+        """Dice with the truth, and the deepest place of what is missing or too much."""
+        geometry = self._window.scene.geometry
+        truth = self._truth
+        labels = np.zeros(truth.shape, bool)
+        for surface in frame.surfaces:
+            if surface.id != self._label and len(frame.surfaces) > 1:
+                continue
+            places = np.argwhere(surface.psi < 0)
+            index = np.rint(surface.to_image(places)).astype(int) if len(places) else places
+            labels[tuple(np.clip(index, 0, np.array(truth.shape) - 1).T)] = True
+        common = 2.0 * (labels & truth).sum() / max(labels.sum() + truth.sum(), 1)
+        worst: dict[str, Any] = {"depth": 0.0}
+        for side, wrong in (("inside", truth & ~labels), ("outside", labels & ~truth)):
+            depth = ndimage.distance_transform_edt(np.pad(wrong, 1), sampling=geometry.spacing)[1:-1, 1:-1, 1:-1]
+            at = np.unravel_index(int(depth.argmax()), depth.shape)
+            if depth[at] > worst["depth"]:
+                axis, kind = "axial", wrong[at[0]]
+                world = geometry.index_to_world(np.array(at, float)).tolist()
+                worst = {"depth": float(depth[at]), "side": side, "world": world, "tile": axis, "area": int(kind.sum())}
+        return {"dice": float(common), "worst": worst, "mm3": float(frame.volume_mm3)}
+
+
+def main() -> int:
+    """Run the command, and watch the window that it opens."""
+    state_file, truth_file, label, *words = sys.argv[1:]
+    ids = [int(one) for one in label.split(",")]
+    truth = None if truth_file == "-" else np.isin(io.read_labels(Path(truth_file)).array, ids)
+    original = desktop.Window.__init__
+
+    def watched(window: Any, *values: Any, **options: Any) -> None:
+        original(window, *values, **options)
+        window.watch = WindowWatch(window, Path(state_file), truth, ids[0])
+
+    desktop.Window.__init__ = watched  # type: ignore[method-assign]
+    return cli.execute(words)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
