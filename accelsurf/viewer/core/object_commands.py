@@ -178,31 +178,20 @@ class ObjectCommands:
 
     # -- names and colours ---------------------------------------------------------------------------------
 
-    def name(self, object_id: int, name: str) -> None:
-        """Call an object something; this goes into the files.
+    def describe(self, object_id: int, name: str, color: str) -> None:
+        """Give an object a name and a colour, ``#rrggbb``; they go into the files.
 
         Raises
         ------
         UsageError
-            When it is no name.
+            When one is none.
         """
-        self._names[_id(object_id)] = f"{object_id}={named(f'{object_id}={name}')[1]}"
-        self._renew()
-
-    def color(self, object_id: int, color: str) -> None:
-        """Give an object a colour, ``#rrggbb``; this goes into the files.
-
-        Raises
-        ------
-        UsageError
-            When it is none.
-        """
-        colored(f"{object_id}={color}")
-        self._colors[_id(object_id)] = f"{object_id}={color}"
-        self._renew()
-
-    def _renew(self) -> None:
+        own = _id(object_id)
+        names, colors = f"{own}={named(f'{own}={name}')[1]}", f"{own}={color}"
+        colored(colors)
+        self._names[own], self._colors[own] = names, colors
         self.labels = self._first.with_settings(tuple(self._names.values()), tuple(self._colors.values()))
+        self._timeline.say(f"object {own} is {name}")
 
     def named_settings(self, config: RunConfig) -> dict[str, Any]:
         """The settings of names and colours, as they are now; empty where nothing was named here."""

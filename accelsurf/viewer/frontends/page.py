@@ -200,7 +200,7 @@ class Page:
 
 
 #: The panels of the page, in their order, that of the window.
-PANELS = ("head", "tools", "settings", "slices", "picture", "history", "files", "help")
+PANELS = ("head", "tools", "objects", "settings", "slices", "picture", "history", "files", "help")
 #: A key by Qt's name of it; keys that are typed into a field, or turn a control, are left to it.
 _ON_KEY = """
   const typed = ['INPUT', 'SELECT', 'TEXTAREA', 'BUTTON', 'SUMMARY', 'A'].includes($event.target.tagName);

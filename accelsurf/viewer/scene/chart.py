@@ -12,7 +12,7 @@ import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
 from accelsurf.evolution.records import StepRecord
-from accelsurf.viewer.scene.colors import Theme, object_color
+from accelsurf.viewer.scene.colors import OBJECT_COLORS, Theme
 from accelsurf.viewer.scene.overlay import MIN_TEXT, TEXT, round_length
 
 
@@ -43,6 +43,11 @@ class EnergyChart:
     plotter : pyvista.Plotter
         Its active renderer gets the charts.
     theme : Theme
+
+    Attributes
+    ----------
+    colors : sequence of str
+        Of the objects, where there are several.
     """
 
     def __init__(self, plotter: pv.Plotter, theme: Theme) -> None:
@@ -58,6 +63,7 @@ class EnergyChart:
         self._kinetic: list[pv.LinePlot2D] = []
         self._curves: tuple[list[_Curve], list[_Curve]] = ([], [])
         self._is_single = True
+        self.colors: Sequence[str] = OBJECT_COLORS
         self._theme = theme
         self._draw([], [])
         self.paint(theme)
@@ -101,7 +107,8 @@ class EnergyChart:
         colors = (self._theme.potential, self._theme.kinetic)
         for lines, curves, color in zip((self._potential, self._kinetic), self._curves, colors, strict=True):
             for line, curve in zip(lines, curves, strict=True):
-                line.color = color if self._is_single else object_color(curve.position)
+                several = self.colors[curve.position] if curve.position < len(self.colors) else color
+                line.color = color if self._is_single else several
 
     def fit(self, height: int) -> None:
         """Make text readable in a window of so many pixels."""

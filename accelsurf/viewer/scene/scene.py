@@ -5,7 +5,7 @@ A scene draws `Frame`s and knows no solver. Nothing is rendered before `render` 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from accelsurf.viewer.scene.colors import Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend
 from accelsurf.viewer.scene.marks import Marks
+from accelsurf.viewer.scene.object_styles import ObjectStyle, ObjectStyles
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.scene.pictures import grab, png_bytes
 from accelsurf.viewer.scene.reference import Reference
@@ -110,6 +111,7 @@ class Scene:
             require_graphics()
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
         self.plotter = plotter
+        self.styles = ObjectStyles()
         self._build()
         self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
         self._redraw = self.tiles.redraw
@@ -132,6 +134,7 @@ class Scene:
         if flat is None:
             plotter.subplot(0, 0)
             self.space = SpaceTile(plotter, self.geometry, image, self._window, self.anatomical, self._theme)
+            self.space.styles = self.styles
             if self._reference is not None:
                 self.space.show_reference(label_surface(self._reference.inside, self.geometry))
         self.slice_tiles: dict[str, SliceTile] = {}
@@ -147,6 +150,7 @@ class Scene:
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
         self._legend = Legend(largest)
         for tile in self.slice_tiles.values():
+            tile.styles = self.styles
             tile.show(self._cursor)
             if self._reference is not None:
                 tile.draw_reference(self._reference.contour_function)
@@ -161,6 +165,7 @@ class Scene:
             self._cursor_is_set = True
             self._show_slices()
         self._show_frame(coarse)
+        self._chart.colors = [style.color for style in self.styles.of(frame)]
         self._chart.update(histories)
         self._redraw.mark_all()
 
@@ -170,14 +175,26 @@ class Scene:
             return
         if self.space is not None:
             self.space.show(frame, self._color, coarse)
-        for tile in self.slice_tiles.values():
-            tile.draw_objects(frame)
-        self._legend.show(legend_lines(frame, self._theme.ink, self.dice))
+        self._show_flat(frame)
         lines = [line for line in (self.title, *caption(frame, self.geometry)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
             next(iter(self.slice_tiles.values())).title.text = "   ".join(lines)
+
+    def _show_flat(self, frame: Frame) -> None:
+        for tile in self.slice_tiles.values():
+            tile.draw_objects(frame)
+        self._legend.show(legend_lines(frame, self._theme.ink, self.dice, self.styles.of(frame)))
+
+    def restyle(self, given: Mapping[int, ObjectStyle]) -> None:
+        """Draw objects in these styles, by id; those that are not named as by default."""
+        self.styles.given = dict(given)
+        if self.space is not None:
+            self.space.restyle()
+        if self.frame is not None:
+            self._show_flat(self.frame)
+            self._redraw.mark_all()
 
     @property
     def theme(self) -> Theme:
@@ -195,15 +212,7 @@ class Scene:
         return None if self._reference is None or self.frame is None else self._reference.dice(self.frame)
 
     def color_by(self, name: str) -> None:
-        """Colour the surfaces by a quantity, ``plain``, ``speed``, ``force`` or ``density``.
-
-        A frame that lacks it is drawn plain.
-
-        Raises
-        ------
-        UsageError
-            For another name.
-        """
+        """Colour the surfaces by a quantity of `COLORS`, plain where they lack it; another is a UsageError."""
         check_known("color", name, COLORS)
         self._color = name
         self._show_frame()
@@ -313,24 +322,14 @@ class Scene:
             self._redraw.mark(tile.renderer)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
-        """Draw in the slices what belongs to the object if it has the size that a drag stands for; None removes it.
-
-        Only the slices are drawn: the surface, and still more the image in 3D, takes longer where there is no graphics
-        card.
-        """
+        """Draw in the slices what belongs to an object of the size that a drag stands for; None removes it."""
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
             tile.mark_size(drag, volume, "" if volume is None else f"size {measure(volume)} mm3")
             self._redraw.mark(tile.renderer)
 
     def paint(self, theme: str) -> None:
-        """Use a theme.
-
-        Raises
-        ------
-        UsageError
-            For an unknown one.
-        """
+        """Use a theme; an unknown one is a UsageError."""
         self._theme, self.theme_name = theme_named(theme), theme
         self._redraw.mark_all()
         for renderer in self.plotter.renderers:

@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QScrollArea, QVBoxLayout, QWidget
 
 from accelsurf.viewer.frontends.panels.changes import ChangesBar
 from accelsurf.viewer.frontends.panels.history import HistoryPanel
+from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
 from accelsurf.viewer.frontends.panels.picture import PicturePanel
 from accelsurf.viewer.frontends.panels.section import Section
 from accelsurf.viewer.frontends.panels.settings import SettingsPanel
@@ -19,7 +20,7 @@ from accelsurf.viewer.workplace.workplace import Workplace
 
 #: In their order; that of the page is the same.
 PANELS: tuple[Callable[[Workplace], Section], ...] = (
-    ToolsPanel, SettingsPanel, SlicesPanel, PicturePanel, HistoryPanel,
+    ToolsPanel, ObjectsPanel, SettingsPanel, SlicesPanel, PicturePanel, HistoryPanel,
 )
 WIDTH = 318
 
