@@ -87,7 +87,7 @@ class Place:
     def paths(self, config: RunConfig) -> dict[str, Path]:
         """Every possible output by kind, the report last; of several objects those that exist already."""
         names = self.names(config)
-        if config.objects is None:
+        if not config.has_ids:
             paths = {kind: self.folder / name for kind, name in names.items()}
         else:
             paths = {k: self.folder / name for k, name in names.items() if not k.startswith(object_files.EACH)}

@@ -41,13 +41,19 @@ def refine(
     outside: Where = (),
     near: Annotated[str, Parameter(group=RUN)] = "auto",
     object: Annotated[str | None, Parameter(group=RUN)] = None,
+    new: Annotated[str | None, Parameter(group=RUN)] = None,
+    size: Annotated[str | None, Parameter(group=RUN)] = None,
+    merge: Annotated[str | None, Parameter(group=RUN)] = None,
+    split: Annotated[str | None, Parameter(group=RUN)] = None,
+    remove: Annotated[str | None, Parameter(group=RUN)] = None,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
     image: Annotated[Path | None, Parameter(group=FILES)] = None,
     overwrite: Overwrite = False,
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     display: Display | None = None,
 ) -> int:
-    """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays.
+    """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays. Or have other
+    objects: a new one, two merged, one split.
 
     The run's files are replaced, all at once, unless another folder is given. A correction that fails leaves them as
     they are. What accelsurf segment or refine wrote with its state (NAME_state.npz) can be refined; NAME_run.toml has
@@ -66,6 +72,16 @@ def refine(
         How far from the clicks the surface may move, mm; auto is what the clicks are about.
     object
         Id of the object that is corrected, where there are several.
+    new
+        Id of a further object, which begins at the inside clicks; the others stay. With --split: of what is split off.
+    size
+        About how large the new object is, with its unit: 250ml.
+    merge
+        Ids of objects that become the first of them: 1,3.
+    split
+        A point:X,Y,Z in an object of several parts: the part with the point becomes an object of its own.
+    remove
+        Id of an object that is not wanted.
     output
         Folder for the outputs, in place of the run's own; made when missing.
     image
@@ -76,6 +92,7 @@ def refine(
         Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
     """
     given = {"inside": inside, "outside": outside, "near": near, "object": object}
+    given |= {"new": new, "size": size, "merge": merge, "split": split, "remove": remove}
     (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
     from accelsurf.cli.case import run_case
     from accelsurf.cli.place import Place
@@ -89,7 +106,8 @@ def refine(
     if in_place and not overwrite:
         _refuse_changed(place, source)
     compute = _Refinement(source, refinement, in_place)
-    done = run_case(place, source.state.config, Watcher(display), strict, compute)
+    config = source.state.config
+    done = run_case(place, config.replace(refine=(*config.refine, refinement)), Watcher(display), strict, compute)
     if not display.quiet:
         _print_summary(done, compute)
     return done.code

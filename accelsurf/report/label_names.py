@@ -30,7 +30,7 @@ def table_of(config: RunConfig) -> LabelTable:
             known = label_tables.read(Path(config.objects.partition("@")[0]))
         except InputError:
             known = LabelTable()  # a label map of that name without segments is a label map
-    if config.objects is None and 1 not in known.entries:
+    if not config.has_ids and 1 not in known.entries:
         known = LabelTable({**known.entries, 1: LabelEntry(1, ONE, known[1].color)})
     return known.with_settings(config.name, config.color)
 

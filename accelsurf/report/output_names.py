@@ -63,7 +63,7 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
         files |= {f"contour-{kind}": f"contour.{kind}" for kind in mesh_formats("contour") if kind in wanted}
     if config.save_sdf:
         files["sdf"] = f"sdf.{IMAGE_FORMATS[labels].distances or labels}"
-    if config.objects is not None:
+    if config.has_ids:
         files["objects"] = "objects.csv"
     if keeps_state(config):
         files |= {"state": "state.npz", "config": "run.toml"}

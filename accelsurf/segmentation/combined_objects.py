@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 from accelsurf.evolution.records import StepRecord
@@ -30,14 +31,23 @@ def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
 
 
 def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """The terms of all objects; "by object" where a setting differs.
+    """The terms of all objects; "by object" where a setting differs. Objects that began later may have other terms.
 
     Examples
     --------
-    >>> common_terms([[{"name": "threshold", "LO": 3}], [{"name": "threshold", "LO": 4}]])
-    [{'name': 'threshold', 'LO': 'by object'}]
+    >>> common_terms([[{"term": "threshold", "LO": 3}], [{"term": "threshold", "LO": 4}]])
+    [{'term': 'threshold', 'LO': 'by object'}]
+    >>> common_terms([[{"term": "chan-vese"}], [{"term": "seeded"}]])
+    [{'term': 'chan-vese'}, {'term': 'seeded'}]
     """
+    same: dict[tuple[Any, int], list[dict[str, Any]]] = {}
+    for own in terms:
+        counts = Counter[Any]()
+        for term in own:
+            name = term.get("term")
+            same.setdefault((name, counts[name]), []).append(term)
+            counts[name] += 1
     return [
-        {key: value if all(one[key] == value for one in same) else "by object" for key, value in same[0].items()}
-        for same in zip(*terms, strict=True)
+        {key: value if all(one.get(key) == value for one in alike) else "by object" for key, value in alike[0].items()}
+        for alike in same.values()
     ]

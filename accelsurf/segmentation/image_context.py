@@ -189,6 +189,7 @@ class ImageContext:
         if self._totals is None:
             return None
         return Elsewhere(*self._totals.beyond(self._box, channel, "histogram", parzen.histogram))
+
     # -- clicks --------------------------------------------------------------------------------------------
 
     def with_model_inputs(self, inputs: ModelInputs) -> ImageContext:
@@ -196,6 +197,11 @@ class ImageContext:
         part = copy.copy(self)
         part._model_inputs = inputs
         return part
+
+    @property
+    def model_inputs(self) -> ModelInputs:
+        """What the model of clicks needs."""
+        return self._model_inputs
 
     def with_clicks(self, clicks: Clicks, before: ImageContext | None = None) -> ImageContext:
         """The context of an object that a person has clicked, as `Clicks.of` returns it.

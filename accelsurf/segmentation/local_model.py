@@ -24,9 +24,8 @@ from accelsurf.grid.connected import connected_to
 from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.near_region import around_clicks, automatic_near
-from accelsurf.segmentation.preprocessing import uses_model
+from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.run_setup import thread_count
-from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig
 
 Image = NDArray[np.float32]
@@ -213,16 +212,14 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, one: Correcte
     return click._replace(box=box, mask=changed | connected_to(own | clicked, clicked))
 
 
-def local_models(state: RunState, settings: RunConfig, ids: Sequence[int]) -> dict[int, LocalModel]:
-    """The models of a finished run's objects, by id; none where the energy has no such term."""
-    if not uses_model(settings):
-        return {}
-    prepared = state.prepared
+def local_model(
+    prepared: PreprocessedInput, context: ImageContext, settings: RunConfig, state: LocalState
+) -> LocalModel:
+    """The model of an object of a finished run, from its ``state`` on."""
     distance = prepared.mask_distance
     passes = None if distance is None else np.asarray(distance < 0)
-    known = {id: state.models.get(id) or LocalState.of(state.contexts[id].seeded_model()) for id in ids}
-    seen, threads = (prepared.images, prepared.geometry.spacing, passes), thread_count(settings)
-    return {id: LocalModel(one, *seen, _maker(state.contexts[id]), threads) for id, one in known.items()}
+    spacing, threads = prepared.geometry.spacing, thread_count(settings)
+    return LocalModel(state, prepared.images, spacing, passes, _maker(context), threads)
 
 
 def _maker(context: ImageContext) -> Callable[[Clicks], SeededModel]:

@@ -16,19 +16,19 @@ from accelsurf.segmentation.result import Result
 from accelsurf.settings.refinements import Refinement
 
 
-def clicks_of(refinement: Refinement, result: Result) -> tuple[Click, ...]:
+def clicks_of(refinement: Refinement, result: Result, has_ids: bool) -> tuple[Click, ...]:
     """Read the clicks of a correction on the grid of a result.
 
-    Among several objects, outside clicks without an object are in none of them.
+    Among several objects (``has_ids``), outside clicks without an object are in none of them.
 
     Raises
     ------
     UsageError, InputError
         As of `accelsurf.initialization.clicks.read_clicks`.
     """
-    own = refinement.object
+    own = refinement.new or refinement.object
     inside = read_clicks(refinement.inside, "inside", result.volume, result.image, own or 1)
-    if own is None and result.has_ids:
+    if own is None and has_ids:
         none = read_clicks(refinement.outside, "inside", result.volume, result.image, NO_OBJECT)
         return (*inside, *none)
     return (*inside, *read_clicks(refinement.outside, "outside", result.volume, result.image, own or 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from accelsurf.segmentation.refiner import OnObjectStep, Refiner
 from accelsurf.segmentation.result import Result
@@ -22,9 +22,14 @@ def refine(
     outside: str | Sequence[str] = (),
     near: float | Literal["auto"] = "auto",
     object: int | None = None,
+    new: int | None = None,
+    size: str | None = None,
+    merge: Sequence[int] = (),
+    split: str | None = None,
+    remove: int | None = None,
     on_step: OnObjectStep | None = None,
 ) -> Result:
-    """Correct a result by clicks: the surface moves near them, and beyond it every byte stays.
+    """Correct a result by clicks: the surface moves near them, and beyond it every byte stays. Or have other objects.
 
     Parameters
     ----------
@@ -37,6 +42,8 @@ def refine(
         How far from the clicks the surface may move, mm.
     object : int, optional
         Id of the object, where there are several.
+    new, size, merge, split, remove : optional
+        Which objects there are, as `accelsurf.settings.refinements.Refinement` has it.
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the correction.
 
@@ -63,7 +70,8 @@ def refine(
     >>> bool(result.labels[12, 12, 36]), bool(more.labels[12, 12, 36])
     (False, True)
     """
-    table = {"inside": inside, "outside": outside, "near": near, "object": object}
+    table: dict[str, Any] = {"inside": inside, "outside": outside, "near": near, "object": object}
+    table |= {"new": new, "size": size, "merge": tuple(merge), "split": split, "remove": remove}
     (refinement,) = refinements_of({key: value for key, value in table.items() if value is not None})
     refiner = Refiner(result)
     refiner.apply(refinement, on_step=on_step)

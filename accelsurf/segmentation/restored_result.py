@@ -5,18 +5,25 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
+
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
-from accelsurf.segmentation.local_model import LocalModel, local_models, sureness_from
+from accelsurf.segmentation.corrected_surface import frozen_settings
+from accelsurf.segmentation.local_model import LocalState, sureness_from
 from accelsurf.segmentation.new_clicks import clicks_of, clicks_on, placed_clicks
+from accelsurf.segmentation.object_changes import voxel_of
+from accelsurf.segmentation.object_models import ObjectModels, point_click
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
-from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, rests_of, surface_of
+from accelsurf.segmentation.run_state import BoxMask
+from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, masks_of, rests_of, surface_of
+from accelsurf.settings.refinements import Refinement
 
 
 def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) -> Result:
@@ -41,24 +48,19 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         raise InputError("the state is of an image of another size", "give the image that the run had, with --image")
     with Run(volume, state.config.replace(refine=()), None, channels) as run:
         base = result_of(run)
-    if [one.id for one in base.objects] != [one.id for one in state.objects]:
-        raise InputError("the state has other objects than its settings name", "run accelsurf segment again")
-    objects = tuple(_object(one, known, base) for one, known in zip(state.objects, base.objects, strict=True))
     assert base.state is not None
-    prepared = base.state.prepared
-    clicks = base.state.clicks or Clicks((), prepared.geometry.shape)
-    models = local_models(base.state, base.config, [one.id for one in objects])
-    for refinement in state.config.refine:
-        new = placed_clicks(clicks_of(refinement, base), prepared)
-        clicks = clicks.with_later(new)
-        for id, model in models.items():
-            for click in clicks_on(new, id):
-                model.add(click)
+    prepared, has_ids = base.state.prepared, base.has_ids or state.config.has_ids
+    models, known = _replayed(state, base)
+    if sorted(known) != [one.id for one in state.objects]:
+        raise InputError("the state has other objects than its settings name", "run accelsurf segment again")
+    objects = tuple(_object(one, known[one.id], base, has_ids) for one in state.objects)
+    made, clicks = models.made, models.clicks
     said = clicks if clicks.clicks else None
-    objects = tuple(_with_clicks(one, said, models.get(one.id), prepared.first) for one in objects)
+    objects = tuple(_with_clicks(one, said, made.get(one.id), prepared.first) for one in objects)
     return dataclasses.replace(
         base,
         objects=objects,
+        has_ids=has_ids,
         clicks=on_image(said, prepared.first, base.geometry.shape),
         config=state.config,
         levels=list(state.levels),
@@ -69,25 +71,93 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
             base.state,
             totals=dict(state.totals),
             clicks=clicks,
-            models={id: one.state for id, one in models.items()},
+            models=made,
+            contexts=dict(models.contexts),
+            settings=dict(models.settings),
+            masks=dict(models.masks),
         ),
     )
 
 
-def _with_clicks(one: SegmentedObject, said: Clicks | None, model: LocalModel | None, first: Corner) -> SegmentedObject:
+def _replayed(state: StateFile, base: Result) -> tuple[ObjectModels, dict[int, SegmentedObject]]:
+    """What is known of each object after all corrections, made again without a step; and what results say of it."""
+    assert base.state is not None
+    try:
+        masks = masks_of(state)
+    except ValueError as error:
+        raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
+    ended = dataclasses.replace(base, config=state.config, edits_done=state.edits_done)
+    models = ObjectModels(base.state, frozen_settings(ended))
+    known = dict(base.by_id)
+    for number, one in enumerate(state.config.refine):
+        has_ids = base.has_ids or state.config.replace(refine=state.config.refine[:number]).has_ids
+        _replay(number, one, (models, known), (base, masks.get(number)), has_ids)
+    return models, known
+
+
+def _replay(
+    number: int,
+    one: Refinement,
+    now: tuple[ObjectModels, dict[int, SegmentedObject]],
+    given: tuple[Result, BoxMask | None],
+    has_ids: bool,
+) -> None:
+    """Make one correction again, but for its surfaces."""
+    (models, known), (base, mask) = now, given
+    if one.kind in ("clicks", "new"):
+        if one.new in known:
+            models.remove(one.new or 0)
+        new = placed_clicks(clicks_of(one, base, has_ids), models.prepared)
+        models.add(new)
+    if one.new is not None and one.split is None:
+        models.begin(number, one, mask)
+        known[one.new] = _begun(one.new, base, models)
+    elif one.kind == "clicks":
+        for id in known:
+            model = models.model(id) if (mine := clicks_on(new, id)) else None
+            if model is not None:
+                for click in mine:
+                    model.add(click)
+    elif one.merge:
+        models.merge(one.merge)
+        for id in one.merge[1:]:
+            del known[id]
+    elif one.remove is not None:
+        models.remove(one.remove)
+        del known[one.remove]
+    else:
+        if mask is None or one.split is None or one.object not in known or one.new is None:
+            raise InputError(f"the state says nothing of correction {number + 1}", "run accelsurf segment again")
+        voxel = voxel_of(one.split, base) - np.array(models.prepared.first)
+        models.split(number, one.object, one.new, mask, point_click(voxel, one.new))
+        known[one.new] = dataclasses.replace(known[one.object], id=one.new, rests=())
+
+
+def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
+    """What results say of an object that a correction has begun, but for its surface."""
+    context, model = models.contexts[id], models.model(id)
+    assert model is not None
+    made = models.energy_on(id, model.state.box, context, models.prepared.images)
+    learned = models.prepared.learned_by(context)
+    return dataclasses.replace(
+        base.objects[0], id=id, terms=made.terms, learned=learned, rests=(), clicked=None, sureness=None
+    )
+
+
+def _with_clicks(one: SegmentedObject, said: Clicks | None, model: LocalState | None, first: Corner) -> SegmentedObject:
     """An object with all that was clicked on the region of interest, whose first voxel is ``first``."""
-    sureness = one.sureness if model is None else sureness_from(model.state)
+    sureness = one.sureness if model is None else sureness_from(model)
     return dataclasses.replace(one, clicked=clicked_voxels(said, one.id, first, one.box), sureness=sureness)
 
 
-def _object(one: ObjectFile, known: SegmentedObject, base: Result) -> SegmentedObject:
+def _object(one: ObjectFile, known: SegmentedObject, base: Result, has_ids: bool) -> SegmentedObject:
     """An object as the state has it; what it shows of the image is that of the run."""
     try:
         psi, rests = surface_of(one), rests_of(one)
     except ValueError as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
     box = box_of(one)
-    if not base.has_ids:
+    if not has_ids:
         return dataclasses.replace(known, psi=psi, history=list(one.history), stop=one.stop, rests=rests)
     return dataclasses.replace(
         known, box=box, psi=psi, image=base.image[box], geometry=cropped(base.geometry, box),

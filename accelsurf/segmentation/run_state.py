@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.run_setup import EnergyLike
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.segmentation.local_model import LocalState
+
+
+class BoxMask(NamedTuple):
+    """Voxels: a ``mask`` of bool on a ``box`` of the grid."""
+
+    box: Box
+    mask: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +42,14 @@ class RunState:
     clicks : Clicks or None
         All clicks so far, on the grid of the region of interest; None for none.
     models : mapping of int to LocalState
-        Of each object after all refinements; empty before the first, or where the energy has none.
+        Of each object whose model refinements have needed, after all of them.
     totals : mapping of str to ndarray (2, m)
         Of `accelsurf.segmentation.region_totals.RegionTotals`; empty before the first refinement.
+    settings : mapping of int to RunConfig
+        Of objects whose settings are not those of the run: those that refinements have begun.
+    masks : mapping of int to BoxMask
+        By the number of a refinement, on the grid of the region of interest: voxels that its new object may not have,
+        or that were split off.
     """
 
     prepared: PreprocessedInput
@@ -44,3 +58,5 @@ class RunState:
     clicks: Clicks | None = None
     models: Mapping[int, LocalState] = field(default_factory=dict)
     totals: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    settings: Mapping[int, RunConfig] = field(default_factory=dict)
+    masks: Mapping[int, BoxMask] = field(default_factory=dict)

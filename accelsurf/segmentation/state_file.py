@@ -23,11 +23,12 @@ from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
 from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 
 #: Version of the file; raised when its content changes.
-VERSION = 1
+VERSION = 2
 _AGAIN = "run accelsurf segment again with --keep-state yes"
 _LEVEL = 1  # of zlib: more takes longer and saves little
 
@@ -70,6 +71,14 @@ class ObjectFile(NamedTuple):
     rests: tuple[RestFile, ...]
 
 
+class MaskFile(NamedTuple):
+    """A `BoxMask` of the correction ``number``: its box from voxel ``corner`` on, its voxels packed."""
+
+    number: int
+    corner: Corner
+    inside: PackedArray
+
+
 class StateFile(NamedTuple):
     """A finished run.
 
@@ -82,6 +91,8 @@ class StateFile(NamedTuple):
     shape : (nz, ny, nx)
         Of the image.
     objects : tuple of ObjectFile
+    masks : tuple of MaskFile
+        What corrections that change objects are made again with.
     totals : dict of str to ndarray
         As of `accelsurf.segmentation.run_state.RunState`.
     levels, edits_done, warnings, late_growth
@@ -92,6 +103,7 @@ class StateFile(NamedTuple):
     image: str
     shape: tuple[int, int, int]
     objects: tuple[ObjectFile, ...]
+    masks: tuple[MaskFile, ...]
     totals: dict[str, NDArray[np.float64]]
     levels: tuple[LevelSummary, ...]
     edits_done: int
@@ -102,7 +114,7 @@ class StateFile(NamedTuple):
 #: The types in the file, by the names under which they are written.
 TYPES: dict[str, type] = {
     kind.__name__: kind for kind in (
-        Level, LevelSummary, ObjectFile, PackedArray, RestFile, StateFile, StepRecord, Stop, SurfaceFile,
+        Level, LevelSummary, MaskFile, ObjectFile, PackedArray, RestFile, StateFile, StepRecord, Stop, SurfaceFile,
     )
 }
 
@@ -125,9 +137,12 @@ def state_bytes(result: Result, image: str) -> bytes:
         )
         for one in result.objects
     )
+    masks = tuple(
+        MaskFile(number, corner_of(one.box), _packed(one.mask)) for number, one in result.state.masks.items()
+    )
     config = result.config.model_dump(mode="json")
     state = StateFile(
-        config, image, result.geometry.shape, objects, dict(result.state.totals), tuple(result.levels),
+        config, image, result.geometry.shape, objects, masks, dict(result.state.totals), tuple(result.levels),
         result.edits_done, tuple(result.warnings), result.late_growth,
     )
     header = {"accelsurf": __version__, "state": VERSION}
@@ -207,6 +222,26 @@ def surface_of(one: ObjectFile) -> NDArray[np.float32]:
         raise ValueError(f"the band of object {one.id} does not fit its values")
     psi[in_band] = values
     return psi
+
+
+def masks_of(state: StateFile) -> dict[int, BoxMask]:
+    """The masks of corrections, by their numbers.
+
+    Raises
+    ------
+    ValueError
+        When the file is damaged.
+    """
+    out = {}
+    for one in state.masks:
+        mask = _unpacked(one.inside)
+        if mask.dtype != np.bool_ or mask.ndim != 3:
+            raise ValueError(f"the mask of correction {one.number} is none")
+        box = box_at(one.corner, mask.shape)
+        if any(s.start < 0 or s.stop > n for s, n in zip(box, state.shape, strict=True)):
+            raise ValueError(f"the mask of correction {one.number} lies beyond the image")
+        out[one.number] = BoxMask(box, mask)
+    return out
 
 
 def rests_of(one: ObjectFile) -> tuple[RestPoint, ...]:

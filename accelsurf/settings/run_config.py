@@ -118,6 +118,17 @@ class RunConfig(SettingFields):
         if self.edit:
             self.at(self.edit[-1].step)
 
+    @property
+    def has_ids(self) -> bool:
+        """Whether the result has objects with ids: given to the run, or made by corrections.
+
+        Examples
+        --------
+        >>> RunConfig().has_ids, RunConfig(refine=["new=2 inside=point:1,2,3"]).has_ids
+        (False, True)
+        """
+        return self.objects is not None or any(one.kind not in ("clicks", "merge") for one in self.refine)
+
     def matters(self, key: str) -> bool:
         """Whether a setting acts on this flow and energy.
 

@@ -332,7 +332,9 @@ class RunFields(BaseModel):
     refine: Annotated[tuple[Refinement, ...], BeforeValidator(refinements_of)] = setting(
         (),
         "Corrections of the finished run, one after another: 'inside=point:X,Y,Z outside=WHERE near=MM' (with "
-        "object=ID among several objects); in TOML tables [[refine]]. accelsurf refine adds them.",
+        "object=ID among several objects), 'new=ID inside=WHERE size=VOLUME' (a further object), 'merge=ID,ID', "
+        "'split=point:X,Y,Z' (what is connected to it becomes an object), 'remove=ID'; in TOML tables [[refine]]. "
+        "accelsurf refine adds them.",
         entry=SettingEntry(RUN, viewer="elsewhere", metavar="CLICKS", repeated=True, fixed=True),
     )
     extension: Literal["closest-point", "fast-marching"] = setting(

@@ -347,7 +347,21 @@ def test_refinements_are_read_from_texts_and_tables():
     (one,) = refinements_of("inside=point:1,2,3 inside=point:4,5,6 outside=ball:1,1,1,2 near=7 object=2")
     assert one == Refinement(inside=("point:1,2,3", "point:4,5,6"), outside=("ball:1,1,1,2",), near=7.0, object=2)
     assert refinements_of(str(one)) == (one,)
+    for text in ("inside=ball:1,1,1,2 new=3 size=4ml", "merge=1,3,2", "new=5 split=point:1,2,3", "remove=4"):
+        assert [str(one) for one in refinements_of(text)] == [text] and refinements_of(text)[0].kind in text
     for wrong, said in (
+        ("merge=1", "at least two"),
+        ("merge=2,2", "at least two"),
+        ("merge=1,x", "merge x"),
+        ("merge=1,2 inside=point:1,2,3", "inside was given with merge"),
+        ("new=0 inside=point:1,2,3", "new 0"),
+        ("new=4294967296 inside=point:1,2,3", "new 4294967296"),
+        ("new=2 outside=point:1,2,3", "expected inside"),
+        ("new=2 inside=point:1,2,3 near=4", "near was given with new"),
+        ("new=2 inside=point:1,2,3 size=4", "size 4"),
+        ("inside=point:1,2,3 size=4ml", "size was given with clicks"),
+        ("split=ball:1,2,3,4", "split"),
+        ("remove=2 merge=1,2", "remove was given with merge"),
         ("near=3", "no click was given"),
         ("inside=point:1,2,3 near=-1", "near"),
         ("inside=point:1,2,3 depth=1", "depth"),

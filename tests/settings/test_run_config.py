@@ -87,6 +87,10 @@ ODD = RunConfig(
     refine=[
         "inside=point:1,2,3 inside='stroke:a b.csv' near=2.5 object=3",
         {"outside": ["ball:1,2,3,4"]},
+        {"new": 4, "inside": "ball:1,2,3,4", "size": "4ml"},
+        {"merge": [3, 4]},
+        "split=point:1,2,3 new=7",
+        "remove=7",
     ],
 )
 

@@ -148,7 +148,8 @@ def test_the_token_is_never_taken_for_an_option(served):
 
 def test_who_has_the_token_is_answered(served):
     now = state(served)
-    assert now["step"] == 0 and now["flow"] == "constant-density" and now["title"] == "ball.nii.gz"
+    assert now["step"] == 0 and {row["key"]: row["value"] for row in now["settings"]}["flow"] == "constant-density"
+    assert now["title"] == "ball.nii.gz"
     ask(served, "step")
     assert state(served)["step"] == 1
     ask(served, "restart")

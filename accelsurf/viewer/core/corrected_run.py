@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -19,8 +20,10 @@ from accelsurf.segmentation.refiner import Change, Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
+from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.settings.refinements import Refinement
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
+from accelsurf.viewer.core.nearest_object import distance_of, place_of
 from accelsurf.viewer.core.saving import repeating
 
 #: Voxels around an object that a frame has.
@@ -41,7 +44,8 @@ class CorrectedRun:
         result = dataclasses.replace(result_of(run), config=repeating(run), state=state_at_end(run))
         self._refiner = Refiner(result)
         #: Where each object has been inside, on the grid of the region of interest; looked for once.
-        self._boxes = [_box_of_inside(one.psi < 0, one.corner) for one in self._refiner.surfaces]
+        self._boxes = {one.id: _box_of_inside(one.psi < 0, one.corner) for one in self._refiner.surfaces}
+        self._before: list[dict[int, Box | None]] = []
 
     @property
     def made(self) -> tuple[Refinement, ...]:
@@ -51,8 +55,45 @@ class CorrectedRun:
     @property
     def stop(self) -> Stop:
         """Why the last correction of each object ended."""
-        stops = [one.stop for one in self._refiner.surfaces]
-        return overall_stop(stops) if self._run.has_ids else stops[0]
+        stops = list(self.stops.values())
+        return overall_stop(stops) if self.has_ids else stops[0]
+
+    @property
+    def stops(self) -> dict[int, Stop]:
+        """Why the last correction of each object ended."""
+        return {one.id: one.stop for one in self._refiner.surfaces}
+
+    @property
+    def has_ids(self) -> bool:
+        """Whether labels are ids."""
+        return self._refiner.has_ids
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Ids of the objects."""
+        return tuple(self.stops)
+
+    def nearest(self, place: str) -> int:
+        """The object that is nearest to a place; the one that contains it, if there is one.
+
+        Raises
+        ------
+        UsageError, InputError
+            When it is no such place or lies outside.
+        """
+        geometry = self._run.geometry
+        centre = place_of(place, geometry)
+        distances = {
+            one.id: distance_of(one.psi, one.corner, self._boxes[one.id], centre, geometry.spacing)
+            for one in self._refiner.surfaces
+        }
+        return min(distances, key=lambda own: distances[own])
+
+    def taken(self, ball: str, object_id: int) -> BoxMask | None:
+        """Voxels that an object which is pressed at a ball may not have: those of the others, but for one in which the
+        ball lies.
+        """
+        return self._refiner.taken(place_of(ball, self._run.geometry), object_id)
 
     @property
     def histories(self) -> tuple[tuple[StepRecord, ...], ...]:
@@ -68,14 +109,22 @@ class CorrectedRun:
             As of `accelsurf.segmentation.refiner.Refiner.apply`; nothing is changed then.
         """
         changes = self._refiner.apply(refinement, on_step=lambda record, own: on_step(record.step))
-        for change in changes:
-            if change.voxels:  # the object gained or lost, and others lost there
-                self._boxes = [_around(box, change.box) for box in self._boxes]
+        self._before.append(self._boxes)
+        moved = [change.box for change in changes if change.voxels]  # the object gained or lost, others lost there
+        is_click = refinement.kind == "clicks"
+        self._boxes = {
+            one.id: functools.reduce(_around, moved, self._boxes[one.id])
+            if is_click
+            else self._boxes.get(one.id) if one.id not in [change.object_id for change in changes]
+            else _box_of_inside(one.psi < 0, one.corner)
+            for one in self._refiner.surfaces
+        }
         return changes
 
     def undo(self) -> None:
         """Take back the last correction."""
         self._refiner.undo()
+        self._boxes = self._before.pop()
 
     def result(self) -> Result:
         """The corrected result; its settings repeat run and corrections."""
@@ -84,7 +133,8 @@ class CorrectedRun:
     def frame(self) -> Frame:
         """What is drawn: of each object a copy of the box in which it is."""
         prepared, surfaces = self._run.prepared, []
-        for one, box in zip(self._refiner.surfaces, self._boxes, strict=True):
+        for one in self._refiner.surfaces:
+            box = self._boxes[one.id]
             record, corner = one.history[-1], one.corner
             part = None if box is None else _within(counted_from(box, corner), one.psi.shape)
             psi = one.psi[:0, :0, :0].copy() if part is None or not one.inside else one.psi[part].copy()

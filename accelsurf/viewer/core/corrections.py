@@ -8,6 +8,7 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.settings.refinements import Refinement
 from accelsurf.viewer.core.corrected_run import CorrectedRun
 from accelsurf.viewer.core.frame import Frame, histories_of_run
@@ -84,6 +85,30 @@ class Corrections:
     def stop(self, run: Run) -> Stop | None:
         """Why the run, or the last correction, ended; None while it goes on."""
         return run.stop if self._corrected is None else self._corrected.stop
+
+    def stops(self, run: Run) -> dict[int, Stop | None]:
+        """Why each object, or its last correction, ended."""
+        return {one.id: one.stop for one in run.objects} if self._corrected is None else {**self._corrected.stops}
+
+    @property
+    def ids(self) -> tuple[int, ...] | None:
+        """Ids of the objects after the corrections; None where none was made."""
+        return None if self._corrected is None else self._corrected.ids
+
+    def nearest(self, place: str) -> int | None:
+        """The object that is nearest to a ball's centre after the corrections; None where none was made, or there is
+        one without an id.
+        """
+        return None if self._corrected is None or not self._corrected.has_ids else self._corrected.nearest(place)
+
+    def taken(self, run: Run, ball: str, object_id: int) -> BoxMask | None:
+        """Voxels of the region of interest that an object which is pressed at a ball may not have."""
+        if run.stop is None:
+            return None
+        if self._corrected is None and not run.has_ids and object_id == run.objects[0].id:
+            return None
+        corrected = self._corrected = self._corrected or CorrectedRun(run)
+        return corrected.taken(ball, object_id)
 
     def result(self) -> Result | None:
         """The corrected result; None where no correction was made."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import Box, Corner
+from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
 from accelsurf.segmentation.balls import BallEdit
 from accelsurf.segmentation.evolving_object import EvolvingObject
@@ -25,14 +28,61 @@ def nearest_object(run: Run, where: str) -> int:
     UsageError, InputError
         When it is no such place or lies outside.
     """
+    centre = BallEdit("add", *starts.ball_of(_as_ball(where, run.geometry), run.geometry)).on_level(run.grid)[0]
+    return min(run.objects, key=lambda one: _distance(one, centre)).id
+
+
+def place_of(where: str, geometry: Geometry) -> NDArray[np.float64]:
+    """Return a place, as `nearest_object` takes it, as an index (z, y, x) of a grid.
+
+    Raises
+    ------
+    UsageError, InputError
+        When it is no such place or lies outside.
+    """
+    return np.array(starts.ball_of(_as_ball(where, geometry), geometry)[0], float)
+
+
+def distance_of(
+    psi: NDArray[np.float32], corner: Corner, box: Box | None, place: NDArray[np.float64],
+    spacing: tuple[float, float, float],
+) -> float:
+    """Return the distance, mm, of a place from an object; below 0 in it; inf where it has no voxel.
+
+    Parameters
+    ----------
+    psi : ndarray (nz, ny, nx)
+        Negative inside, from voxel ``corner`` on.
+    corner : (z, y, x)
+    box : tuple of slice or None
+        Where it may be inside; counted as ``place``.
+    place : (z, y, x)
+        Index.
+    spacing : (hz, hy, hx)
+    """
+    if box is None:
+        return float("inf")
+    z, y, x = (slice(max(s.start - c, 0), max(s.stop - c, 0)) for s, c in zip(box, corner, strict=True))
+    part = psi[z, y, x]
+    own = place - np.array(corner) - np.array([z.start, y.start, x.start])
+    voxel = np.rint(own).astype(int)
+    if (voxel >= 0).all() and (voxel < part.shape).all() and part[tuple(voxel)] < 0:
+        return float(part[tuple(voxel)])
+    inside = np.argwhere(part < 0)
+    if not inside.size:
+        return float("inf")
+    return float(np.linalg.norm((inside - own) * spacing, axis=1).min())
+
+
+def _as_ball(where: str, geometry: Geometry) -> str:
+    """A ball at a place."""
     kind, _, rest = where.partition(":")
     if kind in ("point", "path"):
         suffix = "vox" if rest.endswith("vox") else ""
         numbers = rest.partition(";")[0].removesuffix("vox").split(",")[:3]
         # Its voxel has its centre within a ball of this radius.
-        where = f"ball:{','.join(numbers)},{float(np.linalg.norm(run.geometry.spacing)) + 1.0:g}{suffix}"
-    centre = BallEdit("add", *starts.ball_of(where, run.geometry)).on_level(run.grid)[0]
-    return min(run.objects, key=lambda one: _distance(one, centre)).id
+        where = f"ball:{','.join(numbers)},{float(np.linalg.norm(geometry.spacing)) + 1.0:g}{suffix}"
+    return where
 
 
 def _distance(one: EvolvingObject, place: np.ndarray) -> float:

@@ -6,6 +6,7 @@ import dataclasses
 import sys
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
@@ -33,7 +34,7 @@ RUN_FILE = "run.toml"
 
 def save(
     run: Run, folder: Path, name: str, source: Path | None, what: Collection[str], replaceable: Collection[Path] | None,
-    corrected: Result | None = None,
+    corrected: Result | None = None, named: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Write the present result of a run into a folder, all files at once.
 
@@ -54,6 +55,8 @@ def save(
         Files that may be replaced; None: all.
     corrected : Result, optional
         Of the run and the corrections that were made after its end, with settings that repeat them.
+    named : mapping of str to tuple, optional
+        Settings ``name`` and ``color`` in place of those of the run.
 
     Returns
     -------
@@ -70,7 +73,8 @@ def save(
     for kind in what:
         check_known("save", kind, KINDS)
     result = corrected or dataclasses.replace(result_of(run), config=repeating(run))
-    config = result.config
+    config = result.config.replace(**(named or {}))
+    result = dataclasses.replace(result, config=config)
     empty = not result.labels.any() or bool(result.labels.all())
     if empty and set(what) & {"labels", "mesh"}:
         raise UsageError("there is no surface to save", "go back, or restart")

@@ -24,6 +24,7 @@ from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.doubts import QUIET, DoubtWatch
 from accelsurf.viewer.core.figures import Figures, diameters_of, figures_of
+from accelsurf.viewer.core.object_commands import ObjectCommands
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.core.timeline import Timeline
@@ -198,18 +199,23 @@ class Session:
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
 
-    def press(self, ball: str, voxels: int = FIRST_VOXELS) -> Future[SizeDrag]:
+    def press(self, ball: str, voxels: int = FIRST_VOXELS, object_id: int | None = None) -> Future[SizeDrag]:
         """Begin to drag the size of an object from a ball in it, ``ball:X,Y,Z,R``.
 
         The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
         that a drag never waits for a step. They reach ``voxels`` voxels; `size_drag.Dragging` asks for more when a
-        drag needs them. `release` ends it. What is no ball or lies outside is refused, and a run of several objects.
+        drag needs them. `release` ends it. Of several objects one is named; with an id that none has it is a new one.
+        What is no ball or lies outside is refused.
         """
-        return self._do(lambda timeline: timeline.press(ball, voxels))
+        return self._do(lambda timeline: timeline.objects.press(ball, voxels, object_id))
 
     def release(self, drag_mm: float) -> Future[None]:
-        """Begin another run from what was pressed, with the size that a drag of so many mm stands for."""
-        return self._do(lambda timeline: timeline.release(drag_mm))
+        """Begin another run from what was pressed, of a size that a drag of so many mm stands for; others stay."""
+        return self._do(lambda timeline: timeline.objects.release(drag_mm))
+
+    def objects(self, work: Callable[[ObjectCommands], Any]) -> Future[None]:
+        """Have objects merged, split, removed, named or coloured; all or nothing."""
+        return self._do(lambda timeline: work(timeline.objects))
 
     def start_from(self, start: Sequence[str]) -> Future[None]:
         """Begin another run from another start, with the settings in force."""

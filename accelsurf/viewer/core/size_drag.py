@@ -23,6 +23,7 @@ from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.initialization.clicks import read_clicks
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_state import BoxMask
 
 #: Voxels that a press reaches at first, and by which factor it reaches farther when a drag comes near its end: the
 #: first outline shows at once, and the whole of a large organ costs a third more.
@@ -59,7 +60,9 @@ class SizeDrag:
     thickness: float | None = None
 
     @classmethod
-    def of_press(cls, run: Run, ball: str, voxels: int = FIRST_VOXELS) -> SizeDrag:
+    def of_press(
+        cls, run: Run, ball: str, voxels: int = FIRST_VOXELS, taken: BoxMask | None = None
+    ) -> SizeDrag:
         """Compute the arrival times from a ball.
 
         Parameters
@@ -70,14 +73,14 @@ class SizeDrag:
             ``ball:X,Y,Z,R``.
         voxels : int, optional
             How many are reached.
+        taken : BoxMask, optional
+            Voxels of the region of interest that belong to other objects: the march goes around them.
 
         Raises
         ------
         UsageError, InputError
-            When it is no ball, lies outside, or the run has objects with ids.
+            When it is no ball, or lies outside.
         """
-        if run.has_ids:
-            raise UsageError("a size is dragged for one object, this run has several", "add clicks to them instead")
         if not ball.startswith("ball:"):
             raise UsageError(f"press: {ball[:40]!r} was given, expected ball:X,Y,Z,R")
         clicks = read_clicks([ball], "inside", run.volume)
@@ -90,7 +93,11 @@ class SizeDrag:
         smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in context.images]
         shape = smooth[0].shape
         distance = run.prepared.mask_distance
-        field = field_of(smooth, spacing, None if distance is None else distance < 0)
+        passes = None if distance is None else np.asarray(distance < 0)
+        if taken is not None:
+            passes = np.ones(shape, np.bool_) if passes is None else passes
+            passes[taken.box] &= ~taken.mask
+        field = field_of(smooth, spacing, passes)
         where = tuple(axis + part.start for axis, part in zip(np.nonzero(click.mask), click.box, strict=True))
         seeds = np.ravel_multi_index(where, shape).astype(np.int64)
         tissue = learn(smooth, spacing, click)

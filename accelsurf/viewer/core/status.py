@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.settings.edits import Edit
+from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine
@@ -41,6 +43,10 @@ class Status(NamedTuple):
         Whether that is an error.
     undoable : int
         How many changes can be undone.
+    labels : LabelTable
+        Names and colours that were given to objects.
+    object_words : dict of int to str
+        The state of each object in one word, by id.
     objects : tuple of int
         Ids of the objects; none for a run of one object without an id.
     redoable : int
@@ -69,6 +75,8 @@ class Status(NamedTuple):
     undoable: int
     objects: tuple[int, ...] = ()
     redoable: int = 0
+    labels: LabelTable = LabelTable()
+    object_words: Mapping[int, str] = MappingProxyType({})
     refinements: tuple[Refinement, ...] = ()
     changes: tuple[ChangeLine, ...] = ()
     rests: tuple[int, ...] = ()
@@ -94,7 +102,9 @@ class Status(NamedTuple):
             message=message,
             failed=failed,
             undoable=timeline.log.undoable,
-            objects=tuple(one.id for one in timeline.run.objects) if timeline.run.has_ids else (),
+            objects=timeline.objects.ids if timeline.objects.has_ids else (),
+            labels=timeline.objects.labels,
+            object_words=timeline.objects.words,
             redoable=timeline.log.redoable,
             refinements=timeline.corrections.wanted,
             changes=timeline.log.lines,

@@ -19,9 +19,8 @@ from accelsurf.viewer.core.change_words import balls_in_words, clicks_in_words, 
 from accelsurf.viewer.core.corrections import Corrections
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
-from accelsurf.viewer.core.nearest_object import nearest_object
-from accelsurf.viewer.core.restarted import FROM_CLICKS, restart_message, restarted
-from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.core.object_commands import ObjectCommands
+from accelsurf.viewer.core.restarted import restart_message, restarted
 
 #: Why an object has ended for good: there is nothing to continue from.
 FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
@@ -49,6 +48,7 @@ class Timeline:
     checkpoints : CheckpointHistory
     corrections : Corrections
     log : ChangeLog
+    objects : ObjectCommands
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Timeline:
         self._playing, self._last_step, self._message = False, -1, ""
         self.log, self.corrections = ChangeLog(), Corrections(config.refine)
         self._written: set[Path] = set()
-        self._drag: SizeDrag | None = None
+        self.objects = ObjectCommands(self, config)
         self.run = Run(volume, config.replace(refine=()), None, self._channels)
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -80,6 +80,10 @@ class Timeline:
     def message(self) -> str:
         """One line: what was done last."""
         return self._message
+
+    def say(self, message: str) -> None:
+        """Have another `message`."""
+        self._message = message
 
     @property
     def stop(self) -> Stop | None:
@@ -250,12 +254,14 @@ class Timeline:
         UsageError, InputError
             When one is no ball or lies outside, or there is no such object.
         """
-        if object_id is None and self.run.has_ids:
-            object_id = nearest_object(self.run, balls[0])
-        rows = [{"step": self.step_number, kind: ball, "object": object_id} for ball in balls]
+        object_id = self.objects.whose(balls[0], object_id)
+        if self.run.stop is not None and self.objects.is_beside(object_id):
+            return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
+        rows = [{"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)} for ball in balls]
         said = balls_in_words(kind, balls, object_id)
         self._replace_edits((*self._edits_so_far(), *RunConfig(edit=rows).edit), said, joined)
         self._message = said
+        return None
 
     def add_click(self, side: Side, where: tuple[str, ...], object_id: int | None = None) -> None:
         """Say of voxels that they are in the object, or are not, see `Session.add_click`.
@@ -265,47 +271,46 @@ class Timeline:
         UsageError, InputError
             When one is no place or lies outside, or nothing would be left that is clicked inside.
         """
-        if object_id is None and self.run.has_ids:
-            object_id = nearest_object(self.run, where[0])
+        object_id = self.objects.whose(where[0], object_id)
+        if object_id is not None and object_id not in self.objects.ids:
+            return self.objects.begin(object_id, side, where)
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
         said = clicks_in_words(side, where, object_id)
-        if self.run.stop is not None and not all(reason in FINAL_REASONS for reason in self._reasons()):
+        is_final = all(reason in FINAL_REASONS for reason in self._reasons())
+        if self.run.stop is not None and (self.objects.is_beside(object_id) or not is_final):
             (refinement,) = RunConfig(refine=[clicks]).refine
             before, self._message = self._now(), self.corrections.correct(self.run, refinement, said)
             return self.log.add(before, said)
+        clicks["object"] = self.objects.of_run(object_id)
         (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
         self._replace_edits((*self._edits_so_far(), edit), said)
         self._message = said
 
-    def press(self, ball: str, voxels: int) -> SizeDrag:
-        """Begin to drag the size of an object: compute the arrival times from a ball in it."""
-        self._drag = SizeDrag.of_press(self.run, ball, voxels)
-        self._message = f"pressed {ball}: drag outwards until it fits"
-        return self._drag
-
-    def release(self, drag_mm: float) -> None:
-        """Begin another run from the press and the size that a drag of so many mm stands for.
-
-        Raises
-        ------
-        UsageError
-            When nothing was pressed.
-        """
-        if self._drag is None:
-            raise UsageError("nothing was pressed, so there is no size to take", "press in the object first")
-        drag, size, self._drag = self._drag, self._drag.size_text(drag_mm), None
-        settings = {"inside": (drag.click,), "outside": (), "size": size, "start": FROM_CLICKS, "energy": "seeded"}
-        self._begin_again(self.run.settings.replace(**settings), f"inside: {drag.click}, size {size}")
+    def refine(self, correction: dict[str, Any], said: str) -> None:
+        """Make a correction of the run's end, all or nothing; while the run goes on, it goes on to its end first."""
+        (refinement,) = RunConfig(refine=[correction]).refine
+        before = self._now()
+        if self.run.stop is None:
+            self.corrections.wanted = (*self.corrections.wanted, refinement)
+            self.play()
+            self._message = f"{said}: when the run has ended"
+        else:
+            self._message = self.corrections.correct(self.run, refinement, said)
+        self.log.add(before, said)
 
     def start_from(self, start: tuple[str, ...]) -> None:
         """Begin another run, with the settings in force."""
-        self._begin_again(self.run.settings.replace(start=start), "start: " + " + ".join(start))
+        self.start_with({"start": start}, "start: " + " + ".join(start))
 
     def restart_with(self, settings: dict[str, Any]) -> None:
         """Begin another run with other settings and what was clicked, see `Session.restart_with`."""
         before = self.run.settings
         config = restarted(before, self._edits_so_far(), self.corrections.wanted, settings, self.run.has_ids)
         self._begin_again(config, restart_message(before, config))
+
+    def start_with(self, settings: dict[str, Any], said: str) -> None:
+        """Begin another run, with other settings besides those in force."""
+        self._begin_again(self.run.settings.replace(**settings), said)
 
     def _begin_again(self, config: RunConfig, message: str) -> None:
         """Begin another run, which can be undone."""
@@ -398,7 +403,8 @@ class Timeline:
         """Write files, see `saving.save`; those written before may be replaced."""
         self.run.apply_edits()
         known, corrected = None if overwrite else self._written, self.corrections.result()
-        written = saving.save(self.run, folder, name, source, what, known, corrected)
+        labels = self.objects.named_settings(self.run.config)
+        written = saving.save(self.run, folder, name, source, what, known, corrected, labels)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written

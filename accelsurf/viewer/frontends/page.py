@@ -292,7 +292,8 @@ class Page:
 
 #: The panels of the page, in their order, that of the window.
 PANELS = (
-    "head", "open", "tools", "history", "settings", "histogram", "slices", "picture", "measure", "files", "help",
+    "head", "open", "tools", "objects", "history", "settings", "histogram", "slices", "picture", "measure", "files",
+    "help",
 )  # fmt: skip
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from accelsurf.grid.geometry import Geometry
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import REFERENCE, object_color
+from accelsurf.viewer.scene.colors import REFERENCE
+from accelsurf.viewer.scene.object_styles import ObjectStyle
 
 #: Lines of the legend at most.
 MAX_LEGEND = 20
@@ -34,7 +37,9 @@ def volume_line(mm3: float, unit: str = "mm") -> str:
     return f"{measure(in_unit(mm3, unit, 3))} {unit}3{ml}"
 
 
-def legend_lines(frame: Frame, ink: str, dice: float | None) -> list[tuple[str, str]]:
+def legend_lines(
+    frame: Frame, ink: str, dice: float | None, styles: Sequence[ObjectStyle]
+) -> list[tuple[str, str]]:
     """Return text and colour of each line of the legend; none for one object without a reference.
 
     Parameters
@@ -44,13 +49,14 @@ def legend_lines(frame: Frame, ink: str, dice: float | None) -> list[tuple[str, 
         Colour of text that is about no surface.
     dice : float, optional
         Of the objects and the reference; None without one.
+    styles : sequence of ObjectStyle
+        Of the surfaces.
     """
     several = len(frame.surfaces) > 1
     if not several and dice is None:
         return []
     lines = [
-        (f"object {surface.id}" if several else "surface", object_color(position))
-        for position, surface in enumerate(frame.surfaces[:MAX_LEGEND])
+        (style.name if several else "surface", style.color) for style in styles[:MAX_LEGEND] if style.visible
     ]
     if len(frame.surfaces) > MAX_LEGEND:
         lines.append((f"and {len(frame.surfaces) - MAX_LEGEND} more", ink))

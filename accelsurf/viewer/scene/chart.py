@@ -12,7 +12,7 @@ import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
 from accelsurf.evolution.records import StepRecord
-from accelsurf.viewer.scene.colors import Theme, object_color
+from accelsurf.viewer.scene.colors import OBJECT_COLORS, Theme
 from accelsurf.viewer.scene.overlay import Label, Pixels, round_length
 
 #: Width of a curve, pixels of a usual screen.
@@ -48,6 +48,11 @@ class EnergyChart:
     plotter : pyvista.Plotter
         Its active renderer gets the charts.
     theme : Theme
+
+    Attributes
+    ----------
+    colors : sequence of str
+        Of the objects, where there are several.
     """
 
     def __init__(self, plotter: pv.Plotter, theme: Theme) -> None:
@@ -63,6 +68,7 @@ class EnergyChart:
         self._kinetic: list[pv.LinePlot2D] = []
         self._curves: tuple[list[_Curve], list[_Curve]] = ([], [])
         self._is_single = True
+        self.colors: Sequence[str] = OBJECT_COLORS
         self._theme = theme
         #: Width and height of the tile, and height of text, for which the ticks were made; pixels.
         self._renderer, self._room = plotter.renderer, (0, 0, 0)
@@ -112,7 +118,8 @@ class EnergyChart:
         colors = (self._theme.potential, self._theme.kinetic)
         for lines, curves, color in zip((self._potential, self._kinetic), self._curves, colors, strict=True):
             for line, curve in zip(lines, curves, strict=True):
-                line.color = color if self._is_single else object_color(curve.position)
+                several = self.colors[curve.position] if curve.position < len(self.colors) else color
+                line.color = color if self._is_single else several
 
     def fit(self, pixels: Pixels) -> None:
         """Make text readable, and lines as wide as the screen asks for."""

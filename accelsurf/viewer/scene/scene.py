@@ -5,7 +5,7 @@ A scene draws `Frame`s and knows no solver. Nothing is rendered before `render` 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend
 from accelsurf.viewer.scene.marks import Marks
 from accelsurf.viewer.scene.measure_marks import MeasureLayer
+from accelsurf.viewer.scene.object_styles import ObjectStyle, ObjectStyles
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.scene.pictures import grab, png_bytes
 from accelsurf.viewer.scene.reference import Reference
@@ -114,6 +115,7 @@ class Scene:
             require_graphics()
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
         self.plotter = plotter
+        self.styles = ObjectStyles()
         self._build()
         self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
         self._redraw = self.tiles.redraw
@@ -138,6 +140,7 @@ class Scene:
         if flat is None:
             plotter.subplot(0, 0)
             self.space = SpaceTile(plotter, self.geometry, image, self._window, *style)
+            self.space.styles = self.styles
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
@@ -151,6 +154,7 @@ class Scene:
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
         self._legend = Legend(largest)
         for tile in self.slice_tiles.values():
+            tile.styles = self.styles
             tile.show(self._cursor)
         if self._reference is not None:
             self._reference.draw(self.space, self.slice_tiles.values())
@@ -165,6 +169,7 @@ class Scene:
             self._cursor_is_set = True
             self._show_slices()
         self._show_frame(coarse)
+        self._chart.colors = [style.color for style in self.styles.of(frame)]
         self._chart.update(histories)
         self._redraw.mark_all()
 
@@ -174,14 +179,26 @@ class Scene:
             return
         if self.space is not None:
             self.space.show(frame, self._color, coarse)
-        for tile in self.slice_tiles.values():
-            tile.draw_objects(frame)
-        self._legend.show(legend_lines(frame, self._theme.ink, self.dice))
+        self._show_flat(frame)
         lines = [line for line in (self.title, *caption(frame, self.geometry, self.unit)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
             next(iter(self.slice_tiles.values())).title.text = "   ".join(lines)
+
+    def _show_flat(self, frame: Frame) -> None:
+        for tile in self.slice_tiles.values():
+            tile.draw_objects(frame)
+        self._legend.show(legend_lines(frame, self._theme.ink, self.dice, self.styles.of(frame)))
+
+    def restyle(self, given: Mapping[int, ObjectStyle]) -> None:
+        """Draw objects in these styles, by id; those that are not named as by default."""
+        self.styles.given = dict(given)
+        if self.space is not None:
+            self.space.restyle()
+        if self.frame is not None:
+            self._show_flat(self.frame)
+            self._redraw.mark_all()
 
     @property
     def theme(self) -> Theme:
@@ -206,15 +223,7 @@ class Scene:
         return None if self._reference is None or self.frame is None else self._reference.dice(self.frame)
 
     def color_by(self, name: str) -> None:
-        """Colour the surfaces by a quantity, ``plain``, ``speed``, ``force`` or ``density``.
-
-        A frame that lacks it is drawn plain.
-
-        Raises
-        ------
-        UsageError
-            For another name.
-        """
+        """Colour the surfaces by a quantity of `COLORS`, plain where they lack it; another is a UsageError."""
         check_known("color", name, COLORS)
         self._color = name
         self._show_frame()
@@ -324,20 +333,14 @@ class Scene:
                 self._redraw.mark(tile.renderer)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
-        """Draw in the slices, which is quick, an object of the size that a drag stands for; None removes it."""
+        """Draw in the slices what belongs to an object of the size that a drag stands for; None removes it."""
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
             tile.mark_size(drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}")
             self._redraw.mark(tile.renderer)
 
     def paint(self, theme: str) -> None:
-        """Use a theme.
-
-        Raises
-        ------
-        UsageError
-            For an unknown one.
-        """
+        """Use a theme; an unknown one is a UsageError."""
         self._theme, self.theme_name = theme_named(theme), theme
         self._redraw.mark_all()
         for renderer in self.plotter.renderers:

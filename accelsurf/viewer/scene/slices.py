@@ -16,7 +16,8 @@ from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.captions import measure
-from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme, object_color
+from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme
+from accelsurf.viewer.scene.object_styles import ObjectStyles
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, contour, slice_of
 
@@ -77,7 +78,7 @@ class SliceTile:
         #: What draws each line, and its width in pixels of a usual screen.
         self._lines: dict[str, tuple[pv.Actor, float]] = {}
         self._ratio = 1.0
-        self._drawn_objects = 0
+        self._drawn_objects, self.styles = 0, ObjectStyles()
         self._texture = GreyTexture()
         left, right, bottom, top = self.extent
         self._middle, self._zoom = np.array([0.5 * (left + right), 0.5 * (bottom + top)]), 1.0
@@ -192,11 +193,12 @@ class SliceTile:
 
     def draw_objects(self, frame: Frame) -> None:
         """Draw the contour of each object of a frame in this slice."""
-        for position, surface in enumerate(frame.surfaces):
+        for position, (surface, style) in enumerate(zip(frame.surfaces, self.styles.of(frame), strict=True)):
             part = slice_of(surface, self.axis, self.index)
             places = self._in_slice(np.zeros((0, 2, 2)) if part is None else contour(part))
             lines = self.to_tile(surface.to_image(places))
-            self._draw_lines(f"object {position}", lines, object_color(position), 2.2)
+            lines = lines if style.visible else lines[:0]
+            self._draw_lines(f"object {position}", lines, style.color, 2.2, style.opacity)
         for position in range(len(frame.surfaces), self._drawn_objects):
             self._lines[f"object {position}"][0].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
@@ -289,6 +291,7 @@ class SliceTile:
             self._lines[name] = self._add(mesh, color, opacity=opacity), width
             self._lines[name][0].prop.line_width = width * self._ratio
         actor = self._lines[name][0]
+        actor.prop.color, actor.prop.opacity = color, opacity
         actor.mapper.SetInputData(mesh)
         actor.SetVisibility(len(lines) > 0)
 

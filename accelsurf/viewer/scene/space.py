@@ -13,8 +13,9 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, Theme, color_range, object_color
+from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
 from accelsurf.viewer.scene.legend import color_scale
+from accelsurf.viewer.scene.object_styles import ObjectStyles, paint
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.picking import place_in_renderer
 from accelsurf.viewer.scene.ray import first_met
@@ -71,11 +72,10 @@ class SpaceTile:
         self._geometry, self._image, self._window = geometry, image, window
         self._meshes: list[pv.PolyData] = []
         self._frame: Frame | None = None
-        self._wanted = "plain"
-        #: Whether fewer triangles are drawn than the frame has.
-        self.is_coarse = False
-        self._color = "plain"
-        self._surfaces = [self._add_surface(0)]
+        self.is_coarse = False  # whether fewer triangles are drawn than the frame has
+        self._wanted = self._color = "plain"
+        self.styles = ObjectStyles()
+        self._surfaces = [self._add_surface()]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
         self.box = box_edges(geometry)
         self.reference: pv.PolyData | None = None
@@ -101,23 +101,24 @@ class SpaceTile:
     # -- the surface --------------------------------------------------------------------------------------
 
     def show(self, frame: Frame, color: str, coarse: bool = False) -> None:
-        """Draw the surfaces of a frame, coloured by a quantity; each in its own colour where it lacks that.
-
-        ``coarse`` draws large ones with fewer triangles, in a fraction of the time.
-        """
+        """Draw a frame coloured by a quantity, plain where it lacks that; ``coarse``: fewer triangles, much sooner."""
         self._frame, self._wanted = frame, color
         drawn = tuple(one.coarser(COARSE_VOXELS) for one in frame.surfaces) if coarse else frame.surfaces
         self.is_coarse = any(one is not fine for one, fine in zip(drawn, frame.surfaces, strict=True))
         self._meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
         while len(self._surfaces) < len(self._meshes):
-            self._surfaces.append(self._add_surface(len(self._surfaces)))
+            self._surfaces.append(self._add_surface())
         for actor in self._surfaces[len(self._meshes) :]:
             actor.SetVisibility(False)
         for actor, mesh in zip(self._surfaces, self._meshes, strict=False):
             actor.mapper.SetInputData(mesh)
-            actor.SetVisibility(mesh.n_points > 0)
             actor.mapper.SetScalarVisibility(color in mesh.point_data)
+        self.restyle()
         self._show_scale(color)
+
+    def restyle(self) -> None:
+        """Draw each surface in its style."""
+        paint(self._surfaces, self._meshes, self.styles.of(self._frame))
 
     def coarsen(self, on: bool) -> bool:
         """Draw the same coarsely, or in full; returns whether that is a change."""
@@ -384,9 +385,8 @@ class SpaceTile:
         self._bar.paint(theme.ink)
         self._box.prop.color = theme.lines
 
-    def _add_surface(self, position: int) -> pv.Actor:
-        """Add an empty surface for the object at this position in the order of ids."""
-        actor = self._add(pv.PolyData(), object_color(position))
+    def _add_surface(self) -> pv.Actor:
+        actor = self._add(pv.PolyData(), SURFACE)
         style = actor.prop
         style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
         return actor

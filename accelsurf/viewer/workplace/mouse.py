@@ -25,8 +25,6 @@ LEFT, MIDDLE, RIGHT = 0, 1, 2
 TURN, ZOOM = 0.45, 1.12
 #: A mouse that has not moved for so many seconds is still.
 STILL = 0.5
-#: In the list of objects: the one that is nearest to the ball's centre.
-NEAREST = "nearest"
 
 
 class MouseFeature(Feature):
@@ -53,7 +51,6 @@ class MouseFeature(Feature):
             "no_tool": lambda: self._use("look"),
             "radius": self._radius,
             "scale_radius": lambda factor: self._radius(self.workplace.radius * number(factor, 0.1, 10.0)),
-            "object": self._object,
             "press": self._press,
             "move": self._move,
             "release": self._release,
@@ -77,8 +74,6 @@ class MouseFeature(Feature):
         return {
             "tool": self.tool.name, "radius": self.workplace.radius,
             "radius_least": 0.5 * finest(geometry), "radius_most": 0.5 * float(max(geometry.extent_mm)),
-            "objects": [NEAREST, *map(str, status.objects)] if status.objects else [],
-            "object": str(self.workplace.object_id or NEAREST),
         }
 
     @property
@@ -106,11 +101,6 @@ class MouseFeature(Feature):
         self.workplace.radius = number(mm, 0.0, float(max(geometry.extent_mm)))
         self.tool.resize()
         self.workplace.changed = True
-
-    def _object(self, wanted: Any) -> None:
-        known = {NEAREST: None, **{str(own): own for own in self.workplace.session.status.objects}}
-        name = str(whole(wanted, 0, 2**32)) if isinstance(wanted, (int, float)) else wanted
-        self.workplace.object_id = known[word(name, tuple(known))]
 
     # -- events -------------------------------------------------------------------------------------------
 

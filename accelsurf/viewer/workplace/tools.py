@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -96,7 +97,8 @@ class Size(Tool):
         if at.world is None:
             return
         self._center, self.drag_mm = at.world, 0.0
-        self._dragging = Dragging(self.workplace.session.press, ball_text(at.world, self.radius))
+        press = functools.partial(self.workplace.session.press, object_id=self.workplace.object_id)
+        self._dragging = Dragging(press, ball_text(at.world, self.radius))
         self.workplace.ask(self._dragging.pressed)
         self.workplace.scene.cursor = at.world
         self.workplace.scene.mark_ball(at.world, self.radius)

@@ -25,6 +25,7 @@ from accelsurf.viewer.workplace.histogram import HistogramFeature
 from accelsurf.viewer.workplace.history import HistoryFeature
 from accelsurf.viewer.workplace.measure import MeasureFeature
 from accelsurf.viewer.workplace.mouse import MouseFeature
+from accelsurf.viewer.workplace.objects import ObjectsFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
 from accelsurf.viewer.workplace.run import RunFeature
 from accelsurf.viewer.workplace.settings import SettingsFeature
@@ -36,6 +37,7 @@ from accelsurf.viewer.workplace.tool import Tool, first_radius
 FEATURES: tuple[type[Feature], ...] = (
     RunFeature,
     MouseFeature,
+    ObjectsFeature,
     StrokesFeature,
     HistoryFeature,
     SettingsFeature,

@@ -12,6 +12,7 @@ from accelsurf.viewer.frontends.panels.changes import ChangesBar
 from accelsurf.viewer.frontends.panels.histogram import HistogramPanel
 from accelsurf.viewer.frontends.panels.history import HistoryPanel
 from accelsurf.viewer.frontends.panels.measure import MeasurePanel
+from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
 from accelsurf.viewer.frontends.panels.picture import PicturePanel
 from accelsurf.viewer.frontends.panels.section import Section
 from accelsurf.viewer.frontends.panels.settings import SettingsPanel
@@ -22,6 +23,7 @@ from accelsurf.viewer.workplace.workplace import Workplace
 #: In their order; that of the page is the same.
 PANELS: tuple[Callable[[Workplace], Section], ...] = (
     ToolsPanel,
+    ObjectsPanel,
     HistoryPanel,
     SettingsPanel,
     HistogramPanel,

@@ -8,7 +8,7 @@ from typing import Any
 from PySide6.QtWidgets import QButtonGroup, QGridLayout, QLabel, QPushButton
 
 from accelsurf.viewer.frontends.panels.amount import Amount
-from accelsurf.viewer.frontends.panels.section import Section, button, choice, show_choice
+from accelsurf.viewer.frontends.panels.section import Section, button
 from accelsurf.viewer.workplace.workplace import Workplace
 
 #: Buttons beside each other.
@@ -37,18 +37,9 @@ class ToolsPanel(Section):
         self.radius.changed.connect(lambda value: self.ask("radius", value))
         grid.addWidget(QLabel("Radius of click, ball and brush (mm)"), row, 0, 1, IN_ROW)
         grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
-        self.object = choice(label="object")
-        self.object.setToolTip("Which object clicks, Grow and Shrink are for")
-        self.object.activated.connect(lambda _: self.ask("object", self.object.currentText()))
-        self._object_label = QLabel("Object")
-        grid.addWidget(self._object_label, row + 2, 0)
-        grid.addWidget(self.object, row + 2, 1, 1, IN_ROW - 1)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the tool in use, its radius, and the object that it is for."""
+        """Show the tool in use, and its radius."""
         self.tools[state["tool"]].setChecked(True)
         if not self.radius.is_being_moved:
             self.radius.show_value(state["radius"])
-        show_choice(self.object, state["objects"], state["object"])
-        for part in (self._object_label, self.object):
-            part.setVisible(bool(state["objects"]))

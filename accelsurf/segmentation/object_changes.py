@@ -1,0 +1,333 @@
+"""Objects of a finished run that begin, are merged, are split, are removed: exact, voxel by voxel.
+
+A new object begins where the model of its clicks proposes it and comes to rest by itself; the others do not move, but
+for those that hold voxels of its clicks: they lose what it gains. Merging and splitting move no surface at all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.constraints.clicks import ClickConstraint
+from accelsurf.energies.constraints.mask import MaskConstraint
+from accelsurf.errors import InputError, UsageError
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.setup import SolverSetup
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, widened
+from accelsurf.grid.click_bounds import click_bounds
+from accelsurf.grid.clicks import Click
+from accelsurf.grid.pyramid import Level
+from accelsurf.initialization.clicks import point_voxels
+from accelsurf.levelset import LevelSet, Workers
+from accelsurf.segmentation.corrected_surface import (
+    CorrectedSurface,
+    box_around,
+    count_inside,
+    counted_from,
+    part_of_image,
+    stop_of_whole,
+)
+from accelsurf.segmentation.local_evolution import LocalOutcome, OnStep, measures_of
+from accelsurf.segmentation.near_region import NearRegion
+from accelsurf.segmentation.object_models import check_id, point_click
+from accelsurf.segmentation.refined_objects import RefinedObjects
+from accelsurf.segmentation.region_of_interest import closed_on, cropped
+from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run_setup import setup_of
+from accelsurf.segmentation.run_start import AROUND
+from accelsurf.segmentation.run_state import BoxMask
+from accelsurf.segmentation.solver_setup import half_width
+from accelsurf.settings.refinements import MAX_ID, Refinement
+
+#: Voxels of the largest spacing between what the model says of a new object and the border of its box.
+MARGIN = 8.0
+
+
+def begin(
+    objects: RefinedObjects, number: int, refinement: Refinement, new: Sequence[Click], base: Result,
+    workers: Workers, max_steps: int, on_step: OnStep | None,
+) -> tuple[CorrectedSurface, Box, int]:
+    """Begin an object beside the others, and let it come to rest.
+
+    Parameters
+    ----------
+    objects : RefinedObjects
+    number : int
+        Of the correction.
+    refinement : Refinement
+        With ``new``: an object that has this id begins anew.
+    new : sequence of Click
+        Its clicks, on the grid of the region of interest.
+    base : Result
+        Of the run.
+    workers : Workers
+    max_steps : int
+    on_step : callable, optional
+
+    Returns
+    -------
+    surface, box, voxels
+        The new surface, the box in which it could move, and how many voxels it has.
+
+    Raises
+    ------
+    InputError
+        When nothing of it is left beside the others.
+    """
+    own = refinement.new
+    assert own is not None
+    if own in objects.ids:
+        objects.models.remove(own)
+        objects.replace([one for one in objects.surfaces if one.id != own], {})
+    objects.models.add(new)
+    takes = frozenset(objects.holders(new))
+    objects.models.begin(number, refinement, taken_voxels(objects, takes))
+    model = objects.models.model(own)
+    assert model is not None
+    margin = [math.ceil(MARGIN * max(objects.spacing) / h) for h in objects.spacing]
+    box = widened(enclosing(model.state.box, box_around(new)), objects.shape, margin)
+    start = np.array(objects.models.contexts[own].model_start()[box])
+    bounds = click_bounds(
+        objects.models.clicks.of(own).on_box(box), Level(0, (1, 1, 1), start.shape, objects.spacing)
+    )
+    made = objects.models.energy_on(own, box, objects.models.contexts[own], objects.images)
+    energy, distance = made.energy, objects.bounding(own, box, takes)
+    if distance is not None:
+        energy, start = MaskConstraint(energy, distance), np.maximum(start, distance)
+    bounds.apply(start)
+    if not (start < 0).any():
+        raise InputError(f"refine: nothing of object {own} is beside the others", "click where no object is")
+    settings = objects.models.settings_of(own)
+    settings = settings.replace(seed=None if base.config.seed is None else base.config.seed + own)
+    setup = setup_of(settings, 0, 1, objects.prepared.geometry)
+    outcome = _to_rest(start, objects.spacing, ClickConstraint(energy, bounds), (setup, max_steps), workers, on_step)
+    region = NearRegion(box, np.ones(outcome.psi.shape, np.bool_), 0.0)
+    for other in sorted(takes):
+        objects.take_from(other, region, outcome.psi, workers)
+    surface = _surface(own, corner_of(box), outcome, objects)
+    learned = objects.prepared.learned_by(objects.models.contexts[own])
+    known = {own: _known(surface, objects, base, made.terms, learned)}
+    objects.replace([*objects.surfaces, surface], known)
+    return surface, box, surface.inside
+
+
+def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | None:
+    """Voxels of the objects that a new one takes nothing from."""
+    boxes, taken = [], None
+    others = [one for place, one in enumerate(objects.surfaces) if place not in takes]
+    for one in others:
+        inside = bounding_box(one.psi < 0)
+        if inside is not None:
+            boxes.append(counted_from(inside, (-one.corner[0], -one.corner[1], -one.corner[2])))
+    for box in boxes:
+        taken = box if taken is None else enclosing(taken, box)
+    if taken is None:
+        return None
+    mask = np.zeros([s.stop - s.start for s in taken], np.bool_)
+    for one in others:
+        mask |= on_box(one.psi < 0, box_at(one.corner, one.psi.shape), taken, False)
+    return BoxMask(taken, mask)
+
+
+def _to_rest(
+    psi: NDArray[np.float32], spacing: tuple[float, float, float], energy: ClickConstraint,
+    control: tuple[SolverSetup, int], workers: Workers, on_step: OnStep | None,
+) -> LocalOutcome:
+    """Evolve a first surface on its box; ``control`` is the solver's and how many steps there may be."""
+    setup, max_steps = control
+    surface = LevelSet(psi, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
+    evolution = Evolution(surface, energy, setup.flow, setup.limits, max_steps, setup.restart, setup.rule)
+    evolution.end, evolution.stop_at_rest = setup.end, setup.stop_at_rest
+    leaked = False
+    for step in evolution:
+        leaked = setup.max_volume is not None and step.record.volume_mm3 > setup.max_volume
+        if leaked or (on_step is not None and on_step(step.record)):
+            evolution.request_stop()
+    stop = evolution.stop
+    assert stop is not None
+    if leaked:
+        message = f"the object grew beyond {setup.max_volume:g} mm3, its largest allowed volume"
+        stop = stop._replace(reason="leaked", message=message)
+    return LocalOutcome(np.array(surface.psi), list(evolution.history), stop)
+
+
+def _surface(id: int, corner: tuple[int, int, int], outcome: LocalOutcome, objects: RefinedObjects) -> CorrectedSurface:
+    """A new surface on the box that it needs."""
+    psi = outcome.psi
+    box = bounding_box(psi < 0, AROUND) or box_at((0, 0, 0), psi.shape)
+    z, y, x = (c + s.start for c, s in zip(corner, box, strict=True))
+    own = np.ascontiguousarray(psi[box])
+    inside = count_inside(own)
+    stop = stop_of_whole(outcome.stop, inside, math.prod(objects.shape))
+    return CorrectedSurface(id, (z, y, x), own, inside, outcome.history, stop)
+
+
+def _known(
+    one: CorrectedSurface, objects: RefinedObjects, base: Result, terms: list[dict[str, Any]],
+    learned: tuple[float, float] | None,
+) -> SegmentedObject:
+    """What results say of an object that has just begun."""
+    first = objects.prepared.first
+    corner = (one.corner[0] + first[0], one.corner[1] + first[1], one.corner[2] + first[2])
+    box = part_of_image(box_at(corner, one.psi.shape), corner, one, objects.prepared)
+    return SegmentedObject(
+        one.id, box, closed_on(one.psi, corner, box), base.image[box], cropped(base.geometry, box), list(one.history),
+        one.stop, terms, learned,
+    )
+
+
+def merge(objects: RefinedObjects, ids: Sequence[int], workers: Workers) -> CorrectedSurface:
+    """Make several objects the first of them: the union of their voxels.
+
+    Raises
+    ------
+    UsageError
+        When there is no such object.
+    """
+    for id in ids:
+        check_id(id, objects.ids, "merge")
+    parts = [objects.surfaces[objects.place_of(id)] for id in ids]
+    box = box_at(parts[0].corner, parts[0].psi.shape)
+    for one in parts[1:]:
+        box = enclosing(box, box_at(one.corner, one.psi.shape))
+    psi = np.full([s.stop - s.start for s in box], max(float(np.abs(one.psi).max()) for one in parts), np.float32)
+    for one in parts:
+        where = counted_from(box_at(one.corner, one.psi.shape), corner_of(box))
+        np.minimum(psi[where], one.psi, out=psi[where])
+    first = parts[0]
+    merged = _measured(first._replace(corner=corner_of(box), psi=psi), objects, workers)
+    objects.models.merge(ids)
+    objects.replace([merged, *(one for one in objects.surfaces if one.id not in ids)], {})
+    return merged
+
+
+def voxel_of(point: str, base: Result) -> NDArray[np.int64]:
+    """The voxel (z, y, x) of the image in which a point, ``point:X,Y,Z``, lies.
+
+    Raises
+    ------
+    UsageError, InputError
+        When it is none, or lies outside.
+    """
+    words = point.removeprefix("point:")
+    try:
+        numbers = [float(word) for word in words.removesuffix("vox").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3:
+        raise UsageError(f"refine: split {point[:80]!r} was given, expected point:X,Y,Z")
+    return point_voxels([numbers], point, "split", base.geometry, words.endswith("vox"))[0]
+
+
+def completed(objects: RefinedObjects, refinement: Refinement, base: Result) -> Refinement:
+    """A refinement that splits, with the object that is split and the id of its part.
+
+    Raises
+    ------
+    UsageError
+        When the id is taken.
+    InputError
+        When the point lies in no object, or not in the one that was given.
+    """
+    assert refinement.split is not None
+    voxel = voxel_of(refinement.split, base) - np.array(objects.prepared.first)
+    here = next((one.id for one in objects.surfaces if _contains(one, voxel)), None)
+    if here is None or here != (refinement.object or here):
+        where = "no object" if here is None else f"object {here}"
+        raise InputError(f"refine: {refinement.split} lies in {where}", "click in the part that is to be split off")
+    new = refinement.new or max(objects.ids) + 1
+    if new in objects.ids or new > MAX_ID:
+        raise UsageError(f"refine: new {new} was given with split, expected an id that no object has")
+    return refinement.model_copy(update={"object": here, "new": new})
+
+
+def split(
+    objects: RefinedObjects, number: int, refinement: Refinement, base: Result, workers: Workers
+) -> tuple[CorrectedSurface, CorrectedSurface]:
+    """Make what is connected to a point an object of its own; voxels are connected by their faces.
+
+    Parameters
+    ----------
+    objects : RefinedObjects
+    number : int
+        Of the correction.
+    refinement : Refinement
+        `completed`.
+    base : Result
+    workers : Workers
+
+    Returns
+    -------
+    rest, part
+
+    Raises
+    ------
+    InputError
+        When the object is in one piece.
+    """
+    assert refinement.split is not None and refinement.object is not None and refinement.new is not None
+    voxel = voxel_of(refinement.split, base) - np.array(objects.prepared.first)
+    new, here = refinement.new, objects.surfaces[objects.place_of(refinement.object)]
+    labels, count = ndimage.label(here.psi < 0)
+    if count < 2:
+        raise InputError(f"refine: object {here.id} is in one piece", "cut it first: outside clicks between the parts")
+    own = np.asarray(labels == labels[tuple(voxel - np.array(here.corner))])
+    away = np.abs(here.psi)
+    part = here._replace(id=new, psi=np.where((labels > 0) & ~own, away, here.psi))
+    rest = here._replace(psi=np.where(own, away, here.psi))
+    tight = bounding_box(own)
+    assert tight is not None
+    back = (-here.corner[0], -here.corner[1], -here.corner[2])
+    objects.models.split(
+        number, here.id, new, BoxMask(counted_from(tight, back), own[tight]), point_click(voxel, new)
+    )
+    rest, part = _measured(rest, objects, workers), _measured(_tight(part), objects, workers)
+    known = objects.known(here.id)
+    others = [one for one in objects.surfaces if one.id != here.id]
+    objects.replace([*others, rest, part], {new: _known(part, objects, base, known.terms, known.learned)})
+    return rest, part
+
+
+def _tight(one: CorrectedSurface) -> CorrectedSurface:
+    """A surface on the array that it needs."""
+    box = bounding_box(one.psi < 0, AROUND)
+    assert box is not None
+    z, y, x = (c + s.start for c, s in zip(one.corner, box, strict=True))
+    return one._replace(corner=(z, y, x), psi=np.ascontiguousarray(one.psi[box]))
+
+
+def remove(objects: RefinedObjects, id: int) -> int:
+    """Take an object away; return how many voxels it had.
+
+    Raises
+    ------
+    UsageError
+        When there is no such object, or no other one.
+    """
+    check_id(id, objects.ids, "remove")
+    if len(objects.ids) == 1:
+        raise UsageError(f"refine: object {id} is the only one and cannot be removed", "begin another one first")
+    gone = objects.surfaces[objects.place_of(id)]
+    objects.models.remove(id)
+    objects.replace([one for one in objects.surfaces if one.id != id], {})
+    return gone.inside
+
+
+def _contains(one: CorrectedSurface, voxel: NDArray[np.int64]) -> bool:
+    at = voxel - np.array(one.corner)
+    return bool((at >= 0).all() and (at < np.array(one.psi.shape)).all() and one.psi[tuple(at)] < 0)
+
+
+def _measured(one: CorrectedSurface, objects: RefinedObjects, workers: Workers) -> CorrectedSurface:
+    """A surface whose voxels have changed without a step: its last record has volume and area of now."""
+    inside, settings = count_inside(one.psi), objects.models.settings_of(one.id)
+    volume, area = measures_of(np.array(one.psi), objects.spacing, half_width(settings), workers)
+    history = [*one.history[:-1], one.history[-1]._replace(volume_mm3=volume, area_mm2=area)]
+    stop = one.stop if inside else stop_of_whole(one.stop, inside, math.prod(objects.shape))
+    return one._replace(psi=np.ascontiguousarray(one.psi), inside=inside, history=history, stop=stop)

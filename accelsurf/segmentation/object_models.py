@@ -1,0 +1,225 @@
+"""Clicks, contexts and models of a finished run's objects, correction by correction; knows no surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from accelsurf.errors import UsageError
+from accelsurf.grid.boxes import Box
+from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.segmentation.image_context import ImageContext, ModelInputs
+from accelsurf.segmentation.local_model import LocalModel, LocalState, local_model
+from accelsurf.segmentation.object_records import MadeEnergy
+from accelsurf.segmentation.preprocessing import PreprocessedInput, uses_model
+from accelsurf.segmentation.run_setup import energy_maker, thread_count
+from accelsurf.segmentation.run_state import BoxMask, RunState
+from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.volumes import volume_mm3
+
+#: The energy of an object that begins at clicks after the run's end.
+NEW_ENERGY = "seeded"
+
+
+@dataclass(frozen=True)
+class ModelsBefore:
+    """What `ObjectModels.restore` puts back."""
+
+    clicks: Clicks
+    contexts: dict[int, ImageContext]
+    settings: dict[int, RunConfig]
+    masks: dict[int, BoxMask]
+    models: dict[int, LocalModel]
+    states: dict[int, LocalState]
+
+
+class ObjectModels:
+    """What corrections know of each object besides its surface.
+
+    Parameters
+    ----------
+    state : RunState
+    settings : RunConfig
+        In force at the run's end.
+
+    Attributes
+    ----------
+    clicks : Clicks
+        All so far, on the grid of the region of interest.
+    contexts : dict of int to ImageContext
+        Of each object.
+    settings : dict of int to RunConfig
+        Of the objects whose settings are not those of the run.
+    masks : dict of int to BoxMask
+        By the number of the correction: voxels that its new object may not have, or that were split off.
+    """
+
+    def __init__(self, state: RunState, settings: RunConfig) -> None:
+        self._state, self._frozen = state, settings
+        self.clicks = state.clicks or Clicks((), state.prepared.geometry.shape)
+        self.contexts, self.settings, self.masks = dict(state.contexts), dict(state.settings), dict(state.masks)
+        self._states, self._models = dict(state.models), dict[int, LocalModel]()
+
+    @property
+    def prepared(self) -> PreprocessedInput:
+        """Image and mask of the run."""
+        return self._state.prepared
+
+    @property
+    def made(self) -> dict[int, LocalState]:
+        """The models that corrections have needed so far, as values."""
+        return {**self._states, **{id: model.state for id, model in self._models.items()}}
+
+    def settings_of(self, id: int) -> RunConfig:
+        """The settings of an object."""
+        return self.settings.get(id, self._frozen)
+
+    def model(self, id: int) -> LocalModel | None:
+        """The model of an object's clicks, made when it is first needed; None where its energy has none.
+
+        Raises
+        ------
+        UsageError
+            When nothing was clicked inside the object.
+        """
+        if not uses_model(self.settings_of(id)):
+            return None
+        if id not in self._models:
+            context = self.contexts[id]
+            if context.clicks is None or not context.clicks.ids():  # all were split off
+                context = self.contexts[id] = context.with_clicks(self.clicks.of(id))
+            known = self._states.pop(id, None) or LocalState.of(context.seeded_model())
+            self._models[id] = local_model(self.prepared, context, self._frozen, known)
+        return self._models[id]
+
+    def energy_on(self, id: int, box: Box, context: ImageContext, shared: Sequence[np.ndarray]) -> MadeEnergy:
+        """The energy of an object on a box of the grid; ``shared`` are the channels on the whole grid."""
+        images = [np.ascontiguousarray(image[box]) for image in shared]
+        model, settings = self.model(id), self.settings_of(id)
+        field = None if model is None else lambda: model.field_on(box)
+        given = None if id in self.settings else self._state.energy
+        make = energy_maker(given, settings, 1, True)
+        return make(images[0], self.prepared.geometry.spacing, context.with_channels(images[1:], field))
+
+    # -- changes of the objects ----------------------------------------------------------------------------
+
+    def add(self, clicks: Sequence[Click]) -> None:
+        """Note new clicks."""
+        self.clicks = self.clicks.with_later(clicks)
+
+    def begin(self, number: int, refinement: Refinement, taken: BoxMask | None) -> None:
+        """Begin an object at clicks that have been noted.
+
+        Parameters
+        ----------
+        number : int
+            Of the correction.
+        refinement : Refinement
+            With ``new``.
+        taken : BoxMask or None
+            Voxels that it may not have.
+        """
+        id, prepared = refinement.new, self.prepared
+        assert id is not None
+        self.settings[id] = self._frozen.replace(
+            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=NEW_ENERGY, size=refinement.size
+        )
+        passes = None if prepared.mask_distance is None else np.asarray(prepared.mask_distance < 0)
+        if taken is not None:
+            self.masks[number] = taken
+            passes = np.ones(prepared.geometry.shape, np.bool_) if passes is None else passes
+            passes[taken.box] &= ~taken.mask
+        size = None if refinement.size is None else volume_mm3(refinement.size)
+        inputs = ModelInputs(size, passes, thread_count(self._frozen))
+        self.contexts[id] = prepared.context.with_model_inputs(inputs).with_clicks(self.clicks.of(id))
+        self._forget(id)
+
+    def merge(self, ids: Sequence[int]) -> None:
+        """What was clicked of several objects is of the first; where it may be is not bounded by the others."""
+        first, others = ids[0], ids[1:]
+        self.clicks = Clicks(
+            tuple(one._replace(id=first) if one.id in others else one for one in self.clicks.clicks), self.clicks.shape
+        )
+        for id in others:
+            self._drop(id)
+        distance = self.prepared.mask_distance
+        passes = None if distance is None else np.asarray(distance < 0)
+        context = self.contexts[first]
+        inputs = context.model_inputs._replace(size_mm3=None, mask=passes)
+        self.contexts[first] = context.with_model_inputs(inputs).with_clicks(self.clicks.of(first))
+        self._forget(first)
+
+    def split(self, number: int, id: int, new: int, part: BoxMask, click: Click) -> None:
+        """Of what was clicked inside an object, what lies in ``part`` is of the new one, as is the ``click``."""
+        out: list[Click] = []
+        for one in self.clicks.clicks:
+            if (one.side, one.id) != ("inside", id):
+                out.append(one)
+                continue
+            there = Click("inside", part.box, part.mask, new).mask_on(one.box)
+            out += [one._replace(id=own, mask=mask) for own, mask in ((id, one.mask & ~there), (new, one.mask & there))
+                    if mask.any()]
+        self.clicks = Clicks((*out, click), self.clicks.shape)
+        self.masks[number] = part
+        if id in self.settings:
+            self.settings[new] = self.settings[id]
+        context = self.contexts[id]
+        for own in (id, new):
+            self.contexts[own] = context.with_clicks(self.clicks.of(own))
+            self._forget(own)
+
+    def remove(self, id: int) -> None:
+        """Forget an object and what was clicked of it."""
+        self.clicks = Clicks(tuple(one for one in self.clicks.clicks if one.id != id), self.clicks.shape)
+        self._drop(id)
+
+    def _drop(self, id: int) -> None:
+        self.contexts.pop(id, None)
+        self.settings.pop(id, None)
+        self._forget(id)
+
+    def _forget(self, id: int) -> None:
+        """Make the model of an object anew when it is needed."""
+        self._models.pop(id, None)
+        self._states.pop(id, None)
+
+    def snapshot(self) -> ModelsBefore:
+        """What is known now; models that clicks change are put back by the caller."""
+        return ModelsBefore(
+            self.clicks, dict(self.contexts), dict(self.settings), dict(self.masks), dict(self._models),
+            dict(self._states),
+        )
+
+    def restore(self, before: ModelsBefore) -> None:
+        """Go back to what was known."""
+        self.clicks = before.clicks
+        self.contexts, self.settings, self.masks = dict(before.contexts), dict(before.settings), dict(before.masks)
+        self._models, self._states = dict(before.models), dict(before.states)
+
+
+def point_click(voxel: Sequence[int], id: int) -> Click:
+    """A click of one voxel inside an object."""
+    z, y, x = (slice(int(i), int(i) + 1) for i in voxel)
+    return Click("inside", (z, y, x), np.ones((1, 1, 1), np.bool_), id)
+
+
+def part_on_grid(part: BoxMask, corner: tuple[int, int, int]) -> BoxMask:
+    """A mask whose box is counted from voxel ``corner`` of the grid, counted from the grid's first."""
+    z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(part.box, corner, strict=True))
+    return BoxMask((z, y, x), part.mask)
+
+
+def check_id(id: int, ids: Sequence[int], what: str) -> None:
+    """Refuse an object that there is not.
+
+    Raises
+    ------
+    UsageError
+        With the ids that there are.
+    """
+    if id not in ids:
+        there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
+        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", there)

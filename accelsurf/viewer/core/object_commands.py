@@ -1,0 +1,209 @@
+"""Several objects in a session: which there are, which one is meant, what they are called; those that begin beside
+others, are merged, split off, removed.
+
+An object that a person adds is a correction, as `accelsurf refine` makes it: the others stay. While the run goes on
+it goes to its end first.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from accelsurf.errors import UsageError
+from accelsurf.grid.clicks import Side
+from accelsurf.report.label_names import table_of
+from accelsurf.settings.labels import LabelTable, colored, named
+from accelsurf.settings.refinements import MAX_ID
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.nearest_object import nearest_object
+from accelsurf.viewer.core.size_drag import SizeDrag
+
+if TYPE_CHECKING:
+    from accelsurf.viewer.core.timeline import Timeline
+
+
+class ObjectCommands:
+    """The objects of a timeline.
+
+    Parameters
+    ----------
+    timeline : Timeline
+    config : RunConfig
+        That it begins with; its names and colours.
+
+    Attributes
+    ----------
+    labels : LabelTable
+        Names and colours that were given, by id.
+    """
+
+    def __init__(self, timeline: Timeline, config: RunConfig) -> None:
+        self._timeline = timeline
+        self._names, self._colors = dict[int, str](), dict[int, str]()
+        is_named = config.name or config.color or config.label_table or config.objects
+        self._first = table_of(config) if is_named else LabelTable()
+        self.labels = self._first
+        self._drag: tuple[SizeDrag, int | None] | None = None
+
+    # -- which there are -----------------------------------------------------------------------------------
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Ids of the objects, also of those that are made again when the run ends; 1 for one without an id."""
+        timeline = self._timeline
+        corrected = timeline.corrections.ids
+        if corrected is not None:
+            return corrected
+        ids = {one.id for one in timeline.run.objects}
+        for one in timeline.corrections.wanted:
+            ids |= {one.new} if one.new is not None else set()
+            ids -= {*one.merge[1:], one.remove}
+        return tuple(sorted(own for own in ids if own is not None))
+
+    @property
+    def has_ids(self) -> bool:
+        """Whether labels are ids."""
+        timeline = self._timeline
+        return timeline.run.has_ids or timeline.run.config.replace(refine=timeline.corrections.wanted).has_ids
+
+    @property
+    def words(self) -> dict[int, str]:
+        """The state of each object in one word: running, paused, or why it has ended."""
+        timeline = self._timeline
+        known = timeline.corrections.stops(timeline.run)
+        pause = "running" if timeline.is_playing else "paused"
+        stops = {own: known.get(own) for own in self.ids}
+        return {own: pause if stop is None else stop.reason for own, stop in stops.items()}
+
+    def of_run(self, object_id: int | None) -> int | None:
+        """What an edit of the run calls an object: nothing where the run has one without an id.
+
+        Raises
+        ------
+        UsageError
+            When it is none of the run.
+        """
+        run = self._timeline.run
+        if object_id is not None and not run.has_ids and object_id == run.objects[0].id:
+            return None
+        if object_id is not None and object_id in self.ids and object_id not in [one.id for one in run.objects]:
+            raise UsageError(f"object {object_id} is made again when the run ends", "let the run end first")
+        return object_id
+
+    def whose(self, place: str, object_id: int | None) -> int | None:
+        """The object that a click is for: the one given, or the nearest; None where there is one without an id.
+
+        Raises
+        ------
+        UsageError, InputError
+            When the place is none, or lies outside.
+        """
+        timeline = self._timeline
+        if object_id is not None:
+            return None if not self.has_ids and self.ids == (object_id,) else object_id
+        nearest = timeline.corrections.nearest(place)
+        if nearest is not None or not timeline.run.has_ids:
+            return nearest
+        return nearest_object(timeline.run, place)
+
+    def is_beside(self, object_id: int | None) -> bool:
+        """Whether an object is none of the run itself, but of its corrections."""
+        return object_id is not None and object_id not in [one.id for one in self._timeline.run.objects]
+
+    # -- clicks and sizes ----------------------------------------------------------------------------------
+
+    def begin(self, object_id: int, side: Side, where: tuple[str, ...]) -> None:
+        """Begin an object at clicks.
+
+        Raises
+        ------
+        UsageError, InputError
+            When they are outside of it, or cannot be used.
+        """
+        if side != "inside":
+            raise UsageError(f"object {object_id} has not begun, so nothing is outside of it", "click inside it first")
+        self._timeline.refine({"new": object_id, "inside": list(where)}, f"new object {object_id}: {where[0]}")
+
+    def press(self, ball: str, voxels: int, object_id: int | None = None) -> SizeDrag:
+        """Begin to drag the size of an object, see `Session.press`.
+
+        Raises
+        ------
+        UsageError, InputError
+            When it is no ball or lies outside, or there are several objects and none is named.
+        """
+        timeline, ids = self._timeline, self.ids
+        if object_id is None and len(ids) > 1:
+            raise UsageError("a size is dragged for one object, there are several", "choose one, or add one")
+        taken = timeline.corrections.taken(timeline.run, ball, object_id or ids[0])
+        drag = SizeDrag.of_press(timeline.run, ball, voxels, taken)
+        self._drag = drag, object_id
+        timeline.say(f"pressed {ball}: drag outwards until it fits")
+        return drag
+
+    def release(self, drag_mm: float) -> None:
+        """Begin the object that was pressed with the size that a drag stands for: alone another run, else beside the
+        others.
+
+        Raises
+        ------
+        UsageError
+            When nothing was pressed.
+        """
+        if self._drag is None:
+            raise UsageError("nothing was pressed, so there is no size to take", "press in the object first")
+        (drag, object_id), self._drag = self._drag, None
+        size, ids = drag.size_text(drag_mm), self.ids
+        if len(ids) == 1 and object_id in (None, ids[0]) and not self.has_ids:
+            settings: dict[str, Any] = {"inside": (drag.click,), "outside": (), "start": ("clicks",)}
+            settings |= {"energy": "seeded", "size": size, "preset": None}
+            return self._timeline.start_with(settings, f"inside: {drag.click}, size {size}")
+        own = object_id or ids[0]
+        said = f"{'object' if own in ids else 'new object'} {own}: {drag.click}, size {size}"
+        return self._timeline.refine({"new": own, "inside": [drag.click], "size": size}, said)
+
+    # -- merge, split, remove ------------------------------------------------------------------------------
+
+    def merge(self, ids: tuple[int, ...]) -> None:
+        """Make several objects the first of them."""
+        self._timeline.refine({"merge": list(ids)}, f"merged {', '.join(map(str, ids))}")
+
+    def split(self, point: str) -> None:
+        """Make what is connected to a point an object."""
+        self._timeline.refine({"split": point}, f"split at {point}")
+
+    def remove(self, object_id: int) -> None:
+        """Take an object away."""
+        self._timeline.refine({"remove": object_id}, f"removed object {object_id}")
+
+    # -- names and colours ---------------------------------------------------------------------------------
+
+    def describe(self, object_id: int, name: str, color: str) -> None:
+        """Give an object a name and a colour, ``#rrggbb``; they go into the files.
+
+        Raises
+        ------
+        UsageError
+            When one is none.
+        """
+        own = _id(object_id)
+        names, colors = f"{own}={named(f'{own}={name}')[1]}", f"{own}={color}"
+        colored(colors)
+        self._names[own], self._colors[own] = names, colors
+        self.labels = self._first.with_settings(tuple(self._names.values()), tuple(self._colors.values()))
+        self._timeline.say(f"object {own} is {name}")
+
+    def named_settings(self, config: RunConfig) -> dict[str, Any]:
+        """The settings of names and colours, as they are now; empty where nothing was named here."""
+        out: dict[str, Any] = {}
+        for key, own in (("name", self._names), ("color", self._colors)):
+            if own:
+                before = {named(text)[0] if key == "name" else colored(text)[0]: text for text in getattr(config, key)}
+                out[key] = tuple((before | own)[label] for label in sorted(before | own))
+        return out
+
+
+def _id(object_id: int) -> int:
+    if not 1 <= object_id <= MAX_ID:
+        raise UsageError(f"object {object_id} was given, expected an id from 1 on")
+    return object_id

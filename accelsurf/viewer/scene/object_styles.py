@@ -1,0 +1,57 @@
+"""How each object is drawn: its name in the legend, its colour, how opaque it is, and whether it is drawn at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import pyvista as pv
+
+from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.scene.colors import object_color
+
+
+class ObjectStyle(NamedTuple):
+    """How an object is drawn.
+
+    Attributes
+    ----------
+    name : str
+    color : str
+        ``#rrggbb``.
+    visible : bool
+    opacity : float
+        From 0 to 1.
+    """
+
+    name: str
+    color: str
+    visible: bool = True
+    opacity: float = 1.0
+
+
+class ObjectStyles:
+    """The styles of objects by id; one that has none has a colour by its place among the ids.
+
+    Attributes
+    ----------
+    given : mapping of int to ObjectStyle
+    """
+
+    def __init__(self) -> None:
+        self.given: Mapping[int, ObjectStyle] = {}
+
+    def of(self, frame: Frame | None) -> list[ObjectStyle]:
+        """The style of each surface of a frame."""
+        surfaces = () if frame is None else frame.surfaces
+        return [
+            self.given.get(one.id) or ObjectStyle(f"object {one.id}", object_color(position))
+            for position, one in enumerate(surfaces)
+        ]
+
+
+def paint(actors: Sequence[pv.Actor], meshes: Sequence[pv.PolyData], styles: Sequence[ObjectStyle]) -> None:
+    """Have surfaces drawn in their styles."""
+    for actor, mesh, style in zip(actors, meshes, styles, strict=False):
+        actor.prop.color, actor.prop.opacity = style.color, style.opacity
+        actor.SetVisibility(mesh.n_points > 0 and style.visible)
