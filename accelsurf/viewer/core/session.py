@@ -251,13 +251,7 @@ class Session:
         return self._do(figures_of)
 
     def diameters(self, object_id: int) -> Future[Diameters]:
-        """Compute the longest lines of an object as it is now.
-
-        Raises
-        ------
-        UsageError
-            From the Future, when there is no such object.
-        """
+        """Compute the longest lines of an object as it is now; fails when it has no voxel."""
         return self._do(lambda timeline: diameters_of(timeline, object_id))
 
     def go_to_change(self, count: int) -> Future[None]:

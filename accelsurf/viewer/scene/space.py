@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkCommonDataModel import vtkPlane
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
@@ -20,9 +19,8 @@ from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_
 from accelsurf.viewer.scene.picking import place_in_renderer
 from accelsurf.viewer.scene.ray import first_met
 from accelsurf.viewer.scene.shapes import GreyTexture, box_edges, isosurface
+from accelsurf.viewer.scene.volume_picture import VolumePicture
 
-#: Most voxels along an axis of the image as it is drawn in 3D; more take too long.
-MAX_ALONG = 160
 #: Width of the edges of the volume, pixels of a usual screen.
 BOX = 1.0
 #: Voxels of psi from which a surface is drawn coarsely.
@@ -68,7 +66,7 @@ class SpaceTile:
         theme: Theme,
         unit: str = "mm",
     ) -> None:
-        self.renderer, self._plotter = plotter.renderer, plotter
+        self.renderer = plotter.renderer
         self._geometry, self._image, self._window = geometry, image, window
         self._meshes: list[pv.PolyData] = []
         self._frame: Frame | None = None
@@ -84,8 +82,7 @@ class SpaceTile:
         self._box.prop.lighting = False
         self._ball: pv.Actor | None = None
         self._places: pv.Actor | None = None
-        self._volume: pv.Volume | None = None
-        self._cut = vtkPlane()
+        self._volume = VolumePicture(plotter, self.renderer, geometry, image)
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
         self._table = pv.LookupTable()
@@ -196,54 +193,18 @@ class SpaceTile:
 
     def show_volume(self, on: bool) -> None:
         """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
-        if on and self._volume is None:
-            self._volume = self._make_volume()
-        if self._volume is not None:
-            self._volume.SetVisibility(on)
-
-    def _make_volume(self) -> pv.Volume:
-        stride = [max(1, -(-n // MAX_ALONG)) for n in self._image.shape]
-        grey = self._window.grey(self._image[tuple(slice(None, None, s) for s in stride)])
-        steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
-        image = pv.ImageData(dimensions=grey.shape[::-1], spacing=steps[::-1])
-        image.point_data["grey"] = grey.ravel()
-        self._plotter.subplot(0, 0)
-        # Nothing below a fifth of the range: noise in the air would hide everything.
-        opacity = np.concatenate([np.zeros(51), np.linspace(0.0, 110.0, 205)]).astype(np.uint8)
-        volume = self._plotter.add_volume(
-            image, scalars="grey", cmap="gray", clim=(0, 255), opacity=opacity, shade=False,
-            opacity_unit_distance=4.0 * max(steps), show_scalar_bar=False, reset_camera=False, render=False,
-        )
-        turn = np.eye(4)
-        turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
-        volume.user_matrix = turn
-        volume.mapper.AddClippingPlane(self._cut)
-        return volume
-
-    def _cut_away(self) -> None:
-        """Leave out what of the image is nearer than the middle of the surfaces, so that it does not hide them."""
-        bounds = np.array([mesh.bounds for mesh in self._meshes if mesh.n_points])
-        camera = self.renderer.camera
-        if len(bounds):
-            middle = 0.5 * (bounds[:, ::2].min(axis=0) + bounds[:, 1::2].max(axis=0))
-        else:  # no surface: all of it
-            middle = np.array(camera.position)
-        self._cut.SetOrigin(*middle)
-        self._cut.SetNormal(*camera.direction)
+        self._volume.show(on, self._window)
 
     def use_window(self, window: GreyWindow, cursor: NDArray[np.float64]) -> None:
         """Draw other values black and white."""
         self._window = window
         self.move_planes(cursor)
-        if self._volume is not None:
-            shown = bool(self._volume.GetVisibility())
-            self.renderer.remove_actor(self._volume, reset_camera=False, render=False)
-            self._volume = self._make_volume() if shown else None
+        self._volume.use_window(window)
 
     @property
     def shows_volume(self) -> bool:
         """Whether the image is drawn."""
-        return self._volume is not None and bool(self._volume.GetVisibility())
+        return self._volume.is_shown
 
     @property
     def shows_planes(self) -> bool:
@@ -371,8 +332,7 @@ class SpaceTile:
         """Make text readable, and the bar as long as the camera's scale asks for."""
         self.title.fit(pixels)
         self._bar.fit(pixels)
-        if self.shows_volume:
-            self._cut_away()
+        self._volume.cut_away(self._meshes)
         self._box.prop.line_width = BOX * pixels.ratio
         for label in (self._quantity, *self._ends):
             label.fit(pixels)
