@@ -188,7 +188,8 @@ def test_the_list_and_how_objects_are_drawn(workplace):
     state = ask(workplace, "object_name", 2, "cyst")
     shown = {one["id"]: one["color"] for one in state["object_rows"]}
     told = workplace.session.status.labels
-    assert {own: "#%02x%02x%02x" % told[own].color for own in (1, 2)} == shown  # files have the colours that are seen
+    # Files have the colours that are seen.
+    assert {own: "#{:02x}{:02x}{:02x}".format(*told[own].color) for own in (1, 2)} == shown
     assert state["object_rows"][1]["name"] == "cyst" and "cyst" in workplace.scene.legend
     color_before = state["object_rows"][1]["color"]
     first, second = workplace.scene.space._surfaces[:2]

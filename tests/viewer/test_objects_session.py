@@ -232,8 +232,8 @@ from types import SimpleNamespace
 from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
 asked = []
 def row(own, **more):
-    known = dict(id=own, name=f"object {own}", color="#e69f00", visible=True, opacity=1.0, ml="1.5", voxels=9, word="paused")
-    return known | more
+    known = dict(id=own, name=f"object {own}", color="#e69f00", visible=True, opacity=1.0, ml="1.5", voxels=9)
+    return known | dict(word="paused") | more
 panel = ObjectsPanel(SimpleNamespace(request=lambda *request: asked.append(request)))
 panel.show_state({"object_rows": [row(3)], "object_active": 0})
 panel.show_state({"object_rows": [row(3), row(8, name="cyst", visible=False, opacity=0.5)], "object_active": 8})

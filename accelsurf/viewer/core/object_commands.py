@@ -112,7 +112,7 @@ class ObjectCommands:
 
     # -- clicks and sizes ----------------------------------------------------------------------------------
 
-    def begin(self, object_id: int, side: Side, where: tuple[str, ...]) -> None:
+    def begin_object(self, object_id: int, side: Side, where: tuple[str, ...]) -> None:
         """Begin an object at clicks.
 
         Raises

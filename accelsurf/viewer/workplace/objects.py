@@ -80,7 +80,7 @@ class ObjectsFeature(Feature):
         styles = self._styles(status)
         return {
             "object_active": self.workplace.object_id or 0,
-            "object_rows": [self._row(own, style, status) for own, style in styles.items()],
+            "object_rows": [self._described(own, style, status) for own, style in styles.items()],
         }
 
     def update(self, view: View) -> None:
@@ -106,7 +106,7 @@ class ObjectsFeature(Feature):
             styles[own] = ObjectStyle(name, color, own not in self._hidden, self._opacity.get(own, 1.0))
         return styles
 
-    def _row(self, own: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
+    def _described(self, own: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
         drawn = self._drawn.get(own)
         is_there = drawn is not None and own in (status.objects or (1,))
         return {
@@ -173,10 +173,11 @@ class ObjectsFeature(Feature):
             raise UsageError(f"color: {short(color)} was given, expected #rrggbb")
         self._describe(own, color=color)
 
-    def _describe(self, own: int, **changed: str) -> None:
+    def _describe(self, own: int, name: str = "", color: str = "") -> None:
         """Name or colour an object. Files then have a name and a colour for each: those that are seen."""
         styles = self._styles(self.workplace.session.status)
-        styles[own] = styles[own]._replace(**changed)
+        before = styles[own]
+        styles[own] = before._replace(name=name or before.name, color=color or before.color)
         said = {each: (style.name, style.color) for each, style in styles.items()}
         self.workplace.ask(self.workplace.session.objects(lambda objects: objects.describe(said, own)))
 

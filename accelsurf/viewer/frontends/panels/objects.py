@@ -56,7 +56,7 @@ class ObjectsPanel(Section):
         self.add = button("Add", "A further object: the next press or click inside begins it (U)")
         self.add.clicked.connect(lambda: self.ask("object_add"))
         self.merge = button("Merge", "Make the chosen objects the first of them (choose several with Ctrl)")
-        self.merge.clicked.connect(lambda: self.ask("object_merge", *self._chosen()))
+        self.merge.clicked.connect(lambda: self.ask("object_merge", *self._selected()))
         self.remove = button("Remove", "Take the chosen object away")
         self.remove.clicked.connect(self._remove)
         self.nearest = button("Nearest", "Strokes are for the object that is nearest to where they begin")
@@ -82,13 +82,13 @@ class ObjectsPanel(Section):
         is_typing = self.table.state() == QAbstractItemView.State.EditingState
         if (rows, active) == (self._rows, self._active) or is_typing:
             return
-        chosen, moved = self._chosen(), active != self._active
+        selected, moved = self._selected(), active != self._active
         self._rows, self._active = rows, active
         with QSignalBlocker(self.table):
             self.table.setRowCount(len(rows))
             for place, row in enumerate(rows):
                 self._fill(place, row)
-            self._choose({active} if moved else set(chosen))
+            self._choose({active} if moved else set(selected))
         shown = next((row for row in rows if row["id"] == active), rows[0])
         with QSignalBlocker(self.opacity):
             self.opacity.setValue(round(100 * shown["opacity"]))
@@ -126,7 +126,7 @@ class ObjectsPanel(Section):
     def _id(self, row: int) -> int:
         return int(self._rows[row]["id"])
 
-    def _chosen(self) -> list[int]:
+    def _selected(self) -> list[int]:
         """Ids of the chosen rows, in their order."""
         places = sorted(index.row() for index in self.table.selectionModel().selectedRows())
         return [self._id(place) for place in places if place < len(self._rows)]
@@ -153,7 +153,7 @@ class ObjectsPanel(Section):
             self.ask("object_opacity", self._active or self._id(0), percent / 100)
 
     def _remove(self) -> None:
-        for own in self._chosen():
+        for own in self._selected():
             self.ask("object_remove", own)
 
     def _menu(self, at: QPoint) -> None:
