@@ -75,13 +75,16 @@ class ObjectsPanel(Section):
         grid.addWidget(self.opacity, 2, 1, 1, 3)
         self._rows: list[dict[str, Any]] = []
         self._active = 0
+        #: What was typed may not be taken: what is known is shown again.
+        self._is_typed = False
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the objects, and which one is active."""
         rows, active = state["object_rows"], state["object_active"]
         is_typing = self.table.state() == QAbstractItemView.State.EditingState
-        if (rows, active) == (self._rows, self._active) or is_typing:
+        if is_typing or ((rows, active) == (self._rows, self._active) and not self._is_typed):
             return
+        self._is_typed = False
         selected, moved = self._selected(), active != self._active
         self._rows, self._active = rows, active
         with QSignalBlocker(self.table):
@@ -97,8 +100,10 @@ class ObjectsPanel(Section):
         """Write a row of the table."""
         texts = {_SEEN: "", _COLOR: "", _NAME: row["name"], _ML: row["ml"], _WORD: row["word"]}
         for column, text in texts.items():
-            item = self.table.item(place, column) or QTableWidgetItem()
-            self.table.setItem(place, column, item)
+            item = self.table.item(place, column)
+            if item is None:
+                item = QTableWidgetItem()
+                self.table.setItem(place, column, item)
             item.setText(text)
             flags = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
             if column == _SEEN:
@@ -137,7 +142,7 @@ class ObjectsPanel(Section):
             self.ask("object_name", self._id(item.row()), item.text())
         elif item.column() == _SEEN:
             self.ask("object_visible", self._id(item.row()), item.checkState() == Qt.CheckState.Checked)
-        self._rows = []  # what was typed may not be taken: show what is known
+        self._is_typed = True
 
     def _double_clicked(self, row: int, column: int) -> None:
         if column == _COLOR:
