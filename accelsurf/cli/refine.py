@@ -24,6 +24,32 @@ _STATE = "the state of a run is written with clicks, or with --keep-state yes"
 Where = Annotated[tuple[str, ...], Parameter(group=RUN, negative_iterable=(), show_default=False)]
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ObjectOptions:
+    """Which objects there are.
+
+    Parameters
+    ----------
+    new
+        Id of a further object, which begins at the inside clicks; the others stay. With --split: of what is split off.
+    size
+        About how large the new object is, with its unit: 250ml.
+    merge
+        Ids of objects that become the first of them: 1,3.
+    split
+        A point:X,Y,Z in an object of several parts: the part with the point becomes an object of its own.
+    remove
+        Id of an object that is not wanted.
+    """
+
+    new: Annotated[str | None, Parameter(group=RUN)] = None
+    size: Annotated[str | None, Parameter(group=RUN)] = None
+    merge: Annotated[str | None, Parameter(group=RUN)] = None
+    split: Annotated[str | None, Parameter(group=RUN)] = None
+    remove: Annotated[str | None, Parameter(group=RUN)] = None
+
+
 @dataclass(frozen=True)
 class _Source:
     """A finished run in a folder: its ``report``, the first part of its files' ``name``, and its ``image``."""
@@ -41,11 +67,7 @@ def refine(
     outside: Where = (),
     near: Annotated[str, Parameter(group=RUN)] = "auto",
     object: Annotated[str | None, Parameter(group=RUN)] = None,
-    new: Annotated[str | None, Parameter(group=RUN)] = None,
-    size: Annotated[str | None, Parameter(group=RUN)] = None,
-    merge: Annotated[str | None, Parameter(group=RUN)] = None,
-    split: Annotated[str | None, Parameter(group=RUN)] = None,
-    remove: Annotated[str | None, Parameter(group=RUN)] = None,
+    objects: ObjectOptions | None = None,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
     image: Annotated[Path | None, Parameter(group=FILES)] = None,
     overwrite: Overwrite = False,
@@ -72,16 +94,6 @@ def refine(
         How far from the clicks the surface may move, mm; auto is what the clicks are about.
     object
         Id of the object that is corrected, where there are several.
-    new
-        Id of a further object, which begins at the inside clicks; the others stay. With --split: of what is split off.
-    size
-        About how large the new object is, with its unit: 250ml.
-    merge
-        Ids of objects that become the first of them: 1,3.
-    split
-        A point:X,Y,Z in an object of several parts: the part with the point becomes an object of its own.
-    remove
-        Id of an object that is not wanted.
     output
         Folder for the outputs, in place of the run's own; made when missing.
     image
@@ -92,7 +104,7 @@ def refine(
         Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
     """
     given = {"inside": inside, "outside": outside, "near": near, "object": object}
-    given |= {"new": new, "size": size, "merge": merge, "split": split, "remove": remove}
+    given |= vars(objects or ObjectOptions())
     (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
     from accelsurf.cli.case import run_case
     from accelsurf.cli.place import Place

@@ -49,7 +49,7 @@ from accelsurf.settings.refinements import MAX_ID, Refinement
 MARGIN = 8.0
 
 
-def begin(
+def begin_object(
     objects: RefinedObjects, number: int, refinement: Refinement, new: Sequence[Click], base: Result,
     workers: Workers, max_steps: int, on_step: OnStep | None,
 ) -> tuple[CorrectedSurface, Box, int]:
@@ -87,34 +87,47 @@ def begin(
         objects.replace([one for one in objects.surfaces if one.id != own], {})
     objects.models.add(new)
     takes = frozenset(objects.holders(new))
-    objects.models.begin(number, refinement, taken_voxels(objects, takes))
-    model = objects.models.model(own)
-    assert model is not None
-    margin = [math.ceil(MARGIN * max(objects.spacing) / h) for h in objects.spacing]
-    box = widened(enclosing(model.state.box, box_around(new)), objects.shape, margin)
-    start = np.array(objects.models.contexts[own].model_start()[box])
-    bounds = click_bounds(
-        objects.models.clicks.of(own).on_box(box), Level(0, (1, 1, 1), start.shape, objects.spacing)
-    )
-    made = objects.models.energy_on(own, box, objects.models.contexts[own], objects.images)
-    energy, distance = made.energy, objects.bounding(own, box, takes)
-    if distance is not None:
-        energy, start = MaskConstraint(energy, distance), np.maximum(start, distance)
-    bounds.apply(start)
-    if not (start < 0).any():
-        raise InputError(f"refine: nothing of object {own} is beside the others", "click where no object is")
+    objects.models.begin_object(number, refinement, taken_voxels(objects, takes))
+    start, box, energy, terms = _start(objects, own, new, takes)
     settings = objects.models.settings_of(own)
     settings = settings.replace(seed=None if base.config.seed is None else base.config.seed + own)
     setup = setup_of(settings, 0, 1, objects.prepared.geometry)
-    outcome = _to_rest(start, objects.spacing, ClickConstraint(energy, bounds), (setup, max_steps), workers, on_step)
+    outcome = _to_rest(start, objects.spacing, energy, (setup, max_steps), workers, on_step)
     region = NearRegion(box, np.ones(outcome.psi.shape, np.bool_), 0.0)
     for other in sorted(takes):
         objects.take_from(other, region, outcome.psi, workers)
     surface = _surface(own, corner_of(box), outcome, objects)
     learned = objects.prepared.learned_by(objects.models.contexts[own])
-    known = {own: _known(surface, objects, base, made.terms, learned)}
+    known = {own: _known(surface, objects, base, terms, learned)}
     objects.replace([*objects.surfaces, surface], known)
     return surface, box, surface.inside
+
+
+def _start(
+    objects: RefinedObjects, own: int, new: Sequence[Click], takes: frozenset[int]
+) -> tuple[NDArray[np.float32], Box, ClickConstraint, list[dict[str, Any]]]:
+    """First psi of a new object, the box that it is on, its energy there, and the terms of that.
+
+    Raises
+    ------
+    InputError
+        When nothing of it is left beside the others.
+    """
+    models, spacing = objects.models, objects.spacing
+    model = models.model(own)
+    assert model is not None
+    margin = [math.ceil(MARGIN * max(spacing) / h) for h in spacing]
+    box = widened(enclosing(model.state.box, box_around(new)), objects.shape, margin)
+    psi = np.array(models.contexts[own].model_start()[box])
+    bounds = click_bounds(models.clicks.of(own).on_box(box), Level(0, (1, 1, 1), psi.shape, spacing))
+    made = models.energy_on(own, box, models.contexts[own], objects.images)
+    energy, distance = made.energy, objects.bounding(own, box, takes)
+    if distance is not None:
+        energy, psi = MaskConstraint(energy, distance), np.maximum(psi, distance)
+    bounds.apply(psi)
+    if not (psi < 0).any():
+        raise InputError(f"refine: nothing of object {own} is beside the others", "click where no object is")
+    return psi, box, ClickConstraint(energy, bounds), made.terms
 
 
 def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | None:

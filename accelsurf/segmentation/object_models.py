@@ -47,6 +47,8 @@ class ObjectModels:
 
     Attributes
     ----------
+    prepared : PreprocessedInput
+        Image and mask of the run.
     clicks : Clicks
         All so far, on the grid of the region of interest.
     contexts : dict of int to ImageContext
@@ -59,14 +61,10 @@ class ObjectModels:
 
     def __init__(self, state: RunState, settings: RunConfig) -> None:
         self._state, self._frozen = state, settings
+        self.prepared: PreprocessedInput = state.prepared
         self.clicks = state.clicks or Clicks((), state.prepared.geometry.shape)
         self.contexts, self.settings, self.masks = dict(state.contexts), dict(state.settings), dict(state.masks)
         self._states, self._models = dict(state.models), dict[int, LocalModel]()
-
-    @property
-    def prepared(self) -> PreprocessedInput:
-        """Image and mask of the run."""
-        return self._state.prepared
 
     @property
     def made(self) -> dict[int, LocalState]:
@@ -110,7 +108,7 @@ class ObjectModels:
         """Note new clicks."""
         self.clicks = self.clicks.with_later(clicks)
 
-    def begin(self, number: int, refinement: Refinement, taken: BoxMask | None) -> None:
+    def begin_object(self, number: int, refinement: Refinement, taken: BoxMask | None) -> None:
         """Begin an object at clicks that have been noted.
 
         Parameters
@@ -144,7 +142,7 @@ class ObjectModels:
             tuple(one._replace(id=first) if one.id in others else one for one in self.clicks.clicks), self.clicks.shape
         )
         for id in others:
-            self._drop(id)
+            self._forget_object(id)
         distance = self.prepared.mask_distance
         passes = None if distance is None else np.asarray(distance < 0)
         context = self.contexts[first]
@@ -174,9 +172,9 @@ class ObjectModels:
     def remove(self, id: int) -> None:
         """Forget an object and what was clicked of it."""
         self.clicks = Clicks(tuple(one for one in self.clicks.clicks if one.id != id), self.clicks.shape)
-        self._drop(id)
+        self._forget_object(id)
 
-    def _drop(self, id: int) -> None:
+    def _forget_object(self, id: int) -> None:
         self.contexts.pop(id, None)
         self.settings.pop(id, None)
         self._forget(id)

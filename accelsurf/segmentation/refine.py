@@ -72,8 +72,7 @@ def refine(
     """
     table: dict[str, Any] = {"inside": inside, "outside": outside, "near": near, "object": object}
     table |= {"new": new, "size": size, "merge": tuple(merge), "split": split, "remove": remove}
-    (refinement,) = refinements_of({key: value for key, value in table.items() if value is not None})
-    refiner = Refiner(result)
+    (refinement,), refiner = refinements_of({k: v for k, v in table.items() if v is not None}), Refiner(result)
     refiner.apply(refinement, on_step=on_step)
     return refiner.result()
 

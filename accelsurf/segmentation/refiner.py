@@ -175,7 +175,7 @@ class Refiner:
                     objects.models.add(new)
                     changes = self._correct_all(new, refinement.near, workers, on_step)
                 elif refinement.kind == "new":
-                    changes = self._begin(number, refinement, new, workers, on_step)
+                    changes = self._begin_object(number, refinement, new, workers, on_step)
                 else:
                     changes = self._rearrange(number, refinement, workers)
             self._seconds += time.perf_counter() - began
@@ -216,14 +216,14 @@ class Refiner:
                 changes.append(self._correct(place, mine, near, workers, on_step))
         return tuple(changes)
 
-    def _begin(
+    def _begin_object(
         self, number: int, refinement: Refinement, new: Sequence[Click], workers: Workers, on_step: OnObjectStep | None
     ) -> tuple[Change, ...]:
         """Begin an object beside the others."""
         began, own = time.perf_counter(), refinement.new or 0
-        told = None if on_step is None else lambda record: on_step(record, own)
-        one, box, voxels = object_changes.begin(
-            self._objects, number, refinement, new, self._result, workers, self.config.max_steps, told
+        report = None if on_step is None else lambda record: on_step(record, own)
+        one, box, voxels = object_changes.begin_object(
+            self._objects, number, refinement, new, self._result, workers, self.config.max_steps, report
         )
         return (Change(own, box, voxels, time.perf_counter() - began, one.stop),)
 

@@ -110,7 +110,7 @@ def _replay(
         new = placed_clicks(clicks_of(one, base, has_ids), models.prepared)
         models.add(new)
     if one.new is not None and one.split is None:
-        models.begin(number, one, mask)
+        models.begin_object(number, one, mask)
         known[one.new] = _begun(one.new, base, models)
     elif one.kind == "clicks":
         for id in known:

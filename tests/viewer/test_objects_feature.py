@@ -100,7 +100,7 @@ def test_while_the_run_goes_on_a_new_object_waits_for_its_end(session, tmp_path)
     assert session.status.objects == (1, 2) and "when the run has ended" in session.status.message
     assert session.wait(120) and session.status.stop.reason == "converged"
     labels = saved(session, tmp_path)[0]
-    assert dice(labels == 2, truth(2)) > 0.7
+    assert dice(labels == 2, truth(2) | truth(3)) > 0.9  # without a size it is both, which touch
     session.undo().result(60)
     assert session.wait(60) and session.status.objects == ()
 
@@ -131,15 +131,16 @@ def test_merge_split_remove_and_undo(session, tmp_path):
 def test_names_and_colours_go_into_the_files(session, tmp_path):
     ended(session)
     session.add_click("inside", press(2), 2).result(60)
-    session.objects(lambda objects: objects.describe(2, "left kidney", "#102030")).result(60)
+    session.objects(lambda objects: objects.describe({2: ("left kidney", "#102030")}, 2)).result(60)
     assert session.status.labels[2].name == "left kidney"
     session.save(tmp_path, ("labels", "mesh", "report", "run")).result(60)
     assert RunConfig.from_toml(tmp_path / "run.toml").name == ("2=left kidney",)
     text = next(tmp_path.glob("*itk*.txt"), None) or next(tmp_path.glob("*_labels.txt"))
     line = next(line for line in text.read_text().splitlines() if "left kidney" in line)
     assert line.split()[:4] == ["2", "16", "32", "48"]
-    assert "left kidney" in (tmp_path / "surface_objects.csv").read_text()
-    assert "left kidney" in (tmp_path / "surface_report.json").read_text()
+    for name in ("statistics.csv", "statistics.json", "report.json", "surface_2.ply"):
+        assert b"left kidney" in (tmp_path / f"surface_{name}").read_bytes(), name
+    assert bytes((16, 32, 48)) in (tmp_path / "surface_surface_2.ply").read_bytes()
 
 
 @pytest.fixture
@@ -185,6 +186,10 @@ def test_the_list_and_how_objects_are_drawn(workplace):
     state = settled(workplace)
     assert [one["word"] for one in state["object_rows"]] == ["converged"] * 2 and len(state["object_rows"]) == 2
     state = ask(workplace, "object_name", 2, "cyst")
+    shown = {one["id"]: one["color"] for one in state["object_rows"]}
+    told = workplace.session.status.labels
+    # Files have the colours that are seen.
+    assert {own: "#{:02x}{:02x}{:02x}".format(*told[own].color) for own in (1, 2)} == shown
     assert state["object_rows"][1]["name"] == "cyst" and "cyst" in workplace.scene.legend
     color_before = state["object_rows"][1]["color"]
     first, second = workplace.scene.space._surfaces[:2]
@@ -224,7 +229,7 @@ def test_the_size_tool_presses_for_the_active_object(workplace):
     tool.release()
     state = settled(workplace)
     assert not workplace.message and [one["id"] for one in state["object_rows"]] == [1, 2]
-    assert float(state["object_rows"][1]["ml"]) == pytest.approx(truth(2).sum() * 1.5 / 1000, rel=0.2)
+    assert float(state["object_rows"][1]["ml"]) == pytest.approx(truth(2).sum() * 1.5 / 1000, rel=0.35)
 
 
 BAD = (

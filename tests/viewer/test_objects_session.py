@@ -225,25 +225,36 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
 def test_the_panel_offers_the_objects():
     pytest.importorskip("PySide6")
     code = """
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 application = QApplication([])
 from types import SimpleNamespace
-from accelsurf.viewer.frontends.panels.tools import ToolsPanel
-from accelsurf.viewer.workplace.tools import Look
+from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
 asked = []
-state = {"tool": "look", "radius": 2.0, "radius_least": 0.5, "radius_most": 9.0, "objects": [], "object": "nearest"}
-workplace = SimpleNamespace(
-    tools={"look": Look(None)}, state=lambda: state, request=lambda *request: asked.append(request)
-)
-panel = ToolsPanel(workplace)
-panel.show_state(state)
-print(panel.object.isVisibleTo(panel))
-panel.show_state(state | {"objects": ["nearest", "3", "8"]})
-print(panel.object.isVisibleTo(panel), [panel.object.itemText(k) for k in range(panel.object.count())])
-panel.object.setCurrentText("8")
-panel.object.activated.emit(2)
-print(asked)
+def row(own, **more):
+    known = dict(id=own, name=f"object {own}", color="#e69f00", visible=True, opacity=1.0, ml="1.5", voxels=9)
+    return known | dict(word="paused") | more
+panel = ObjectsPanel(SimpleNamespace(request=lambda *request: asked.append(request)))
+panel.show_state({"object_rows": [row(3)], "object_active": 0})
+panel.show_state({"object_rows": [row(3), row(8, name="cyst", visible=False, opacity=0.5)], "object_active": 8})
+table = panel.table
+print([[table.item(k, c).text() for c in (2, 3, 4)] for k in range(table.rowCount())], asked, panel.opacity.value())
+table.cellClicked.emit(0, 2)
+table.item(1, 2).setText("left kidney")
+panel.show_state({"object_rows": [row(3), row(8, name="left kidney", visible=False, opacity=0.5)], "object_active": 8})
+table.item(1, 0).setCheckState(Qt.CheckState.Checked)
+panel.opacity.setValue(25)
+table.selectAll()
+panel.merge.click()
+panel.add.click()
+panel.nearest.click()
+for request in asked:
+    print(*request)
 """
     environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
-    assert done.stdout.splitlines() == ["False", "True ['nearest', '3', '8']", "[('object', '8')]"], done.stderr
+    assert done.stdout.splitlines() == [
+        "[['object 3', '1.5', 'paused'], ['cyst', '1.5', 'paused']] [] 50",
+        "object_active 3", "object_name 8 left kidney", "object_visible 8 True", "object_opacity 8 0.25",
+        "object_merge 3 8", "object_add", "object_active nearest",
+    ], done.stderr

@@ -10,7 +10,6 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import Dragging, SizeDrag
@@ -102,7 +101,7 @@ def test_releasing_begins_the_run_that_the_same_settings_before_picture(tmp_path
     assert np.array_equal(io.read(next(tmp_path.glob("*_seg.*"))).array, result.labels)
 
 
-def test_a_press_outside_or_of_several_objects_is_refused():
+def test_a_press_outside_or_of_several_objects_is_refused(tmp_path):
     volume, _ = scan()
     with Session(volume, RunConfig(start=PRESS)) as session:
         with pytest.raises(InputError, match="no voxel centre is inside it"):
@@ -110,9 +109,11 @@ def test_a_press_outside_or_of_several_objects_is_refused():
         with pytest.raises(UsageError, match="expected ball"):
             session.press("point:1,2,3").result()
     labels = np.zeros(SHAPE, np.uint8)
-    labels[9:12, 15:20, 15:20] = 5
-    with Run(volume, RunConfig(levels=1), None, (), labels) as run, pytest.raises(UsageError, match="several"):
-        SizeDrag.of_press(run, PRESS)
+    labels[9:12, 15:20, 15:20], labels[9:12, 15:20, 2:5] = 5, 6
+    io.write_labels(volume.with_array(labels), tmp_path / "starts.nii.gz")
+    config = RunConfig(objects=str(tmp_path / "starts.nii.gz"), levels=1, threads=1)
+    with Session(volume, config) as session, pytest.raises(UsageError, match="there are several"):
+        session.press(PRESS).result()
 
 
 def test_clicks_are_edits_and_hold():

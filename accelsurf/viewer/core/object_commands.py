@@ -7,13 +7,13 @@ it goes to its end first.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.report.label_names import table_of
 from accelsurf.settings.labels import LabelTable, colored, named
-from accelsurf.settings.refinements import MAX_ID
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.size_drag import SizeDrag
@@ -112,7 +112,7 @@ class ObjectCommands:
 
     # -- clicks and sizes ----------------------------------------------------------------------------------
 
-    def begin(self, object_id: int, side: Side, where: tuple[str, ...]) -> None:
+    def begin_object(self, object_id: int, side: Side, where: tuple[str, ...]) -> None:
         """Begin an object at clicks.
 
         Raises
@@ -178,20 +178,28 @@ class ObjectCommands:
 
     # -- names and colours ---------------------------------------------------------------------------------
 
-    def describe(self, object_id: int, name: str, color: str) -> None:
-        """Give an object a name and a colour, ``#rrggbb``; they go into the files.
+    def describe(self, said: Mapping[int, tuple[str, str]], changed: int) -> None:
+        """Give objects names and colours, ``#rrggbb``; they go into the files.
+
+        Parameters
+        ----------
+        said : mapping of int to (str, str)
+            By id.
+        changed : int
+            Which of them the message is about.
 
         Raises
         ------
         UsageError
-            When one is none.
+            When one is no name or no colour; nothing is changed then.
         """
-        own = _id(object_id)
-        names, colors = f"{own}={named(f'{own}={name}')[1]}", f"{own}={color}"
-        colored(colors)
-        self._names[own], self._colors[own] = names, colors
+        names = {own: f"{own}={named(f'{own}={name}')[1]}" for own, (name, _) in said.items()}
+        colors = {own: f"{own}={color}" for own, (_, color) in said.items()}
+        for text in colors.values():
+            colored(text)
+        self._names, self._colors = self._names | names, self._colors | colors
         self.labels = self._first.with_settings(tuple(self._names.values()), tuple(self._colors.values()))
-        self._timeline.say(f"object {own} is {name}")
+        self._timeline.say(f"object {changed} is {said[changed][0]}")
 
     def named_settings(self, config: RunConfig) -> dict[str, Any]:
         """The settings of names and colours, as they are now; empty where nothing was named here."""
@@ -201,9 +209,3 @@ class ObjectCommands:
                 before = {named(text)[0] if key == "name" else colored(text)[0]: text for text in getattr(config, key)}
                 out[key] = tuple((before | own)[label] for label in sorted(before | own))
         return out
-
-
-def _id(object_id: int) -> int:
-    if not 1 <= object_id <= MAX_ID:
-        raise UsageError(f"object {object_id} was given, expected an id from 1 on")
-    return object_id

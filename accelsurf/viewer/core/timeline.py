@@ -273,7 +273,7 @@ class Timeline:
         """
         object_id = self.objects.whose(where[0], object_id)
         if object_id is not None and object_id not in self.objects.ids:
-            return self.objects.begin(object_id, side, where)
+            return self.objects.begin_object(object_id, side, where)
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
         said = clicks_in_words(side, where, object_id)
         is_final = all(reason in FINAL_REASONS for reason in self._reasons())

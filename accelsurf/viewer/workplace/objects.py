@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.labels import MAX_NAME, colored
+from accelsurf.settings.labels import MAX_NAME
 from accelsurf.settings.refinements import MAX_ID
 from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.core.status import Status, View
@@ -80,7 +80,7 @@ class ObjectsFeature(Feature):
         styles = self._styles(status)
         return {
             "object_active": self.workplace.object_id or 0,
-            "object_rows": [self._row(own, style, status) for own, style in styles.items()],
+            "object_rows": [self._described(own, style, status) for own, style in styles.items()],
         }
 
     def update(self, view: View) -> None:
@@ -106,7 +106,7 @@ class ObjectsFeature(Feature):
             styles[own] = ObjectStyle(name, color, own not in self._hidden, self._opacity.get(own, 1.0))
         return styles
 
-    def _row(self, own: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
+    def _described(self, own: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
         drawn = self._drawn.get(own)
         is_there = drawn is not None and own in (status.objects or (1,))
         return {
@@ -163,17 +163,23 @@ class ObjectsFeature(Feature):
 
     def _name(self, wanted: Any, name: Any) -> None:
         own, name = self._known(wanted), text(name, MAX_NAME)
-        # A label map has a colour for each name: that which is seen.
-        color = self._styles(self.workplace.session.status)[own].color
-        self.workplace.ask(self.workplace.session.objects(lambda objects: objects.describe(own, name, color)))
+        if not name:
+            raise UsageError(f"object {own}: no name was given")
+        self._describe(own, name=name)
 
     def _color(self, wanted: Any, color: Any) -> None:
         own, color = self._known(wanted), text(color, 7)
         if not _COLOR.fullmatch(color):
             raise UsageError(f"color: {short(color)} was given, expected #rrggbb")
-        colored(f"{own}={color}")
-        name = self._styles(self.workplace.session.status)[own].name
-        self.workplace.ask(self.workplace.session.objects(lambda objects: objects.describe(own, name, color)))
+        self._describe(own, color=color)
+
+    def _describe(self, own: int, name: str = "", color: str = "") -> None:
+        """Name or colour an object. Files then have a name and a colour for each: those that are seen."""
+        styles = self._styles(self.workplace.session.status)
+        before = styles[own]
+        styles[own] = before._replace(name=name or before.name, color=color or before.color)
+        said = {each: (style.name, style.color) for each, style in styles.items()}
+        self.workplace.ask(self.workplace.session.objects(lambda objects: objects.describe(said, own)))
 
     def _visible(self, wanted: Any, on: Any) -> None:
         own = self._known(wanted)

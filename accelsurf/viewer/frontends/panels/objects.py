@@ -56,7 +56,7 @@ class ObjectsPanel(Section):
         self.add = button("Add", "A further object: the next press or click inside begins it (U)")
         self.add.clicked.connect(lambda: self.ask("object_add"))
         self.merge = button("Merge", "Make the chosen objects the first of them (choose several with Ctrl)")
-        self.merge.clicked.connect(lambda: self.ask("object_merge", *self._chosen()))
+        self.merge.clicked.connect(lambda: self.ask("object_merge", *self._selected()))
         self.remove = button("Remove", "Take the chosen object away")
         self.remove.clicked.connect(self._remove)
         self.nearest = button("Nearest", "Strokes are for the object that is nearest to where they begin")
@@ -75,20 +75,23 @@ class ObjectsPanel(Section):
         grid.addWidget(self.opacity, 2, 1, 1, 3)
         self._rows: list[dict[str, Any]] = []
         self._active = 0
+        #: What was typed may not be taken: what is known is shown again.
+        self._is_typed = False
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the objects, and which one is active."""
         rows, active = state["object_rows"], state["object_active"]
         is_typing = self.table.state() == QAbstractItemView.State.EditingState
-        if (rows, active) == (self._rows, self._active) or is_typing:
+        if is_typing or ((rows, active) == (self._rows, self._active) and not self._is_typed):
             return
-        chosen, moved = self._chosen(), active != self._active
+        self._is_typed = False
+        selected, moved = self._selected(), active != self._active
         self._rows, self._active = rows, active
         with QSignalBlocker(self.table):
             self.table.setRowCount(len(rows))
             for place, row in enumerate(rows):
                 self._fill(place, row)
-            self._choose({active} if moved else set(chosen))
+            self._choose({active} if moved else set(selected))
         shown = next((row for row in rows if row["id"] == active), rows[0])
         with QSignalBlocker(self.opacity):
             self.opacity.setValue(round(100 * shown["opacity"]))
@@ -97,8 +100,10 @@ class ObjectsPanel(Section):
         """Write a row of the table."""
         texts = {_SEEN: "", _COLOR: "", _NAME: row["name"], _ML: row["ml"], _WORD: row["word"]}
         for column, text in texts.items():
-            item = self.table.item(place, column) or QTableWidgetItem()
-            self.table.setItem(place, column, item)
+            item = self.table.item(place, column)
+            if item is None:
+                item = QTableWidgetItem()
+                self.table.setItem(place, column, item)
             item.setText(text)
             flags = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
             if column == _SEEN:
@@ -126,7 +131,7 @@ class ObjectsPanel(Section):
     def _id(self, row: int) -> int:
         return int(self._rows[row]["id"])
 
-    def _chosen(self) -> list[int]:
+    def _selected(self) -> list[int]:
         """Ids of the chosen rows, in their order."""
         places = sorted(index.row() for index in self.table.selectionModel().selectedRows())
         return [self._id(place) for place in places if place < len(self._rows)]
@@ -137,7 +142,7 @@ class ObjectsPanel(Section):
             self.ask("object_name", self._id(item.row()), item.text())
         elif item.column() == _SEEN:
             self.ask("object_visible", self._id(item.row()), item.checkState() == Qt.CheckState.Checked)
-        self._rows = []  # what was typed may not be taken: show what is known
+        self._is_typed = True
 
     def _double_clicked(self, row: int, column: int) -> None:
         if column == _COLOR:
@@ -153,7 +158,7 @@ class ObjectsPanel(Section):
             self.ask("object_opacity", self._active or self._id(0), percent / 100)
 
     def _remove(self) -> None:
-        for own in self._chosen():
+        for own in self._selected():
             self.ask("object_remove", own)
 
     def _menu(self, at: QPoint) -> None:
