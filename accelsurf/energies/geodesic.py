@@ -65,18 +65,21 @@ class Geodesic(ImageEnergy):
 
     def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
         """Slope and balloon, grad phi . n + c phi, in the band, where the surface has a normal; NaN beyond it."""
-        wide = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in box)
-        inner = tuple(slice(s.start - w.start, s.stop - w.start) for s, w in zip(box, wide, strict=True))
-        phi, psi = self.sums.image.reshape(surface.shape)[wide], surface.psi[wide]
-        slope, length = np.zeros(psi.shape, np.float32), np.zeros(psi.shape, np.float32)
+        phi, psi = self.sums.image.reshape(surface.shape), surface.psi
+        force = np.full(psi[box].shape, np.nan, np.float32)
+        at = np.nonzero(surface.dense.slot.reshape(surface.shape)[box] >= 0)
+        cells = [index + part.start for index, part in zip(at, box, strict=True)]
+        slope, length = np.zeros(at[0].size, np.float32), np.full(at[0].size, 1e-12, np.float32)
         for axis, h in enumerate((surface.grid.hz, surface.grid.hy, surface.grid.hx)):
-            if psi.shape[axis] > 1:
-                normal = np.gradient(psi, np.float32(h), axis=axis)
-                slope += np.gradient(phi, np.float32(h), axis=axis) * normal
-                length += normal**2
-        force = slope / np.sqrt(np.maximum(length, np.float32(1e-12))) + np.float32(self.balloon) * phi
-        in_band = surface.dense.slot.reshape(surface.shape)[box] >= 0
-        return np.where(in_band, force[inner], np.float32(np.nan))
+            last = surface.shape[axis] - 1
+            ends = [[*cells[:axis], np.clip(cells[axis] + one, 0, last), *cells[axis + 1 :]] for one in (1, -1)]
+            apart = np.float32(h) * np.maximum(ends[0][axis] - ends[1][axis], 1).astype(np.float32)
+            (phi_up, psi_up), (phi_down, psi_down) = ((phi[tuple(end)], psi[tuple(end)]) for end in ends)
+            normal = (psi_up - psi_down) / apart
+            slope += (phi_up - phi_down) / apart * normal
+            length += normal**2
+        force[at] = slope / np.sqrt(length) + np.float32(self.balloon) * phi[tuple(cells)]
+        return force
 
 
 def edge_indicator(

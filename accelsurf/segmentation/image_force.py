@@ -11,7 +11,7 @@ from accelsurf.segmentation.run import Run
 
 
 def image_forces(
-    run: Run, planes: list[tuple[int, int]], object_id: int | None = None
+    run: Run, planes: list[tuple[int, int]], object_id: int | None = None, is_measured: bool = False
 ) -> list[NDArray[np.float32]] | None:
     """The force of an object's energy in slices of the image, outward: above 0 a surface there would grow.
 
@@ -24,6 +24,8 @@ def image_forces(
         Array axis (of z, y, x) and index of each slice.
     object_id : int, optional
         Of several objects; the first unless given.
+    is_measured : bool, optional
+        The run is as it was when this was called last for this object: means and models are those of then.
 
     Returns
     -------
@@ -34,8 +36,9 @@ def image_forces(
     one = next((own for own in run.objects if object_id in (None, own.id)), run.objects[0])
     if one.surface.size == 0:
         return None
-    one.evolution.initialize()
-    one.evolution.energy.value(one.surface, *one.surface.fraction_and_area())
+    if not is_measured:
+        one.evolution.initialize()
+        one.evolution.energy.value(one.surface, *one.surface.fraction_and_area())
     forces = [_in_slice(run, one, axis, index) for axis, index in planes]
     return None if any(force is None for force in forces) else [force for force in forces if force is not None]
 

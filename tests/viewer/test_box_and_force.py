@@ -228,11 +228,11 @@ def test_the_force_follows_slices_and_the_run(workplace):
     workplace.request("set", "energy", "threshold:,20")
     settle(workplace)
     assert np.abs(picture_of(workplace, "axial") - before).max() > 60, "what was bright is outside now"
-    asked = feature._asked
+    asked = feature._run
     workplace.state()
     settle(workplace)
-    assert feature._asked is asked and not workplace.session.has_unseen_state, "nothing new, nothing asked"
+    assert feature._run is asked and not workplace.session.has_unseen_state, "nothing new, nothing asked"
     workplace.request("step")
     settle(workplace)
-    assert feature._asked != asked
+    assert feature._run != asked
     workplace.request("force", False)

@@ -17,6 +17,8 @@ from accelsurf.viewer.scene.slices import SliceTile
 
 #: Opacity of the largest force; and how far towards the ends of the colour map it goes, which are almost black.
 OPACITY, ENDS = 0.6, 0.75
+#: Of every so many values the scale is made.
+SCALE_STEP = 5
 #: Between the image and the cursor's lines, in the order of drawing.
 DEPTH = 0.5
 
@@ -57,15 +59,21 @@ class ForceOverlay:
         scene.plotter.render_window.AddObserver("StartEvent", lambda *_: self._follow_slices())
 
     def show(self, forces: Mapping[str, ForceSlice]) -> None:
-        """Show forces by name of the tile, on a common scale; none hides all."""
-        self._slices = dict(forces)
-        values = [one.values[np.isfinite(one.values)] for one in forces.values()]
+        """Show forces by name of the tile in place of all before, on a common scale; none hides all."""
+        self._slices = {}
+        values = [one.values.ravel()[::SCALE_STEP] for one in forces.values()]
         self.scale = color_range(np.concatenate(values), True)[1] if values else 0.0
+        self.add(forces)
+        self._scene.tiles.redraw.mark(*(tile.renderer for tile in self._scene.slice_tiles.values()))
+
+    def add(self, forces: Mapping[str, ForceSlice]) -> None:
+        """Show forces in some tiles, on the scale that there is; the other tiles stay."""
+        self._slices |= forces
         for name, one in forces.items():
             tile = self._scene.slice_tiles[name]
-            layer = self._layers.get(name) or self._add(name, tile)
+            layer = self._layers.get(name) or self._make(name, tile)
             layer.texture.show_colors(force_colors(tile.hung(one.values), self.scale, self._table))
-        self._scene.tiles.redraw.mark(*(tile.renderer for tile in self._scene.slice_tiles.values()))
+            self._scene.tiles.redraw.mark(tile.renderer)
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -81,7 +89,7 @@ class ForceOverlay:
         for name, layer in self._layers.items():
             layer.actor.SetVisibility(name in shown)
 
-    def _add(self, name: str, tile: SliceTile) -> _Layer:
+    def _make(self, name: str, tile: SliceTile) -> _Layer:
         left, right, bottom, top = tile.extent
         middle = (0.5 * (left + right), 0.5 * (bottom + top), DEPTH)
         mapper = vtkPolyDataMapper()

@@ -86,24 +86,27 @@ def bounds(status: Status) -> list[dict[str, Any]]:
 
 
 def sample(image: NDArray[Any]) -> NDArray[Any]:
-    """Return at most about `SAMPLE` values of an image, on a coarser grid of its own voxels."""
-    stride = [1, 1, 1]
-    shape = np.array(image.shape)
-    while np.prod(-(-shape // stride)) > SAMPLE:
-        stride[int(np.argmax(shape / stride))] += 1
-    return image[tuple(slice(None, None, step) for step in stride)].ravel()
+    """Return at most `SAMPLE` values of an image, on a coarser grid of its own voxels."""
+    return image[_sampled(image.shape)].ravel()
+
+
+def _sampled(shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """Every so many voxels along each axis, at most `SAMPLE` in all."""
+    stride, sides = [1] * len(shape), np.array(shape)
+    while np.prod(-(-sides // stride)) > SAMPLE:
+        stride[int(np.argmax(sides / stride))] += 1
+    return tuple(slice(None, None, step) for step in stride)
 
 
 def values_inside(frame: Frame, image: NDArray[Any]) -> NDArray[Any]:
-    """Return at most about `SAMPLE` values of an image in each object of a frame."""
+    """Return at most `SAMPLE` values of an image in each object of a frame."""
     parts = [_values_in(surface, image) for surface in frame.surfaces if surface.has_surface]
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def _values_in(surface: SurfaceFrame, image: NDArray[Any]) -> NDArray[Any]:
-    cells = np.flatnonzero(surface.psi < 0)
-    cells = cells[:: max(-(-cells.size // SAMPLE), 1)]
-    index = np.stack(np.unravel_index(cells, surface.psi.shape), axis=-1)
+    coarse = _sampled(surface.psi.shape)
+    index = np.argwhere(surface.psi[coarse] < 0) * [part.step for part in coarse]
     at = np.rint(surface.to_image(index)).astype(np.int64)
     z, y, x = np.clip(at, 0, np.array(image.shape) - 1).T
     return np.asarray(image[z, y, x])
