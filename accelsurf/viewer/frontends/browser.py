@@ -5,11 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import tempfile
-import threading
 from collections.abc import Callable
 from pathlib import Path
-
-import pyvista
 
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
@@ -66,9 +63,6 @@ def serve(
         stack.callback(page.close)
         if first is not None:
             page.open(*first)
-        else:
-            # What draws takes seconds to load: while the person chooses.
-            threading.Thread(target=getattr, args=(pyvista, "Plotter"), daemon=True).start()
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(_serve(page, on_ready))
 

@@ -13,6 +13,7 @@ import io
 import secrets
 import socket
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvista
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -111,6 +113,9 @@ class Page:
         self.quiet: Quiet | None = None
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
+        #: What draws takes seconds to load: while the person chooses.
+        self._loading = threading.Thread(target=getattr, args=(pyvista, "Plotter"), daemon=True)
+        self._loading.start()
 
     # -- the page -----------------------------------------------------------------------------------------
 
@@ -176,6 +181,7 @@ class Page:
         GraphicsError, InputError
             When it cannot be drawn; what was shown stays.
         """
+        self._loading.join()
         former = self.workplace
         scene = Scene(
             opened.volume, theme=self._theme if former is None else former.scene.theme_name, reference=opened.reference,
