@@ -179,9 +179,11 @@ class Hand:
             found[name] = self._drag(tool, self._along(tile))
             time.sleep(1.5)
         found["radius"] = self._slide()
-        found["obeyed_s"] = [self._correct(number) for number in range(CORRECTIONS)]
+        found["obeyed"] = [self._correct(number) for number in range(CORRECTIONS)]
         found["placed ball"] = self._drag("ball", self._along("axial"))
-        return {name: value if name == "obeyed_s" else summary(value) for name, value in found.items()}
+        times = found.pop("obeyed")
+        found = {name: summary(value) for name, value in found.items()}
+        return found | {"obeyed_s": [wall for wall, _ in times], "obeyed_cpu_s": [cpu for _, cpu in times]}
 
     # -- what the hand does -------------------------------------------------------------------------------
 
@@ -244,8 +246,8 @@ class Hand:
         time.sleep(1.0)
         return times
 
-    def _correct(self, number: int) -> float:
-        """Seconds from the release of a correcting stroke until the surface is drawn that obeys it."""
+    def _correct(self, number: int) -> tuple[float, float]:
+        """Seconds from a correcting stroke's release until the surface obeys and is drawn, and of the processor."""
         session, window = self.window.session, self.window
         side = ("outside", "inside")[number % 2]
         renderer = window.scene.tiles.renderer("axial")
@@ -266,11 +268,11 @@ class Hand:
         for part in (0.003, 0.006, 0.009):
             self._event("move", (x + part, y))
         count, began = len(session.status.refinements), time.perf_counter()
-        frame = window.scene.frame
+        frame, spent = window.scene.frame, time.process_time()
         self._event("release", None)
         self._until(lambda: len(session.status.refinements) > count and window.scene.frame is not frame, 120)
         self._in_window(lambda: None)  # the picture of that frame is drawn in the same turn
-        return round(time.perf_counter() - began, 3)
+        return round(time.perf_counter() - began, 3), round(time.process_time() - spent, 3)
 
     # -- the window's thread ------------------------------------------------------------------------------
 
