@@ -74,12 +74,11 @@ def refine(
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     display: Display | None = None,
 ) -> int:
-    """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays. Or have other
-    objects: a new one, two merged, one split.
+    """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays.
 
-    The run's files are replaced, all at once, unless another folder is given. A correction that fails leaves them as
-    they are. What accelsurf segment or refine wrote with its state (NAME_state.npz) can be refined; NAME_run.toml has
-    all settings and corrections, and accelsurf segment --config repeats them.
+    Or have other objects: a new one, two merged, one split. The run's files are replaced, all at once, unless another
+    folder is given. A correction that fails leaves them as they are. What accelsurf segment or refine wrote with its
+    state (NAME_state.npz) can be refined; NAME_run.toml has all settings and corrections, for segment --config.
 
     Parameters
     ----------
@@ -103,14 +102,12 @@ def refine(
     strict
         Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
     """
-    given = {"inside": inside, "outside": outside, "near": near, "object": object}
-    given |= vars(objects or ObjectOptions())
+    given = {"inside": inside, "outside": outside, "near": near, "object": object, **vars(objects or ObjectOptions())}
     (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
     from accelsurf.cli.case import run_case
     from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
 
-    display = display or Display()
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.parent if output is None else output
     in_place = folder.resolve() == source.report.parent.resolve()
@@ -119,8 +116,9 @@ def refine(
         _refuse_changed(place, source)
     compute = _Refinement(source, refinement, in_place)
     config = source.state.config
-    done = run_case(place, config.replace(refine=(*config.refine, refinement)), Watcher(display), strict, compute)
-    if not display.quiet:
+    watcher = Watcher(display or Display())
+    done = run_case(place, config.replace(refine=(*config.refine, refinement)), watcher, strict, compute)
+    if display is None or not display.quiet:
         _print_summary(done, compute)
     return done.code
 
