@@ -110,12 +110,11 @@ def refine(
 
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.parent if output is None else output
-    in_place = folder.resolve() == source.report.parent.resolve()
+    in_place, config = folder.resolve() == source.report.parent.resolve(), source.state.config
     place = Place(source.image, folder, source.name, overwrite or in_place, has_checkpoint=False)
     if in_place and not overwrite:
         _refuse_changed(place, source)
     compute = _Refinement(source, refinement, in_place)
-    config = source.state.config
     watcher = Watcher(display or Display())
     done = run_case(place, config.replace(refine=(*config.refine, refinement)), watcher, strict, compute)
     if display is None or not display.quiet:
