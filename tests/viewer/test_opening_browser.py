@@ -302,6 +302,7 @@ def test_from_the_start_page_to_a_saved_result_by_keys_and_mouse(served, tmp_pat
         ActionChains(browser).send_keys(Keys.ENTER).perform()
         until(lambda: browser.find_elements("id", "picture"))
         until(lambda: said(browser, "#state") == "paused")
+        browser.execute_script("document.querySelectorAll('details').forEach(one => { one.open = true })")
         for width in WIDTHS:
             resize(browser, width)
             time.sleep(0.6)
@@ -313,7 +314,6 @@ def test_from_the_start_page_to_a_saved_result_by_keys_and_mouse(served, tmp_pat
         order, unseen = walk(browser)
         assert order == sorted(order) and len(order) > 15 and not unseen
         # A file of one's own, with a question.
-        browser.find_element("css selector", "#panel-open summary").click()
         browser.find_element("id", "upload").send_keys(str(served.folder / "inner" / "labels.nrrd"))
         until(lambda: browser.find_elements("id", "answer-reference"))[0].click()
         until(lambda: not browser.find_elements("id", "question"))
