@@ -25,12 +25,20 @@ def fill(person, key, text):
 def reach(person, place):
     """Scroll the panels until a place in them is on the screen; return it."""
     for _ in range(40):
-        time.sleep(0.25)  # until the panels rest, and have said where they are
-        x, y, *rest = place(person.now())
+        x, y, *rest = at_rest(person, place)
         if 90 < y < 600:
             return (x, y, *rest)
         person.do("mousemove", "1100", "300", "click", "5" if y >= 600 else "4")
     raise AssertionError("it cannot be reached")
+
+
+def at_rest(person, place):
+    """A place once the panels do not move any more."""
+    before = None
+    while (now := place(person.now())) != before:
+        before = now
+        time.sleep(0.4)
+    return now
 
 
 @needs_screen
@@ -71,7 +79,7 @@ def test_a_run_set_up_by_hand_is_the_same_from_the_command_line(person, scan, tm
     person.do("mousemove", "700", "690")
     person.key("f")
     person.until(lambda now: "purple grows" in now["state"]["force_note"])
-    person.key("x")
+    person.key("z")
     person.until(lambda now: now["state"]["tool"] == "box")
     x, y = person.now()["tiles"]["axial"]
     person.drag((x - 70, y - 75), (x, y), (x + 70, y + 75))

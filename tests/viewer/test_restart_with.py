@@ -42,7 +42,7 @@ def test_clicks_stay_and_balls_do_not(session, tmp_path):
     assert [(edit.step, edit.inside, edit.outside, edit.balls) for edit in status.edits] == [
         (0, ("ball:17,15,16,2",), (), ()), (0, (), ("point:17,28,16", "point:16,28,16"), ()),
     ]
-    assert status.message == "from the start: max volume 90000, presmooth 1vox"
+    assert status.message == "from the start: presmooth 1vox, max volume 90000"
     saved, toml = labels_of(at(session, 9), tmp_path)
     assert segment(volume(), config=RunConfig.from_toml(toml)).labels.tobytes() == saved
 

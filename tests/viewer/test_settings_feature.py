@@ -233,3 +233,9 @@ def test_large_images_are_counted_on_a_coarser_grid():
     values = sample(image)
     assert 0.3 * SAMPLE < values.size <= SAMPLE and abs(values.mean() - 255.5) < 8
     assert sample(np.zeros((1, 30, 40))).size == 1200
+
+
+def test_no_key_is_taken_twice(workplace):
+    taken = [tool.key for tool in workplace.tools.values()]
+    taken += [key for feature in workplace.features for key in feature.keys()]
+    assert len(taken) == len(set(taken)) == len(workplace.keys), sorted(taken)

@@ -156,7 +156,7 @@ class ObjectCommands:
         size, ids = drag.size_text(drag_mm), self.ids
         if len(ids) == 1 and object_id in (None, ids[0]) and not self.has_ids:
             settings: dict[str, Any] = {"inside": (drag.click,), "outside": (), "start": ("clicks",)}
-            settings |= {"energy": "seeded", "size": size, "preset": None}
+            settings |= {"energy": "seeded", "size": size}
             return self._timeline.start_with(settings, f"inside: {drag.click}, size {size}")
         own = object_id or ids[0]
         said = f"{'object' if own in ids else 'new object'} {own}: {drag.click}, size {size}"

@@ -96,7 +96,7 @@ class BoxTool(Tool):
         Whether a box is being drawn or dragged.
     """
 
-    name, key, text = "box", "X", "Box"
+    name, key, text = "box", "Z", "Box"
     tip = "Drag in a slice: the box in which the run is made; drag its sides and corners to change it"
 
     def __init__(self, workplace: Any, feature: BoxFeature) -> None:
