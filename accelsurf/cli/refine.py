@@ -59,6 +59,11 @@ class _Source:
     image: Path
     state: StateFile
 
+    def corrected(self, refinement: Refinement) -> RunConfig:
+        """The settings with a further correction."""
+        config: RunConfig = self.state.config
+        return config.replace(refine=(*config.refine, refinement))
+
 
 def refine(
     result: Annotated[Path | None, Parameter(group=FILES)] = None,
@@ -74,8 +79,7 @@ def refine(
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     display: Display | None = None,
 ) -> int:
-    """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays. Or have other
-    objects: a new one, two merged, one split.
+    """Correct the result of a run by clicks: beyond what they are about every byte stays. Or have other objects.
 
     The run's files are replaced, all at once, unless another folder is given. A correction that fails leaves them as
     they are. What accelsurf segment or refine wrote with its state (NAME_state.npz) can be refined; NAME_run.toml has
@@ -118,8 +122,7 @@ def refine(
     if in_place and not overwrite:
         _refuse_changed(place, source)
     compute = _Refinement(source, refinement, in_place)
-    config = source.state.config
-    done = run_case(place, config.replace(refine=(*config.refine, refinement)), Watcher(display), strict, compute)
+    done = run_case(place, source.corrected(refinement), Watcher(display), strict, compute)
     if not display.quiet:
         _print_summary(done, compute)
     return done.code
