@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.distance import pdist
 
+from accelsurf.analysis.diameters import Diameters, diameters
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
 
@@ -40,16 +39,16 @@ def statistics(one: SegmentedObject, values: NDArray[Any]) -> dict[str, Any]:
         In this order: ``volume_ml``, ``volume_mm3``, ``area_mm2``; ``voxels``; ``mean``, ``sd``, ``min``, ``p1`` to
         ``p99``, ``max`` of the image; ``box_first``, ``box_last`` (voxel indices x, y, z, both in the object);
         ``centroid_mm``; ``axes_mm``, the lengths of the ellipsoid with the same moments, longest first, and
-        ``axes_directions``; ``diameter_mm``, the largest distance of two points of it, ``diameter_axial_mm``, the
-        largest within one slice; ``sphere_mm``, the diameter of a ball of the same volume; ``sphericity``, the area of
-        that ball by its own. Places and directions are (x, y, z), LPS; an undefined figure is None.
+        ``axes_directions``; ``diameter_mm``, ``diameter_across_mm``, ``diameter_axial_mm`` and
+        ``diameter_axial_across_mm``, see `accelsurf.analysis.diameters`; ``sphere_mm``, the diameter of a ball of the
+        same volume; ``sphericity``, the area of that ball by its own. Places and directions are (x, y, z), LPS; an
+        undefined figure is None.
     """
     box = bounding_box(one.labels > 0)
     assert box is not None  # it has a voxel
     inside, corner = one.labels[box] > 0, np.array([part.start for part in box])
     first = corner + [side.start or 0 for side in one.box]
     count, middle, moments = _moments(inside)
-    ends = _row_ends(inside) + corner
     return {
         "volume_ml": one.volume_mm3 / 1000,
         "volume_mm3": one.volume_mm3,
@@ -60,8 +59,7 @@ def statistics(one: SegmentedObject, values: NDArray[Any]) -> dict[str, Any]:
         "box_last": [int(part) for part in (first + inside.shape - 1)[::-1]],
         "centroid_mm": [float(part) for part in one.geometry.index_to_world(middle + corner)],
         **_axes(moments, one.geometry),
-        "diameter_mm": _diameter(_corners(ends, one.geometry)),
-        "diameter_axial_mm": _axial_diameter(ends, one.geometry),
+        **diameters_mm(diameters(inside, tuple(part.start for part in box), one.geometry)),
         **_roundness(one.volume_mm3, one.area_mm2),
     }
 
@@ -81,14 +79,6 @@ def _moments(inside: NDArray[np.bool_]) -> tuple[int, Floats, Floats]:
     for (a, b), plane in planes.items():
         moments[a, b] = moments[b, a] = offsets[a] @ plane @ offsets[b]
     return count, middle, moments / count
-
-
-def _row_ends(inside: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Indices (n, 3) of the first and the last voxel of each row along x: no other can be one of the farthest two."""
-    rows = np.argwhere(inside.any(axis=2))
-    own = inside[rows[:, 0], rows[:, 1]]
-    begin, end = own.argmax(axis=1), inside.shape[2] - 1 - own[:, ::-1].argmax(axis=1)
-    return np.concatenate([np.column_stack([rows, begin]), np.column_stack([rows, end])])
 
 
 def _of_image(values: NDArray[Any]) -> dict[str, float]:
@@ -118,35 +108,10 @@ def _axes(moments: Floats, geometry: Geometry) -> dict[str, Any]:
     }
 
 
-def _corners(ends: NDArray[Any], geometry: Geometry) -> Floats:
-    """The corners of voxels in world mm; those of an image of one slice have no thickness."""
-    flat = np.array([0.5 if n > 1 else 0.0 for n in geometry.shape])
-    signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
-    return np.asarray(geometry.index_to_world((ends[:, None, :] + signs * flat).reshape(-1, 3)))
-
-
-def _diameter(points: Floats) -> float:
-    """Largest distance of two points, by those on their convex hull."""
-    try:
-        points = points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):  # all in one plane or on one line
-        centred = points - points.mean(axis=0)
-        _, sizes, axes = np.linalg.svd(centred, full_matrices=False)
-        rank = int((sizes > 1e-9 * max(float(sizes[0]), 1e-300)).sum())
-        if rank == 2 and len(points) > 3:
-            points = points[ConvexHull(centred @ axes[:2].T).vertices]
-        elif rank == 1:
-            along = centred @ axes[0]
-            points = points[[int(along.argmin()), int(along.argmax())]]
-    return float(pdist(points).max()) if len(points) > 1 else 0.0
-
-
-def _axial_diameter(ends: NDArray[np.int64], geometry: Geometry) -> float:
-    """Largest distance of two points within one slice z."""
-    plane = Geometry((1, *geometry.shape[1:]), geometry.spacing, geometry.origin, geometry.direction)
-    order = np.argsort(ends[:, 0], kind="stable")
-    parts = np.split(ends[order], np.flatnonzero(np.diff(ends[order, 0])) + 1)
-    return max(_diameter(_corners(own * [0, 1, 1], plane)) for own in parts)
+def diameters_mm(lines: Diameters) -> dict[str, float]:
+    """Return the lengths of an object's longest lines by their names in tables."""
+    names = ("diameter_mm", "diameter_across_mm", "diameter_axial_mm", "diameter_axial_across_mm")
+    return {name: float(np.linalg.norm(b - a)) for name, (a, b) in zip(names, lines, strict=True)}
 
 
 def _roundness(volume_mm3: float, area_mm2: float) -> dict[str, float | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -116,26 +116,16 @@ def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) 
     InputError
         When the image cannot be opened.
     """
-    from accelsurf.io.headers import options_of
-    from accelsurf.io.lazy_volume import open_channels
-    from accelsurf.segmentation.memory_need import run_bytes
+    from accelsurf.segmentation.fitting_level import fitting_level
 
     if config.level != "auto":
         return config
-    if "level" not in options_of(source):
+    found = fitting_level(source, config, parts.allowed_bytes)
+    if found is None:
         return config.replace(level=0)
-    finest = open_channels(source, replace(config.reading, level=0))
-    grids, count = finest[0].layout.levels, len(finest) + len(config.channel)
-    uses_model = energy_expression.uses_model(config.energy)
-    within = (
-        n for n, grid in enumerate(grids)
-        if run_bytes(count * math.prod(grid.shape), uses_model) <= parts.allowed_bytes
-    )
-    level = next(within, len(grids) - 1)
     if not quiet:
-        size = " x ".join(map(str, grids[level].size))
-        print(f"level {level} of 0 to {len(grids) - 1} is read, the finest that fits into the memory: {size} voxels")
-    return config.replace(level=level)
+        print(found.text)
+    return config.replace(level=found.level)
 
 
 def for_windows(place: Place, config: RunConfig) -> RunConfig:

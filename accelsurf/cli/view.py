@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, Settings, required, run_config
+from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, Settings, run_config
 from accelsurf.errors import UsageError
 
 if TYPE_CHECKING:
-    from accelsurf.grid.volume import Volume
+    from accelsurf.settings.run_config import RunConfig
+    from accelsurf.viewer.core.opening import OpenedImage
     from accelsurf.viewer.core.session import Session
+    from accelsurf.viewer.workplace.opening import Opening
 
 
 @Parameter(name="*")
@@ -34,6 +37,24 @@ class PageOptions:
     open_page: Annotated[bool, Parameter(name="--open", negative="--no-open", group=SHOW)] = True
     """With --browser: open the page."""
 
+    folder: Annotated[Path | None, Parameter(group=FILES, show_default="the present folder")] = None
+    """With --browser: images in this folder, and in those in it, can be opened from the page; none elsewhere."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ViewerOptions:
+    """How window and page look, and what they remember."""
+
+    theme: Annotated[Literal["dark", "light"], Parameter(group=SHOW)] = "dark"
+    """Colours of the window or page: dark or light."""
+
+    keep: Annotated[float, Parameter(group=SHOW)] = 512.0
+    """Memory for stored steps to which you can return, MB."""
+
+    recent: Annotated[bool, Parameter(group=SHOW)] = True
+    """List the images that were opened last, and remember those that are opened now."""
+
 
 def view(
     input: InputFile = None,
@@ -43,11 +64,13 @@ def view(
     reference: Annotated[Path | None, Parameter(group=FILES)] = None,
     overwrite: Overwrite = False,
     page: PageOptions | None = None,
-    theme: Annotated[Literal["dark", "light"], Parameter(group=SHOW)] = "dark",
-    keep: Annotated[float, Parameter(group=SHOW)] = 512.0,
+    viewer: ViewerOptions | None = None,
     settings: Settings | None = None,  # type: ignore[valid-type]
 ) -> int:
     """Watch and steer a segmentation in a window, or in a browser.
+
+    Without an image a start page opens: recent files, phantoms, a dialog to open a file or folder; an image can also be
+    dropped on it. Another image, or a reference, can be opened in the same way at any time.
 
     Place a start, run, change settings while it runs, go back and forward, add and remove parts, save. The files are
     those of accelsurf segment, and run.toml, with which segment makes the same bytes. F1 in the window shows keys and
@@ -60,40 +83,68 @@ def view(
     Parameters
     ----------
     input
-        The image.
+        The image; without it the start page opens.
     result
-        Folder to save in; without it the window asks for one.
+        Folder to save in; without it the window asks for one. Further images are saved in folders in it.
     config
         TOML file with settings, such as run.toml of an earlier session; options given here override it.
     reference
         Label map of the true object, on the same grid: also drawn, with the Dice coefficient.
     overwrite
         Replace files in the folder that this session has not written.
-    theme
-        Colours of the window or page: dark or light.
-    keep
-        Memory for stored steps to which you can return, MB.
     """
-    source, page = required(input, "INPUT"), page or PageOptions()
-    made = run_config(settings, config)
+    made, page, viewer = run_config(settings, config), page or PageOptions(), viewer or ViewerOptions()
+    if input is None and reference is not None:
+        raise UsageError("reference: it was given without an image", "give the image, too")
     page = _front_end(page)
-    from accelsurf import io
     from accelsurf.cli.interrupts import default_handling
-    from accelsurf.io import channels
 
-    volume, *more = channels.read(source, made.reading)
-    truth = None if reference is None else io.read_labels(reference)
-    from accelsurf.viewer.core.session import Session
-
-    name = io.split_name(source)[0]
-    opened = Session(volume, made, name=name, source=source, checkpoint_mb=keep, channels=more)
-    with default_handling(), opened as session:  # Ctrl-C is the documented way to end a page
-        session.ready.result()
+    # Ctrl-C is the documented way to end a page.
+    with ExitStack() as stack:
+        first = None if input is None else _read(input, made, reference)
+        stack.enter_context(default_handling())
+        opening = _opening(made, viewer.recent, page)
+        session = None
+        if first is not None:
+            session = stack.enter_context(first.session(viewer.keep))
+            session.ready.result()
+        opened = None if first is None or session is None else (first, session)
         if page.browser:
-            _serve(session, truth, result, theme, overwrite, page)
+            _serve(opening, opened, result, overwrite, viewer, page)
         else:
-            _open_window(session, truth, result, theme, overwrite)
+            _open_window(opening, opened, result, overwrite, viewer)
     return 0
+
+
+def _read(source: Path, config: RunConfig, reference: Path | None) -> OpenedImage:
+    """Read the image, as the other commands do, and labels to compare with."""
+    from accelsurf import io
+    from accelsurf.io import channels
+    from accelsurf.viewer.core.opening import OpenedImage
+
+    volume, *more = channels.read(source, config.reading)
+    truth = None if reference is None else io.read_labels(reference)
+    return OpenedImage(volume, config, io.split_name(source)[0], source, tuple(more), truth)
+
+
+def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:
+    """What opens images: for a page only those in its folder, and for other machines without what was opened last."""
+    from accelsurf.viewer.core.recent_files import RecentFiles, recent_file
+    from accelsurf.viewer.core.served_folder import ServedFolder
+    from accelsurf.viewer.workplace.opening import Opening
+
+    listed = RecentFiles(recent_file() if recent and _is_local(page) else None)
+    if not page.browser:
+        return Opening(config, listed)
+    folder = page.folder or Path()
+    if not folder.is_dir():
+        raise UsageError(f"--folder: {folder} was given, expected a folder", "give the folder of your images")
+    return Opening(config, listed, ServedFolder(folder))
+
+
+def _is_local(page: PageOptions) -> bool:
+    """Whether this machine alone is served."""
+    return page.host in (None, "127.0.0.1", "localhost")
 
 
 def _front_end(page: PageOptions) -> PageOptions:
@@ -112,7 +163,8 @@ def _front_end(page: PageOptions) -> PageOptions:
     from accelsurf.viewer.scene.headless import require_graphics
 
     if not page.browser:
-        for name, given in {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}.items():
+        asked = {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}
+        for name, given in {**asked, "--folder": page.folder}.items():
             if given is not None:
                 raise UsageError(f"{name} was given for a window", "it has an effect with --browser only")
         lack = display.lacks_window_packages()
@@ -127,19 +179,24 @@ def _front_end(page: PageOptions) -> PageOptions:
 
 
 def _open_window(
-    session: Session, truth: Volume | None, folder: Path | None, theme: str, overwrite: bool
+    opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, overwrite: bool,
+    viewer: ViewerOptions,
 ) -> None:
     """Open a window until the user closes it."""
-    from accelsurf.viewer.frontends.desktop import Window, application
+    from accelsurf.viewer.frontends.desktop import application
+    from accelsurf.viewer.frontends.main_window import MainWindow
 
     app = application()
-    window = Window(session, truth, folder, theme, overwrite)
+    window = MainWindow(opening, folder, viewer.theme, overwrite, viewer.keep)
+    if first is not None:
+        window.open(*first)
     window.show()
     app.exec()
 
 
 def _serve(
-    session: Session, truth: Volume | None, folder: Path | None, theme: str, overwrite: bool, page: PageOptions
+    opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, overwrite: bool,
+    viewer: ViewerOptions, page: PageOptions,
 ) -> None:
     """Serve the page until Ctrl-C."""
     import webbrowser
@@ -152,10 +209,11 @@ def _serve(
         if page.open_page:
             webbrowser.open(address)
 
-    if page.host not in (None, LOCAL, "localhost"):
+    if not _is_local(page):
         print(
             f"warning: --host {page.host}: everyone with access to this machine and the address can change the run "
             "and download files; nothing is encrypted",
             file=sys.stderr,
         )
-    serve(session, truth, folder, theme, overwrite, page.host or LOCAL, page.port or 0, show_address)
+    host, port = page.host or LOCAL, page.port or 0
+    serve(opening, first, folder, viewer.theme, overwrite, viewer.keep, host, port, show_address)

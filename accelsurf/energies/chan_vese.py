@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.image_energy import ImageEnergy
-from accelsurf.energies.interface import Interface
+from accelsurf.energies.interface import Interface, polynomial_of
 from accelsurf.energies.region_sums import Elsewhere, RegionMoments
+from accelsurf.grid.boxes import Box
 from accelsurf.levelset import LevelSet
 
 
@@ -75,8 +77,14 @@ class ChanVese(ImageEnergy):
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
-        (c1, c2), (l1, l2) = self.means, self._weights
-        polynomial = (l1 - l2, 2.0 * (l2 * c2 - l1 * c1), l1 * c1 * c1 - l2 * c2 * c2)
-        force = self._interface.force(self.sums.image, surface, front, curvature, polynomial)
+        force = self._interface.force(self.sums.image, surface, front, curvature, self._polynomial())
         self._area.add_force(force, curvature)
         return force
+
+    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
+        """The force of each voxel's own value, between the means of the last `value`."""
+        return polynomial_of(self.sums.image.reshape(surface.shape)[box], self._polynomial())
+
+    def _polynomial(self) -> tuple[float, float, float]:
+        (c1, c2), (l1, l2) = self.means, self._weights
+        return l1 - l2, 2.0 * (l2 * c2 - l1 * c1), l1 * c1 * c1 - l2 * c2 * c2

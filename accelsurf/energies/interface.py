@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.kernels import motion, region
@@ -40,8 +41,7 @@ class Interface(NamedTuple):
         """Values (n,) of a I^2 + b I + c at the surface for every front cell, 0 elsewhere; I raveled float32."""
         if self.epsilon == 0:
             value = sample_at_front(image, surface, front)
-            a, b, c = (np.float32(v) for v in polynomial)
-            return np.where(front, (a * value + b) * value + c, np.float32(0.0))
+            return np.where(front, polynomial_of(value, polynomial), np.float32(0.0))
         out = np.empty(surface.size, np.float32)
         surface.workers.parallel(
             motion.mean_across,
@@ -54,3 +54,9 @@ class Interface(NamedTuple):
             out,
         )
         return out
+
+
+def polynomial_of(values: NDArray[np.float32], polynomial: tuple[float, float, float]) -> NDArray[np.float32]:
+    """Return a I^2 + b I + c of values I, in their precision."""
+    a, b, c = (np.float32(v) for v in polynomial)
+    return np.asarray((a * values + b) * values + c)

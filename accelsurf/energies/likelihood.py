@@ -6,14 +6,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.energies.image_energy import ImageEnergy
-from accelsurf.energies.interface import Interface
+from accelsurf.energies.interface import Interface, polynomial_of
 from accelsurf.energies.region_sums import Elsewhere, MomentTracker, RegionMoments, sums_by_plane
 from accelsurf.errors import InputError
+from accelsurf.grid.boxes import Box
 from accelsurf.kernels import histogram
 from accelsurf.levelset import BandChange, LevelSet, dot
 
@@ -98,12 +100,18 @@ class GaussianLikelihood(ImageEnergy):
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
-        (m1, v1), (m2, v2) = self.models
-        constant = 0.5 * (math.log(v1 / v2) + m1 * m1 / v1 - m2 * m2 / v2)
-        polynomial = (0.5 / v1 - 0.5 / v2, m2 / v2 - m1 / v1, constant)
-        force = self._interface.force(self.sums.image, surface, front, curvature, polynomial)
+        force = self._interface.force(self.sums.image, surface, front, curvature, self._polynomial())
         self._area.add_force(force, curvature)
         return force
+
+    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
+        """The force of each voxel's own value, between the models of the last `value`."""
+        return polynomial_of(self.sums.image.reshape(surface.shape)[box], self._polynomial())
+
+    def _polynomial(self) -> tuple[float, float, float]:
+        (m1, v1), (m2, v2) = self.models
+        constant = 0.5 * (math.log(v1 / v2) + m1 * m1 / v1 - m2 * m2 / v2)
+        return 0.5 / v1 - 0.5 / v2, m2 / v2 - m1 / v1, constant
 
 
 def least_variance(image: np.ndarray) -> float:
@@ -344,6 +352,11 @@ class HistogramLikelihood(Energy):
             force = self._interface.force(field, surface, front, curvature, (0.0, 1.0, 0.0))
         self._area.add_force(force, curvature)
         return force
+
+    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
+        """The force of each voxel's own value, by the densities of the last `value`."""
+        values = np.ascontiguousarray(self.sums.image.reshape(surface.shape)[box])
+        return self._looked_up(values.ravel(), surface).reshape(values.shape)
 
     def _looked_up(self, values: np.ndarray, surface: LevelSet) -> np.ndarray:
         out = np.empty(values.size, np.float32)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.energies.image_energy import ImageEnergy
+from accelsurf.grid.boxes import Box
 from accelsurf.levelset import LevelSet
 
 
@@ -30,6 +32,10 @@ class RegionField(ImageEnergy):
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
         return self.sums.inside(surface, fraction).total * surface.voxel_volume + self._area.value(area)
+
+    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
+        """The field."""
+        return np.array(self.sums.image.reshape(surface.shape)[box])
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """The field at each front cell's closest surface point, plus alpha H."""

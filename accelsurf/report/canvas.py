@@ -21,8 +21,10 @@ BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "
 YELLOW = "#F0E442"
 INK, GRID, PALE, DARK = "#222222", "#D9D9D9", "#999999", "#101010"
 RUN_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
-#: Colours of objects with ids, again from the first when there are more.
-OBJECT_COLORS = (ORANGE, SKY, GREEN, PURPLE, YELLOW)
+#: The surface, and what it is compared with, in every picture of the program.
+SURFACE, REFERENCE = ORANGE, SKY
+#: Colours of objects with ids, again from the first when there are more; none is that of the reference.
+OBJECT_COLORS = (SURFACE, GREEN, BLUE, VERMILION, PURPLE)
 #: Lengths of dashes and gaps, pixels; none is a solid line.
 Dashes = tuple[float, ...]
 SOLID: Dashes = ()

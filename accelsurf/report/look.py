@@ -13,8 +13,9 @@ from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.grid.volume import Volume
 from accelsurf.io.headers import is_anatomical
+from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.report.axes import ticks
-from accelsurf.report.canvas import ORANGE, SKY, YELLOW, Box, Canvas
+from accelsurf.report.canvas import SKY, SURFACE, YELLOW, Box, Canvas
 from accelsurf.report.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at
 from accelsurf.report.slice_plot import (
     Slice,
@@ -83,7 +84,7 @@ def look_png(
                 _draw_labels(shown, labels)
             if anatomical:
                 write_letters(shown)
-            draw_scale_bar(shown)
+            draw_scale_bar(shown, channels[0].metadata.get(UNIT_KEY, "mm"))
         bottom = TOP + (row + 1) * (_panel_height(len(planes)) + BELOW) - 26
         canvas.text((canvas.width - 10, bottom), f"window {own_window.text}", 11, anchor="rd")
     return canvas.png()
@@ -150,7 +151,7 @@ def _draw_labels(shown: Slice, labels: NDArray[Any]) -> None:
     for position, number in enumerate(known):
         inside = section == number
         if position < MAX_LABELS and inside.any():
-            color = ORANGE if len(known) == 1 else object_color(position)
+            color = SURFACE if len(known) == 1 else object_color(position)
             draw_contour(shown, np.where(inside, -0.5, 0.5), color, width=1.5)
             if len(known) > 1:
                 name_section(shown, inside, str(number), color)

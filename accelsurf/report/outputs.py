@@ -17,7 +17,7 @@ from accelsurf.analysis.contours import Contours
 from accelsurf.grid.grey_window import parse_window
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
-from accelsurf.io.metadata import LABELS_KEY
+from accelsurf.io.metadata import LABELS_KEY, UNIT_KEY
 from accelsurf.report import layouts, object_files, preview, statistics_files, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.label_names import is_named, table_of
@@ -27,7 +27,7 @@ from accelsurf.segmentation.state_file import state_bytes
 from accelsurf.settings.label_outputs import LABEL_OUTPUTS
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.registry import load
-from accelsurf.settings.wording import volume_text
+from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
     from accelsurf.analysis.surface_mesh import Surface
@@ -213,7 +213,11 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
 
 def outcome_title(name: str, result: Result) -> str:
     """Return the heading of a picture: how the run ended, and how large the object is."""
-    size = volume_text(result.volume_mm3) if result.enclosed_mm2 is None else f"{result.enclosed_mm2:.4g} mm2"
+    unit = result.volume.metadata.get(UNIT_KEY, "mm")
+    if result.enclosed_mm2 is not None:
+        size = size_text(result.enclosed_mm2, unit, 2, digits=4)
+    else:
+        size = volume_text(result.volume_mm3) if unit == "mm" else size_text(result.volume_mm3, unit, 3, digits=4)
     return f"{name}: {size}, {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
 
 
@@ -242,6 +246,7 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         objects=_object_shapes(result) if result.has_ids else (),
         late_growth=result.late_growth,
         window=parse_window(result.config.window),
+        unit=result.volume.metadata.get(UNIT_KEY, "mm"),
         clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
     )
 

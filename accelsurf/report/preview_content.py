@@ -103,6 +103,8 @@ class PreviewContent:
         Index (z, y, x) of the place where the surface grew fastest in the last part of the run.
     window : GreyWindow, optional
         Which values are black and white; from the object and what is around it unless given.
+    unit : str
+        Of lengths in the file, in which scale bars are; places are in mm, as settings take them.
     """
 
     image: NDArray[Any]
@@ -118,6 +120,7 @@ class PreviewContent:
     clicks: Sequence[ClickMark] = ()
     late_growth: tuple[float, float, float] | None = None
     window: GreyWindow | None = None
+    unit: str = "mm"
 
     def inside(self) -> NDArray[np.bool_]:
         """Voxels in any object, (nz, ny, nx)."""

@@ -25,9 +25,9 @@ from accelsurf.report.canvas import (
     DARK,
     GREEN,
     OBJECT_COLORS,
-    ORANGE,
-    SKY,
+    REFERENCE,
     SOLID,
+    SURFACE,
     VERMILION,
     YELLOW,
     Box,
@@ -37,6 +37,7 @@ from accelsurf.report.canvas import (
 )
 from accelsurf.report.preview_content import ClickMark, PreviewContent
 from accelsurf.report.slice_views import Ranges, SliceView, displayed, fitted, plane_name
+from accelsurf.settings.wording import in_unit
 
 #: The inset takes this part of the slice's width or height, whichever is less.
 INSET = 0.27
@@ -135,7 +136,7 @@ def draw_slice(
     draw_inset(shown, content.image, window)
     if content.anatomical:
         write_letters(shown)
-    draw_scale_bar(shown)
+    draw_scale_bar(shown, content.unit)
     _write_legend(shown, named)
     return shown
 
@@ -144,13 +145,13 @@ def _draw_contours(shown: Slice, content: PreviewContent) -> list[tuple[str, str
     """Draw the contours of result, reference and start; returns name, colour and dashes of those that need a legend."""
     lines: list[tuple[str, str, Dashes]] = []
     if not content.objects:
-        draw_contour(shown, shown.section(content.psi), ORANGE)
-        lines.append(("result", ORANGE, SOLID))
+        draw_contour(shown, shown.section(content.psi), SURFACE)
+        lines.append(("result", SURFACE, SOLID))
     else:
         _draw_objects(shown, content)
     if content.reference is not None:
-        draw_contour(shown, np.where(shown.section(content.reference) > 0, -0.5, 0.5), SKY, REFERENCE_DASHES)
-        lines.append(("reference", SKY, REFERENCE_DASHES))
+        draw_contour(shown, np.where(shown.section(content.reference) > 0, -0.5, 0.5), REFERENCE, REFERENCE_DASHES)
+        lines.append(("reference", REFERENCE, REFERENCE_DASHES))
     if content.start is not None:
         draw_contour(shown, shown.section(content.start), GREEN, START_DASHES)
         lines.append(("start", GREEN, START_DASHES))
@@ -281,15 +282,15 @@ def draw_inset(shown: Slice, image: NDArray[Any], window: GreyWindow) -> None:
     canvas.rectangle((across[0], ends[0], across[1], ends[1]), outline=YELLOW, width=1.5)
 
 
-def draw_scale_bar(shown: Slice) -> None:
-    """Draw a bar of a round length, about a fifth of the slice, in its lower right corner."""
+def draw_scale_bar(shown: Slice, unit: str = "mm") -> None:
+    """Draw a bar of a round length in a unit, about a fifth of the slice, in its lower right corner."""
     canvas, (left, _, right, bottom) = shown.axes.canvas, shown.axes.box
     if bottom - shown.axes.box[1] < MIN_FOR_BAR:
         return  # its scales are there
-    mm = shown.axes.x[1] - shown.axes.x[0]
-    length = round_step(0.25 * mm)
-    pixels = length / mm * (right - left)
-    text = f"{length:g} mm"
+    wide = in_unit(shown.axes.x[1] - shown.axes.x[0], unit)
+    length = round_step(0.25 * wide)
+    pixels = length / wide * (right - left)
+    text = f"{length:g} {unit}"
     half = 0.5 * max(pixels, text_width(text, 11, bold=True)) + 4
     middle = right - half - 4
     canvas.shade((middle - half, bottom - 27, middle + half, bottom - 4), "black", 0.55)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _QUALITY = ("probability", "warnings")
 
 
-def rows_of(result: Result, table: LabelTable) -> list[dict[str, Any]]:
+def rows_of(result: Result, table: LabelTable, with_quality: bool = True) -> list[dict[str, Any]]:
     """Return a dictionary for each object that has a voxel, in order of their ids.
 
     Parameters
@@ -26,13 +26,15 @@ def rows_of(result: Result, table: LabelTable) -> list[dict[str, Any]]:
     result : Result
     table : LabelTable
         Their names.
+    with_quality : bool, optional
+        Whether to assess how likely each is good, which takes longest.
     """
     rows = []
     for one in result.objects:
         if not one.labels.any() or not one.has_surface:
             continue
         values = result.volume.array[one.box] if result.has_ids else result.volume.array
-        quality = {key: getattr(one.quality, key) for key in _QUALITY}
+        quality = {key: getattr(one.quality, key) for key in _QUALITY} if with_quality else {}
         rows.append({"id": one.id, "name": table[one.id].name, **statistics(one, values), **quality})
     return rows
 

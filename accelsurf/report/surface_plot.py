@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.report.axes import LABEL_SIZE, TITLE_SIZE, round_step
-from accelsurf.report.canvas import INK, SKY, Box, Canvas
+from accelsurf.report.canvas import INK, SURFACE, Box, Canvas
 from accelsurf.report.rasterizer import Picture, render
 from accelsurf.report.slice_plot import object_color
+from accelsurf.settings.wording import in_unit
 
 if TYPE_CHECKING:
     from accelsurf.report.preview_content import PreviewContent
@@ -20,7 +21,7 @@ _BELOW = 70
 
 
 def draw_surface(
-    canvas: Canvas, panel: Box, content: PreviewContent, box: NDArray[Any] | None = None, color: str = SKY
+    canvas: Canvas, panel: Box, content: PreviewContent, box: NDArray[Any] | None = None, color: str = SURFACE
 ) -> None:
     """Draw the surface; ``box``, points (k, 3) in mm that the picture has to show, gives several runs one scale."""
     left, top, right, bottom = panel
@@ -36,7 +37,8 @@ def draw_surface(
     first = (left + right - size) / 2
     canvas.image((255 * picture.pixels + 0.5).astype(np.uint8), (first, top, first + size, top + size))
     canvas.text(((left + right) / 2, top - 7), "Surface", TITLE_SIZE, anchor="md")
-    _draw_scale_bar(canvas, first + size, bottom, picture.mm_per_pixel, size)
+    per_pixel = in_unit(picture.mm_per_pixel, content.unit)
+    _draw_scale_bar(canvas, first + size, bottom, per_pixel, size, content.unit)
     _draw_arrows(canvas, (first + 34, bottom - 22), picture, "LPS" if content.anatomical else "xyz")
 
 
@@ -45,13 +47,13 @@ def _light(color: str) -> NDArray[np.float64]:
     return np.array([0.2 + 0.8 * int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)])
 
 
-def _draw_scale_bar(canvas: Canvas, right: float, bottom: float, mm_per_pixel: float, size: int) -> None:
+def _draw_scale_bar(canvas: Canvas, right: float, bottom: float, per_pixel: float, size: int, unit: str) -> None:
     """Draw a bar of a round length, about a fifth of the picture."""
-    length = round_step(0.22 * size * mm_per_pixel)
-    pixels = length / mm_per_pixel
+    length = round_step(0.22 * size * per_pixel)
+    pixels = length / per_pixel
     y = bottom - 14
     canvas.line([(right - 12 - pixels, y), (right - 12, y)], INK, 3)
-    canvas.text((right - 12 - pixels / 2, y - 6), f"{length:g} mm", 11, anchor="md")
+    canvas.text((right - 12 - pixels / 2, y - 6), f"{length:g} {unit}", 11, anchor="md")
 
 
 def _draw_arrows(canvas: Canvas, at: tuple[float, float], picture: Picture, letters: str) -> None:

@@ -106,6 +106,9 @@ ZARR_CHUNK = Budget("a chunk of a Zarr, unpacked", 1 << 30, "bytes", "store it i
 MESH_FILE = Budget(
     "a mesh in memory while it is read", 1, "bytes", "simplify the mesh first", "byte of free memory"
 )
+UPLOAD = Budget(
+    "a file that is dropped on the page", 1 << 31, "bytes", "open it from the folder of the page"
+)
 #: While it is read: text becomes lists of Python's numbers.
 MESH_BYTES_PER_FILE_BYTE = 40
 MESH_UNPACKED = Budget(
@@ -131,5 +134,5 @@ STATE_UNPACKED = Budget(
 BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW,
     PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS,
-    OBJECT_VOXELS, SMOOTHING, STATE_FILE, STATE_UNPACKED,
+    OBJECT_VOXELS, SMOOTHING, STATE_FILE, STATE_UNPACKED, UPLOAD,
 )

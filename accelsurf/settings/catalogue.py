@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from accelsurf.settings.energy_terms import TERMS
-from accelsurf.settings.entry import SettingEntry, Slider, entry_of
+from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import FLOWS
+
+#: Groups whose settings the viewer shows: the image has been read by then, and files have a panel of their own.
+VIEWER_GROUPS = (SettingGroup.RUN, SettingGroup.FLOW)
 
 
 def entry(key: str) -> SettingEntry:
@@ -58,21 +61,42 @@ def is_switch(key: str) -> bool:
     return SettingFields.model_fields[key].annotation is bool
 
 
-def sliders() -> dict[str, Slider]:
-    """The settings that the viewer shows as sliders.
+def viewer_settings(where: Literal["first", "more"]) -> tuple[str, ...]:
+    """The settings that the viewer shows first, or folded under "more", in the order of the help.
 
     Examples
     --------
-    >>> list(sliders())
-    ['smoothness', 'diffusion', 'friction', 'cfl']
+    >>> viewer_settings("first")
+    ('preset', 'energy', 'smoothness', 'presmooth', 'size', 'max_volume', 'levels', 'roi', 'mask')
     """
-    said = ((key, entry(key).slider) for key in SettingFields.model_fields)
-    return {key: slider for key, slider in said if slider is not None}
+    said = {key: entry(key) for key in SettingFields.model_fields}
+    return tuple(
+        key for group in VIEWER_GROUPS for key, one in said.items() if one.group is group and one.viewer == where
+    )
 
 
-def choices() -> tuple[str, ...]:
-    """The settings that the viewer shows as lists to choose from."""
-    return tuple(key for key in SettingFields.model_fields if entry(key).choice)
+def kind_of(key: str) -> Literal["switch", "slider", "list", "text"]:
+    """With what the viewer changes a setting.
+
+    Examples
+    --------
+    >>> [kind_of(key) for key in ("flow", "cfl", "k", "reproducible")]
+    ['list', 'slider', 'text', 'switch']
+    """
+    if is_switch(key):
+        return "switch"
+    return "slider" if entry(key).slider is not None else "list" if entry(key).choice else "text"
+
+
+def label_of(key: str) -> str:
+    """The name of a setting, as its option but for the dashes.
+
+    Examples
+    --------
+    >>> label_of("max_volume")
+    'max volume'
+    """
+    return key.replace("_", " ")
 
 
 def names_of(key: str) -> dict[str, str]:

@@ -75,6 +75,56 @@ def parse(text: str) -> tuple[Term, ...]:
     return tuple(items)
 
 
+def written(terms: Sequence[Term]) -> str:
+    """Write terms as an expression; settings that are empty words are left out.
+
+    Examples
+    --------
+    >>> written(parse("threshold:-50,auto - 0.1*balloon"))
+    'threshold:LO=-50,HI=auto - 0.1*balloon'
+    """
+    text = ""
+    for term in terms:
+        weight = abs(term.weight) if text else term.weight
+        text += (" - " if term.weight < 0 else " + ") if text else ""
+        values = ",".join(f"{key}={_number(value)}" for key, value in term.settings.items() if value != "")
+        text += ("" if weight == 1 else f"{_number(weight)}*") + term.name + (f":{values}" if values else "")
+    return text
+
+
+def _number(value: Value) -> str:
+    return value if isinstance(value, str) else f"{value:.9g}"
+
+
+def with_setting(text: str, place: int, key: str, value: str) -> str:
+    """Return an expression with another value of a setting of the term at a place, counted from 0; "" leaves it out.
+
+    Raises
+    ------
+    UsageError
+        When there is no such term or setting, or the value is not valid.
+
+    Examples
+    --------
+    >>> with_setting("threshold:auto + geodesic", 0, "HI", "250")
+    'threshold:LO=auto,HI=250 + geodesic'
+    """
+    terms = list(parse(text))
+    if not 0 <= place < len(terms):
+        raise _error(text, f"a term number {place + 1}")
+    term = terms[place]
+    known = TERMS[term.name].settings
+    if key not in known:
+        raise _error(text, f"one of {_known(term.name)} in place of '{shown(key)}'")
+    settings = {name: v for name, v in term.settings.items() if name != key or value.strip()}
+    if value.strip():
+        settings[key] = _value(text, f"{key} of {term.name}", known[key], value.strip())
+    terms[place] = term._replace(settings=settings)
+    changed = written(terms)
+    parse(changed)
+    return changed
+
+
 def learns(term: Term) -> bool:
     """Whether a term learns once from the start, unless it is given something else to learn from."""
     return TERMS[term.name].learns(term.settings)

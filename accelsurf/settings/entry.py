@@ -29,8 +29,6 @@ class Slider:
 
     Attributes
     ----------
-    label : str
-        With its unit.
     low, high : float
         Ends of the slider, in voxels to the power ``voxel_power`` of the smallest spacing.
     voxel_power : int
@@ -45,7 +43,6 @@ class Slider:
         Largest number that can be typed.
     """
 
-    label: str
     low: float
     high: float
     voxel_power: int = 0
@@ -77,6 +74,9 @@ class SettingEntry:
         How the viewer shows it.
     choice : bool
         Whether the viewer shows it as a list to choose from.
+    viewer : {"first", "more", "elsewhere"}
+        Where the viewer shows it: among the common ones, under "more" with its group, or not as a setting: what is
+        clicked and drawn, how the image is read, which files are written.
     names : callable, optional
         Names that the value is made of, with the meaning of each; they are appended to the help.
     listed : callable, optional
@@ -91,6 +91,7 @@ class SettingEntry:
     fixed: bool = False
     slider: Slider | None = None
     choice: bool = False
+    viewer: Literal["first", "more", "elsewhere"] = "more"
     names: Callable[[], Mapping[str, str]] | None = None
     listed: Callable[[], str] | None = None
 

@@ -42,18 +42,15 @@ class RunFields(BaseModel):
         None,
         "Settings for a kind of scan: {}. Settings given beside it override it. "
         "accelsurf info lists the values of each, and why.",
-        entry=SettingEntry(RUN, metavar="NAME", fixed=True, listed=lambda: ", ".join(PRESETS)),
+        entry=SettingEntry(
+            RUN, viewer="first", choice=True, metavar="NAME", fixed=True, listed=lambda: ", ".join(PRESETS)
+        ),
     )
     energy: Annotated[str, BeforeValidator(checked_expression)] = setting(
         "chan-vese",
         "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'. "
         "With --inside it is seeded unless given.",
-        entry=SettingEntry(RUN, metavar="EXPRESSION", choice=True, names=_term_names),
-    )
-    flow: Annotated[str, OneOf(lambda: FLOWS)] = setting(
-        "constant-density",
-        "How the surface moves.",
-        entry=SettingEntry(RUN, metavar="NAME", choice=True, names=_flow_names),
+        entry=SettingEntry(RUN, viewer="first", metavar="EXPRESSION", choice=True, names=_term_names),
     )
     start: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         ("center",),
@@ -63,24 +60,79 @@ class RunFields(BaseModel):
         entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
         min_length=1,
     )
+    inside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
+        (),
+        "Voxels that are in the object, and stay in it: point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or written as a "
+        "start. With --inside and neither --start nor --energy the program chooses everything. Each is a click of its "
+        "own.",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="WHERE", repeated=True, fixed=True),
+    )
+    outside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
+        (),
+        "Voxels that are not in the object, and stay out of it, written as --inside; with --objects in none of them.",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="WHERE", repeated=True, fixed=True),
+    )
+    smoothness: float = setting(
+        0.0,
+        "Weight of the surface's area, in mm: larger is smoother; 0 keeps corners. "
+        "Independent of the image's intensity scale.",
+        entry=SettingEntry(
+            RUN, viewer="first", unit="mm", metavar="MM", scope="energy", slider=Slider(0.0, 5.0, voxel_power=1)
+        ),
+        ge=0,
+    )
+    presmooth: Annotated[float, Field(ge=0)] | Annotated[str, Field(pattern=VOXELS)] = setting(
+        0.0,
+        "Sigma of a Gaussian applied to the image before the run, in mm, or in voxels of the smallest "
+        "spacing with the suffix vox; 0 for none.",
+        entry=SettingEntry(RUN, viewer="first", unit="mm", metavar="MM|Nvox", fixed=True),
+    )
+    size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(checked_volume)] = setting(
+        None,
+        "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
+        "not bound the result.",
+        entry=SettingEntry(RUN, viewer="first", metavar="VOLUME", scope="term", fixed=True),
+    )
+    max_volume: Annotated[float, Field(gt=0)] | None = setting(
+        None,
+        "Leak guard: the run ends when the object is larger than this, in mm^3.",
+        entry=SettingEntry(RUN, viewer="first", unit="mm^3", metavar="MM3"),
+    )
+    levels: Annotated[int, Field(ge=1)] | Literal["auto"] = setting(
+        "auto",
+        "Number of grids to run on, coarsest first; each has half the voxels of the next along an axis. 1 is the "
+        "image's own grid alone; auto is as many as resolve image and start, for several objects 1.",
+        entry=SettingEntry(RUN, viewer="first", metavar="N|auto", fixed=True),
+    )
+    roi: str | None = setting(
+        None,
+        "Region of interest: box X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox. The run is "
+        "made in the box alone; the outputs are on the whole grid.",
+        entry=SettingEntry(RUN, viewer="first", unit="mm", metavar="BOX", fixed=True),
+    )
+    mask: str | None = setting(
+        None,
+        "Label map on the image's grid: the surface never leaves the voxels above 0.",
+        entry=SettingEntry(RUN, viewer="first", metavar="FILE", fixed=True),
+    )
+    box: str | None = setting(
+        None,
+        "Box around the object, X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox: nothing "
+        "outside of it is in the object, and energies learn from what lies around it.",
+        entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
+    )
+    flow: Annotated[str, OneOf(lambda: FLOWS)] = setting(
+        "constant-density",
+        "How the surface moves.",
+        entry=SettingEntry(RUN, metavar="NAME", choice=True, names=_flow_names),
+    )
     objects: str | None = setting(
         None,
         "Several objects at once, in place of --start: a label map on the image's grid with the first voxels of each "
         "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
         "id,x_vox,y_vox,z_vox,r_vox. They never overlap. With a column side (inside or outside) its rows are clicks, "
         "as --inside; then r may be left out, and id 0 is no object.",
-        entry=SettingEntry(RUN, metavar="FILE", fixed=True),
-    )
-    mask: str | None = setting(
-        None,
-        "Label map on the image's grid: the surface never leaves the voxels above 0.",
-        entry=SettingEntry(RUN, metavar="FILE", fixed=True),
-    )
-    roi: str | None = setting(
-        None,
-        "Region of interest: box X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox. The run is "
-        "made in the box alone; the outputs are on the whole grid.",
-        entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", fixed=True),
     )
     foreground: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
@@ -96,21 +148,7 @@ class RunFields(BaseModel):
     channel: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
         "Further channels of the image: files on the same grid, in order after those of the input.",
-        entry=SettingEntry(RUN, metavar="FILE", repeated=True, fixed=True),
-    )
-    max_volume: Annotated[float, Field(gt=0)] | None = setting(
-        None,
-        "Leak guard: the run ends when the object is larger than this, in mm^3.",
-        entry=SettingEntry(RUN, unit="mm^3", metavar="MM3"),
-    )
-    smoothness: float = setting(
-        0.0,
-        "Weight of the surface's area, in mm: larger is smoother; 0 keeps corners. "
-        "Independent of the image's intensity scale.",
-        entry=SettingEntry(
-            RUN, unit="mm", metavar="MM", scope="energy", slider=Slider("Smoothness (mm)", 0.0, 5.0, voxel_power=1)
-        ),
-        ge=0,
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", repeated=True, fixed=True),
     )
     balance: float = setting(
         1.0,
@@ -118,12 +156,6 @@ class RunFields(BaseModel):
         "above 1 the object must be closer to its mean, so a bright object loses its dim rim.",
         entry=SettingEntry(RUN, metavar="RATIO", scope="term"),
         gt=0,
-    )
-    presmooth: Annotated[float, Field(ge=0)] | Annotated[str, Field(pattern=VOXELS)] = setting(
-        0.0,
-        "Sigma of a Gaussian applied to the image before the run, in mm, or in voxels of the smallest "
-        "spacing with the suffix vox; 0 for none.",
-        entry=SettingEntry(RUN, unit="mm", metavar="MM|Nvox", fixed=True),
     )
     edge_scale: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
         "auto",
@@ -182,7 +214,7 @@ class RunFields(BaseModel):
             unit="mm^2 per unit of flow time",
             metavar="D|free|auto",
             scope="flow",
-            slider=Slider("Diffusion (mm2 per unit of time)", 0.0, 20.0, voxel_power=2, words=("auto", "free")),
+            slider=Slider(0.0, 20.0, voxel_power=2, words=("auto", "free")),
         ),
     )
     noise: float = setting(
@@ -219,14 +251,14 @@ class RunFields(BaseModel):
             unit="per unit of flow time",
             metavar="t|A",
             scope="flow",
-            slider=Slider("Friction of momentum (per unit of time)", 0.01, 5.0, words=("t",)),
+            slider=Slider(0.01, 5.0, words=("t",)),
         ),
     )
     restart: Literal["auto", "off"] = setting(
         "auto",
         "auto sets the momentum to zero when the energy rises, after the surface has travelled 3 voxels; off never "
         "does.",
-        entry=SettingEntry(metavar="auto|off"),
+        entry=SettingEntry(choice=True, metavar="auto|off"),
     )
     cfl: float = setting(
         0.5,
@@ -234,7 +266,7 @@ class RunFields(BaseModel):
         entry=SettingEntry(
             unit="voxels",
             metavar="VOXELS",
-            slider=Slider("Largest motion in a step (CFL, voxels)", 0.05, 1.0, power=1.0, digits=2, limit=1.0),
+            slider=Slider(0.05, 1.0, power=1.0, digits=2, limit=1.0),
         ),
         gt=0, le=1,
     )
@@ -251,12 +283,6 @@ class RunFields(BaseModel):
         "not move it by 0.7 of this either, by its trend. Larger ends sooner and is rougher.",
         entry=SettingEntry(unit="voxels"),
         gt=0, le=2,
-    )
-    levels: Annotated[int, Field(ge=1)] | Literal["auto"] = setting(
-        "auto",
-        "Number of grids to run on, coarsest first; each has half the voxels of the next along an axis. 1 is the "
-        "image's own grid alone; auto is as many as resolve image and start, for several objects 1.",
-        entry=SettingEntry(RUN, metavar="N|auto", fixed=True),
     )
     percentile: float = setting(
         95.0,
@@ -296,31 +322,7 @@ class RunFields(BaseModel):
         "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
         "(or remove=), 'step=40 inside=point:X,Y,Z' (or outside=, repeated; with object=ID "
         "among several objects); in TOML tables [[edit]].",
-        entry=SettingEntry(RUN, metavar="CHANGE", repeated=True, fixed=True),
-    )
-    inside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
-        (),
-        "Voxels that are in the object, and stay in it: point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or written as a "
-        "start. With --inside and neither --start nor --energy the program chooses everything. Each is a click of its "
-        "own.",
-        entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
-    )
-    outside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
-        (),
-        "Voxels that are not in the object, and stay out of it, written as --inside; with --objects in none of them.",
-        entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
-    )
-    box: str | None = setting(
-        None,
-        "Box around the object, X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox: nothing "
-        "outside of it is in the object, and energies learn from what lies around it.",
-        entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
-    )
-    size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(checked_volume)] = setting(
-        None,
-        "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
-        "not bound the result.",
-        entry=SettingEntry(RUN, metavar="VOLUME", scope="term", fixed=True),
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="CHANGE", repeated=True, fixed=True),
     )
     stop_at_rest: bool = setting(
         False,
@@ -333,17 +335,17 @@ class RunFields(BaseModel):
         "object=ID among several objects), 'new=ID inside=WHERE size=VOLUME' (a further object), 'merge=ID,ID', "
         "'split=point:X,Y,Z' (what is connected to it becomes an object), 'remove=ID'; in TOML tables [[refine]]. "
         "accelsurf refine adds them.",
-        entry=SettingEntry(RUN, metavar="CLICKS", repeated=True, fixed=True),
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="CLICKS", repeated=True, fixed=True),
     )
     extension: Literal["closest-point", "fast-marching"] = setting(
         "closest-point",
         "How distances and speeds get from the surface to the band: by the closest point of each voxel, or by fast "
         "marching, from the voxels beside the surface outwards in order of distance.",
-        entry=SettingEntry(RUN, metavar="NAME", fixed=True),
+        entry=SettingEntry(RUN, choice=True, metavar="NAME", fixed=True),
     )
     end: Literal["lowest", "present"] = setting(
         "lowest",
         "Which state a run that has used up its steps ends with: that of the lowest energy so far, or the present one, "
         "as the viewer saves it.",
-        entry=SettingEntry(RUN, metavar="lowest|present", fixed=True),
+        entry=SettingEntry(RUN, choice=True, metavar="lowest|present", fixed=True),
     )

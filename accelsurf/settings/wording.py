@@ -71,7 +71,18 @@ def did_you_mean(given: Any, names: Iterable[str]) -> str:
 _IN_MM = {"nm": 1e6, "um": 1e3, "mm": 1.0}
 
 
-def size_text(mm: float, unit: str = "mm", power: int = 1) -> str:
+def in_unit(mm: float, unit: str, power: int = 1) -> float:
+    """Return a length, an area (power 2) or a volume (power 3) as a number of a unit.
+
+    Examples
+    --------
+    >>> in_unit(0.25, "um"), in_unit(0.25, "mm", 3)
+    (250.0, 0.25)
+    """
+    return mm * _IN_MM[unit] ** power
+
+
+def size_text(mm: float, unit: str = "mm", power: int = 1, digits: int = 6) -> str:
     """Return a length, an area (power 2) or a volume (power 3) in the unit of the file that it was measured in.
 
     Parameters
@@ -80,13 +91,15 @@ def size_text(mm: float, unit: str = "mm", power: int = 1) -> str:
         In mm, mm2 or mm3.
     unit : {"mm", "um", "nm"}
     power : int
+    digits : int
+        How many, at most.
 
     Examples
     --------
     >>> size_text(0.0123456789, "um"), size_text(4.2e-7, "um", 3), size_text(34161.94, power=2)
     ('12.3457 um', '420 um3', '34161.9 mm2')
     """
-    return f"{mm * _IN_MM[unit] ** power:.6g} {unit}{power if power > 1 else ''}"
+    return f"{in_unit(mm, unit, power):.{digits}g} {unit}{power if power > 1 else ''}"
 
 
 def voxel_text(spacing_mm: Iterable[float], unit: str = "mm") -> str:

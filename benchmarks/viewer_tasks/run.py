@@ -3,10 +3,10 @@
 Usage: python -m benchmarks.viewer_tasks.run VOLUMES_FOLDER [TASK ...] [-o benchmarks/results/viewer_tasks.json]
            [--pictures FOLDER] [--size 1920x1080]
 
-A simulated person knows the object from a reference, as somebody does who knows anatomy, and acts as one could: clicks to
-bring its thickest place into sight, a press there and a drag until the outline has the right size, up to five strokes
-where the surface is wrong most, save. Then run.toml is run by ``accelsurf segment``, which must make the same bytes.
-Scans are public: see benchmarks/README.md.
+A simulated person knows the object from a reference, as somebody does who knows anatomy, and acts as one could: clicks
+to bring its thickest place into sight, a press there and a drag until the outline has the right size, strokes (five at
+most) where the surface is wrong most, save. Then run.toml is run by ``accelsurf segment``, which must make the same
+bytes. Scans are public: see benchmarks/README.md.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Usage: python -m benchmarks.viewer_tasks.window_watch STATE_FILE TRUTH|- ID WORDS OF ACCELSURF ...
 
-All that happens to the window comes from outside, as events of mouse and keys. TRUTH is a label map that the window does
-not know: with it the watcher says where the surface is wrong most, as a person would see it. In the seconds that this
-takes the window does not answer, so it is done only when a file of this name with the ending .judge asks for it.
+All that happens to the window comes from outside, as events of mouse and keys. TRUTH is a label map that the window
+does not know: with it the watcher says where the surface is wrong most, as a person would see it. In the seconds that
+this takes the window does not answer, so it is done only when a file of this name with the ending .judge asks for it.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import re
 import subprocess
 import sys
 
@@ -46,8 +47,8 @@ def test_preview_shows_contour_energies_and_surface():
     assert share_of(picture[height // 2 :], canvas.BLUE) > 1e-4  # energy
     assert share_of(picture[height // 2 :], canvas.VERMILION) > 1e-4  # kinetic energy
     corner = picture[height // 2 :, 2 * width // 3 :]
-    blue = (corner[..., 2] > corner[..., 0] + 0.2).mean()
-    assert blue > 0.1  # the surface
+    orange = ((corner[..., 0] > corner[..., 1] + 0.05) & (corner[..., 1] > corner[..., 2] + 0.1)).mean()
+    assert orange > 0.1  # the surface has the colour of its contour
 
 
 def test_preview_is_the_same_twice_and_keeps_no_pyplot_state():
@@ -211,3 +212,19 @@ def test_long_titles_are_shortened_and_volumes_have_the_unit_of_their_size():
     assert volume_text(0.0) == "0 mm3" and volume_text(2.5e7) == "25 l"
     short = canvas.fitting("x" * 300, 14, 120)
     assert canvas.text_width(short, 14) <= 120 and "..." in short
+
+
+def test_scale_bars_are_in_the_unit_of_the_file(monkeypatch):
+    said, write = [], canvas.Canvas.text
+
+    def text(self, at, text, *more, **named):
+        said.append(text)
+        write(self, at, text, *more, **named)
+
+    monkeypatch.setattr(canvas.Canvas, "text", text)
+    for unit, factor in (("mm", 1), ("um", 1000)):
+        said.clear()
+        preview.preview_png(content(*ball_on_grid(), unit=unit))
+        bars = [words for words in said if re.fullmatch(r"[\d.e+]+ [um]m", words)]
+        assert len(bars) >= 2 and all(words.endswith(f" {unit}") for words in bars)
+        assert all(1 <= float(words.split()[0]) / factor <= 20 for words in bars)

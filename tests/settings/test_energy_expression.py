@@ -3,7 +3,7 @@
 import pytest
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.energy_expression import from_tables, parse
+from accelsurf.settings.energy_expression import from_tables, parse, with_setting, written
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 
@@ -104,3 +104,27 @@ def test_every_term_is_known_by_name_and_text_is_kept():
 def test_settings_of_terms_that_are_not_there_are_named():
     assert RunConfig(energy="local-region + 0.2*geodesic", balance=2, edge_scale=1).unused() == ["balance"]
     assert RunConfig(energy="threshold:1", foreground="center", epsilon=1).unused() == ["foreground", "epsilon"]
+
+
+@pytest.mark.parametrize("text", [
+    "chan-vese", "threshold:-50.25,300", "threshold:,auto", "threshold:half:50,learned", "threshold:20%,80%",
+    "0.5*local-region:R=8 + 0.3*geodesic:contrast=1e-09 - 0.1*balloon", "likelihood:histogram,no",
+    "-2*balloon + geodesic",
+    "threshold:123456.789", "1e-07*area + partition:0",
+])  # fmt: skip
+def test_what_is_written_reads_the_same(text):
+    once = parse(text)
+    again = parse(written(once))
+    assert [(term.name, term.weight) for term in again] == [(term.name, term.weight) for term in once]
+    for one, other in zip(once, again, strict=True):
+        assert other.settings == {key: value for key, value in one.settings.items() if value != ""}
+
+
+def test_a_setting_of_a_term_is_changed_in_place_and_what_is_wrong_is_refused():
+    assert with_setting("2*threshold:,auto - balloon", 0, "LO", " -20 ") == "2*threshold:LO=-20,HI=auto - balloon"
+    assert with_setting("threshold:10,20", 0, "HI", "") == "threshold:LO=10"
+    for place, key, value in ((1, "LO", "3"), (-1, "LO", "3"), (0, "R", "3"), (0, "LO", "30"), (0, "LO", "x,HI=3")):
+        with pytest.raises(UsageError, match="energy"):
+            with_setting("threshold:10,20", place, key, value)
+    with pytest.raises(UsageError, match="at least one bound"):
+        with_setting("threshold:10", 0, "LO", "")

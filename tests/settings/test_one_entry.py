@@ -347,17 +347,19 @@ def _panel():
     from PySide6.QtWidgets import QApplication
 
     from accelsurf.viewer.core.status import Status
+    from accelsurf.viewer.frontends.panels.setting_row import ListRow
     from accelsurf.viewer.frontends.panels.settings import SettingsPanel
     from accelsurf.viewer.workplace.settings import SettingsFeature
 
     application = QApplication([])
     status = Status.preparing(RunConfig(), "", False)
-    scene, session = SimpleNamespace(geometry=volume().geometry), SimpleNamespace(status=status)
-    workplace = SimpleNamespace(scene=scene, session=session)
+    scene, session = SimpleNamespace(geometry=volume().geometry), SimpleNamespace(status=status, source=None)
+    workplace = SimpleNamespace(scene=scene, session=session, folder=None)
     panel = SettingsPanel(workplace)
-    panel.show_state(SettingsFeature(workplace).state(status))
-    for choice in panel.choices.values():
-        print(*(choice.itemText(place) for place in range(choice.count())), sep="\n")
+    panel.show_state(SettingsFeature(workplace).state(status) | {"has_box": False})
+    for row in panel.rows.values():
+        if isinstance(row, ListRow):
+            print(*(row.choice.itemText(place) for place in range(row.choice.count())), sep="\n")
     del panel, application
 
 

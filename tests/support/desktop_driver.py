@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QListWidget, QTableWidget, QWidget
+from PySide6.QtWidgets import QApplication, QListWidget, QTableWidget, QWidget
 
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.desktop import Window, application
+from accelsurf.viewer.frontends.panels.setting_row import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
 
 
 def main() -> None:
@@ -60,6 +61,7 @@ def places(window: Window) -> dict[str, Any]:
     """Where buttons, sliders and tiles are on the screen, pixels."""
     side, canvas, bar = window.side, window.canvas, window.bar
     tools, settings = side.panels["ToolsPanel"], side.panels["SettingsPanel"]
+    measure = side.panels["MeasurePanel"]
     corner = canvas.mapToGlobal(QPoint(0, 0))
     tiles = {}
     for name, tile in {"space": window.scene.space, **window.scene.slice_tiles}.items():
@@ -73,13 +75,24 @@ def places(window: Window) -> dict[str, Any]:
         "buttons": {name: middle(getattr(bar, name)) for name in ("restart", "back", "play", "forward")}
         | {"undo": middle(side.changes.undo), "save": middle(side.changes.save), "timeline": ends(bar.timeline)}
         | {name: middle(button) for name, button in tools.tools.items()}
+        | {f"measure_{name}": middle(getattr(measure, name)) for name in ("title", "measure", "diameters", "copy")}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
         | {"next doubt": middle(side.panels["HistoryPanel"].next)}
         | {f"object {row}": cell_of(side.panels["ObjectsPanel"].table, row, 2) for row in range(3)}
         | {f"seen {row}": cell_of(side.panels["ObjectsPanel"].table, row, 0) for row in range(3)}
-        | {name: ends(amount.slider) for name, amount in settings.amounts.items()},
+        | {name: ends(row.amount.slider) for name, row in settings.rows.items() if isinstance(row, SliderRow)},
         "tiles": tiles,
+        "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
+        "histogram": ends(side.panels["HistogramPanel"].view),
+        "energy_error": settings.rows["energy"].error.text() if settings.rows else "",
     }
+
+
+def line_of(row: SettingRow) -> QWidget:
+    """What one types in, or chooses with."""
+    if isinstance(row, SliderRow):
+        return row.amount.box
+    return row.box if isinstance(row, SwitchRow) else row.line if isinstance(row, (TextRow, EnergyRow)) else row.choice
 
 
 def shown(session: Session, window: Window) -> dict[str, Any]:
@@ -92,6 +105,8 @@ def shown(session: Session, window: Window) -> dict[str, Any]:
         "stop": status.stop and status.stop.reason,
         "drawn": None if frame is None else [frame.step, frame.volume_mm3],
         "color": state["color"], "theme": state["theme"], "help": window.help.isVisible(), "state": state,
+        "pixels": [window.scene.tiles.pixel_ratio, window.canvas.render_window.GetDPI()] if window.isVisible() else [],
+        "clipboard": QApplication.clipboard().text(),
         "play": window.bar.play.text(), "title": window.windowTitle(), "cursor": window.scene.cursor.tolist(),
     }
 

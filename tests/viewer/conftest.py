@@ -5,6 +5,14 @@ import pytest
 from accelsurf.viewer.scene.scene import Scene
 
 
+@pytest.fixture(scope="session", autouse=True)
+def state_folder(tmp_path_factory):
+    """What programs of these tests note about their use stays out of the user's own folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @pytest.fixture
 def scene_of():
     """Makes scenes, closed at the end of the test."""

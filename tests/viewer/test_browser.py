@@ -148,7 +148,8 @@ def test_the_token_is_never_taken_for_an_option(served):
 
 def test_who_has_the_token_is_answered(served):
     now = state(served)
-    assert now["step"] == 0 and now["flow"] == "constant-density" and now["title"] == "ball.nii.gz"
+    assert now["step"] == 0 and {row["key"]: row["value"] for row in now["settings"]}["flow"] == "constant-density"
+    assert now["title"] == "ball.nii.gz"
     ask(served, "step")
     assert state(served)["step"] == 1
     ask(served, "restart")
@@ -357,7 +358,7 @@ def test_without_trame_one_line_says_what_to_install(tmp_path, monkeypatch, caps
 
 
 @contextmanager
-def driven(folder):
+def driven(folder, *flags):
     """Chromium without a screen, downloading into a folder."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is missing: pip install selenium")
     from selenium.webdriver.chrome.service import Service
@@ -367,7 +368,7 @@ def driven(folder):
     if driver is None:
         pytest.skip("no chromedriver: apt install chromium-driver")
     options = webdriver.ChromeOptions()
-    for flag in (*viewing.CHROMIUM_FLAGS, "--window-size=1280,863", f"--user-data-dir={folder / 'profile'}"):
+    for flag in (*viewing.CHROMIUM_FLAGS, *flags, "--window-size=1280,863", f"--user-data-dir={folder / 'profile'}"):
         options.add_argument(flag)
     options.add_experimental_option("prefs", {"download.default_directory": str(folder / "downloads")})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
@@ -427,8 +428,8 @@ def _drive(browser, server, folder):
     assert until(lambda: picture() != first)
     slide("back", 2)
     until(lambda: step() == 2)
-    slide("smoothness", 0.3)
-    until(lambda: server_says(element, "smoothness", "0.3"))
+    slide("set-smoothness", 0.3)
+    until(lambda: server_says(element, "set-smoothness", "0.3"))
     element("single").click()
     until(lambda: step() == 3)
     before = picture()
@@ -460,6 +461,51 @@ def _drive(browser, server, folder):
     severe = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     # trame asks a launcher first, which is not there.
     assert not [message for message in severe if "/paraview/" not in message], severe
+
+
+def test_a_stroke_and_the_list_of_changes_in_the_page(tmp_path):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    server = Served(tmp_path)
+    try:
+        with driven(tmp_path) as browser:
+            browser.get(server.address)
+
+            def lines():
+                rows = browser.find_elements("css selector", "#history button")
+                states = (("undone" in row.get_attribute("class"), row.get_attribute("aria-current")) for row in rows)
+                return [(row.text, *state) for row, state in zip(rows, states, strict=True)]
+
+            picture = until(lambda: browser.find_elements("id", "picture"))[0]
+            until(lambda: browser.find_element("id", "state").text == "paused")
+            assert [row[0] for row in lines()] == ["0: as at first"]
+            picture.send_keys("o")
+            until(lambda: browser.find_element("id", "tool-outside").get_attribute("aria-checked") == "true")
+            picture.send_keys("i")
+            until(lambda: browser.find_element("id", "tool-inside").get_attribute("aria-checked") == "true")
+            width, height = picture.size["width"], picture.size["height"]
+            before = picture.get_attribute("src")
+            chain = ActionChains(browser).move_to_element_with_offset(picture, int(0.11 * width), int(-0.25 * height))
+            chain.click_and_hold()
+            for _ in range(4):
+                chain.move_by_offset(6, 1)
+            chain.perform()
+            drawn = until(lambda: picture.get_attribute("src") != before and picture.get_attribute("src"))
+            assert len(lines()) == 1  # nothing is asked of the session before the release
+            ActionChains(browser).release().perform()
+            until(lambda: len(lines()) == 2)
+            assert lines()[1][0].startswith("1: inside: stroke of") and lines()[1][1:] == (False, "true")
+            until(lambda: picture.get_attribute("src") != drawn)
+            browser.find_element("id", "change-0").click()
+            until(lambda: lines()[1][1] and lines()[0][2] == "true")
+            browser.find_element("id", "change-1").click()
+            until(lambda: not lines()[1][1] and lines()[1][2] == "true")
+            picture.send_keys(Keys.CONTROL, "z")
+            until(lambda: lines()[1][1])
+            assert not browser.find_element("id", "next-doubt").is_enabled()  # the run has not ended
+    finally:
+        assert server.close() == 0, server.log_text()
 
 
 def server_says(element, name, value):

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from accelsurf import Volume
 from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError, UsageError
+from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY
+from accelsurf.report import canvas
 from accelsurf.viewer.scene import colors, shapes
 from tests.support import viewing
 
@@ -282,3 +285,146 @@ def test_triangles_face_the_way_of_their_normals(name):
         a, b, c = (np.asarray(mesh.points)[corner] for corner in np.asarray(mesh.faces).reshape(-1, 4)[:, 1:].T)
         outward = (np.cross(b - a, c - a) * (a - center)).sum(axis=1)
         assert (outward > 0).mean() > 0.999
+
+
+def test_the_reference_has_a_colour_of_its_own_in_every_picture():
+    assert (colors.SURFACE, colors.REFERENCE, colors.OBJECT_COLORS) == (
+        canvas.SURFACE, canvas.REFERENCE, canvas.OBJECT_COLORS
+    )  # fmt: skip
+    assert colors.REFERENCE not in colors.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
+
+
+# -- what is written and drawn over it ----------------------------------------------------------------------
+
+
+def test_the_image_in_3d_does_not_hide_the_surface(scene_of):
+    volume, center = viewing.ball_image(radius=11.0)
+    bright = volume.with_array(volume.array * 0 + 90 + 10 * np.random.default_rng(0).random(volume.array.shape))
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    scene = scene_of(bright.with_array(bright.array.astype(np.float32)), size=(1280, 720))
+    scene.update(frames[-1], [history])
+
+    def orange():
+        tile = scene.screenshot()[:, :640].astype(int)
+        return (tile[..., 0] > tile[..., 2] + 60) & (tile[..., 0] > tile[..., 1] + 20)
+
+    for view in ("corner", "front", "top"):
+        scene.tiles.look_from(view)
+        scene.show_volume(False)
+        alone = orange()
+        scene.show_volume(True)
+        assert alone.sum() > 5000 and (orange() & alone).sum() > 0.9 * alone.sum(), view
+    scene.screenshot()
+
+
+def test_the_chart_says_what_will_be_there_and_has_room_for_its_ticks(scene_of):
+    volume, center = viewing.ball_image()
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    far = [record._replace(potential=record.potential * 1e3 - 9e6) for record in history]
+    scene = scene_of(volume, size=(640, 360), theme="light")
+    assert "first step" in written(scene)
+    scene.update(frames[-1], [far])
+    scene.screenshot()
+    assert "first step" not in written(scene)
+    few = ticks(scene)
+    scene.resize(1920, 1080)
+    scene.screenshot()
+    many = ticks(scene)
+    assert all(2 <= len(texts) <= 4 for texts in few) and sum(map(len, many)) > sum(map(len, few))
+    # Blanks at both ends: what VTK would cut off, or draw twice, is none of the number.
+    assert all(text == f" {text.strip()} " for texts in many for text in texts)
+
+
+def written(scene):
+    """All text actors that are seen, in one string."""
+    return " ".join(
+        prop.GetInput()
+        for renderer in scene.plotter.renderers
+        for prop in renderer.GetViewProps()
+        if prop.IsA("vtkTextActor") and prop.GetVisibility() and prop.GetInput()
+    )
+
+
+def ticks(scene):
+    """Texts at the axes of the charts."""
+    axes = [axis for chart in scene._chart._charts for axis in (chart.x_axis, chart.y_axis)]
+    return [[labels.GetValue(i) for i in range(labels.GetNumberOfValues())] for labels in map(tick_labels, axes)]
+
+
+def tick_labels(axis):
+    return axis.GetTickLabels()
+
+
+def test_lengths_are_in_the_unit_of_the_file(scene_of):
+    volume, center = viewing.ball_image()
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    small = Volume(volume.array, volume.geometry)
+    small.metadata[UNIT_KEY] = "um"
+    scene = scene_of(small, size=(1280, 720))
+    scene.update(frames[-1], [history])
+    scene.screenshot()
+    said = written(scene)
+    assert "Slice  z = 27 000 um" in said and "um3" in said and "10000 um" in said
+    assert "mm" not in said and " ml" not in said
+    scene = scene_of(volume, size=(1280, 720))
+    scene.update(frames[-1], [history])
+    scene.screenshot()
+    said = written(scene)
+    assert " mm3 = " in said and " ml" in said and "10 mm" in said and " um" not in said
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0, 3.0])
+def test_text_and_lines_scale_once_with_the_screen(scene_of, ratio):
+    """A window that is so many times finer shows the same picture, finer; whatever resolution Qt has set."""
+    volume, center = viewing.ball_image()
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    pictures = []
+    for own in (1.0, ratio):
+        scene = scene_of(volume, size=(round(640 * own), round(360 * own)))
+        scene.tiles.pixel_ratio = own
+        scene.plotter.render_window.SetDPI(round(72 * own))  # as Qt does
+        scene.update(frames[-1], [history])
+        pictures.append(scene.screenshot().astype(float))
+    small = np.asarray(Image.fromarray(pictures[1].astype(np.uint8)).resize((640, 360), Image.Resampling.BOX))
+    ink = [float((np.abs(one - one[0, 0]).max(axis=2) > 60).mean()) for one in (pictures[0], small.astype(float))]
+    assert ink[1] == pytest.approx(ink[0], rel=0.04)
+    assert np.abs(small - pictures[0]).mean() < 5.0
+
+
+@pytest.mark.parametrize("size", [(640, 360), (1280, 720)])
+def test_letters_beside_a_thin_slab_do_not_overlap(scene_of, size):
+    volume = Volume.from_array(np.zeros((2, 200, 200), np.float32), (1.0, 1.0, 1.0), direction=np.eye(3))
+    volume.metadata[DICOM_KEY] = "1.2.3"  # its axes are a patient's
+    scene = scene_of(volume, size=size)
+    assert scene.anatomical
+    for name in ("coronal", "sagittal"):
+        boxes = []
+        scene.screenshot()
+        for prop in scene.slice_tiles[name].renderer.GetViewProps():
+            if prop.IsA("vtkTextActor") and prop.GetInput() in ("S", "I"):
+                box, renderer = [0.0] * 4, scene.slice_tiles[name].renderer
+                prop.GetBoundingBox(renderer, box)
+                _, up = prop.GetPositionCoordinate().GetComputedViewportValue(renderer)
+                boxes.append((up + box[2], up + box[3]))
+        (low, high) = sorted(boxes)
+        assert low[1] < high[0], (name, boxes)
+
+
+@pytest.mark.parametrize("layout", ["one", "four", "single"])
+def test_lines_of_the_legend_do_not_overlap(scene_of, layout):
+    volume, center = viewing.ball_image()
+    truth = volume.with_array((volume.array > 0).astype(np.uint8))
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    scene = scene_of(volume, reference=truth, size=(960, 540))
+    scene.tiles.lay_out(layout, "space")
+    scene.update(frames[-1], [history])
+    scene.screenshot()
+    spans = []
+    for prop in scene.space.renderer.GetViewProps():
+        if prop.IsA("vtkTextActor") and prop.GetInput() in scene.legend:
+            box = [0.0] * 4
+            prop.GetBoundingBox(scene.space.renderer, box)
+            _, up = prop.GetPositionCoordinate().GetComputedViewportValue(scene.space.renderer)
+            spans.append((up + box[2], up + box[3]))
+    (low, high) = sorted(spans)
+    assert low[1] <= high[0]

@@ -210,7 +210,7 @@ def test_the_slices_go_to_a_start_and_a_press(workplace):
 
 def test_keys_of_the_strokes(workplace):
     keys = workplace.keys
-    assert keys["I"].values == ("inside",) and keys["O"].values == ("outside",) and "X" not in keys
+    assert keys["I"].values == ("inside",) and keys["O"].values == ("outside",)
     for key, tool in (("I", "inside"), ("O", "outside")):
         workplace.request("key", key)
         assert workplace.state()["tool"] == tool
@@ -219,6 +219,17 @@ def test_keys_of_the_strokes(workplace):
     assert workplace.radius > radius
     workplace.request("key", "[")
     assert workplace.radius == pytest.approx(radius)
+
+
+def test_escape_drops_a_stroke_that_is_being_painted(workplace):
+    workplace.request("cursor", 9.0, 8.0, 9.0)
+    workplace.request("key", "I")
+    drag(workplace, "axial", (12.0, 8.0, 9.0), (16.0, 8.0, 9.0))
+    assert workplace.scene.marks.strokes.count == 1
+    workplace.request("key", "Escape")
+    assert workplace.scene.marks.strokes.count == 0 and workplace.state()["tool"] == "look"
+    workplace.request("release")
+    assert workplace.session.wait(60) and workplace.session.status.changes == ()
 
 
 def test_in_one_slice_too(scene_of):

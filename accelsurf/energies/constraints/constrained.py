@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from accelsurf.energies.energy import Energy
 from accelsurf.flows import Flow
+from accelsurf.grid.boxes import Box
 from accelsurf.levelset import BandChange, LevelSet
 
 
@@ -68,3 +69,7 @@ class ConstrainedEnergy(Energy):
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
         return self._energy.value(surface, fraction, area)
+
+    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
+        """The energy's own."""
+        return self._energy.image_force(surface, box)

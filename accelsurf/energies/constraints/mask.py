@@ -9,6 +9,7 @@ from scipy import ndimage
 from accelsurf.energies.constraints.constrained import ConstrainedEnergy
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.levelset import LevelSet
 
@@ -37,6 +38,12 @@ class MaskConstraint(ConstrainedEnergy):
         near = -CONTACT_DISTANCE * min(surface.grid.hz, surface.grid.hy, surface.grid.hx)
         stopped = front & (sample_at_front(self._distance, surface, front) > near) & (force < 0)
         return np.where(stopped, np.float32(0.0), force)
+
+    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
+        """The energy's own within the mask; NaN beyond it, where the surface never is."""
+        force = super().image_force(surface, box)
+        beyond = self._distance.reshape(surface.shape)[box] > 0
+        return None if force is None else np.where(beyond, np.float32(np.nan), force)
 
     def project(self, surface: LevelSet) -> None:
         """Cut off what has crossed the boundary; between the surface's motion and its redistancing."""

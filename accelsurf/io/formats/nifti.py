@@ -309,7 +309,7 @@ def read_volumes(file: NiftiFile, numbers: Sequence[int]) -> list[NDArray[Any]]:
     Parameters
     ----------
     file : NiftiFile
-        Its header, after `RawHeader.check_complete`.
+        Its header; after `RawHeader.check_complete`, or else all of them together are counted while they are read.
     numbers : sequence of int
         Which, in the order of the file.
 
@@ -336,11 +336,12 @@ def _stored(file: NiftiFile, first: int, count: int) -> NDArray[Any]:
             stream.seek(offset)
             at = stream.readinto(raw)
         else:
-            at, skip = 0, offset
+            at, skip, present = 0, offset, 0
             for piece in inflate(stream, None, header.claimed_bytes):
                 some = memoryview(piece)[skip : skip + len(raw) - at]
                 raw[at : at + len(some)] = some
-                at, skip = at + len(some), max(skip - len(piece), 0)
+                at, skip, present = at + len(some), max(skip - len(piece), 0), present + len(piece)
+            file.check_present(present)
     if at < len(raw):
         raise InputError(f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT)
     return voxels

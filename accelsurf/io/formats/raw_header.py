@@ -117,6 +117,16 @@ class RawHeader:
             with self.data.open("rb") as file:
                 file.seek(self.offset)
                 present = sum(map(len, inflate(file, self.stored_bytes, self.claimed_bytes)))
+        self.check_present(present)
+
+    def check_present(self, present: int) -> None:
+        """Refuse fewer bytes of voxels than the header claims.
+
+        Raises
+        ------
+        InputError
+            With both numbers.
+        """
         if present < self.claimed_bytes:
             raise InputError(
                 f"the header announces {self.claimed_bytes} bytes of voxels, the file holds {present}",

@@ -12,15 +12,18 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
+from accelsurf.analysis.diameters import Diameters
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.doubts import QUIET, DoubtWatch
+from accelsurf.viewer.core.figures import Figures, diameters_of, figures_of
 from accelsurf.viewer.core.object_commands import ObjectCommands
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import Status, View, error_line
@@ -31,6 +34,8 @@ from accelsurf.viewer.core.view_slot import ViewSlot
 PLAYING_VOXELS = 3_000_000
 #: Memory for checkpoints unless another amount is given, MB.
 CHECKPOINT_MB = 512.0
+
+T = TypeVar("T")
 
 
 class Session:
@@ -177,12 +182,8 @@ class Session:
         """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one change.
 
         Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. A
-        change that is ``joined``, a further part of a stroke, is undone together with the change before it.
-
-        Raises
-        ------
-        UsageError, InputError
-            From the Future, when one is no ball or lies outside the volume, or there is no such object.
+        change that is ``joined``, a further part of a stroke, is undone together with the change before it. What is no
+        ball or lies outside is refused.
         """
         texts = tuple(balls)
         return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id, joined))
@@ -192,12 +193,8 @@ class Session:
 
         Several at once are one stroke: one change. They take voxels that they contradict from earlier ones. While the
         run goes on they are an edit; after its end a correction, as `accelsurf refine` makes it. Of several objects it
-        is the one with this id, or else the one that is nearest to where the first begins.
-
-        Raises
-        ------
-        UsageError, InputError
-            From the Future, when it is no place or lies outside, or nothing would be left that is clicked inside.
+        is the one with this id, or else the one that is nearest to where the first begins. What is no place, lies
+        outside, or would leave nothing clicked inside is refused.
         """
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
@@ -208,11 +205,7 @@ class Session:
         The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
         that a drag never waits for a step. They reach ``voxels`` voxels; `size_drag.Dragging` asks for more when a
         drag needs them. `release` ends it. Of several objects one is named; with an id that none has it is a new one.
-
-        Raises
-        ------
-        UsageError, InputError
-            From the Future, when it is no ball or lies outside, or there are several objects and none is named.
+        What is no ball or lies outside is refused.
         """
         return self._do(lambda timeline: timeline.objects.press(ball, voxels, object_id))
 
@@ -228,6 +221,23 @@ class Session:
         """Begin another run from another start, with the settings in force."""
         return self._do(lambda timeline: timeline.start_from(tuple(start)))
 
+    def restart_with(self, **settings: Any) -> Future[None]:
+        """Begin another run from the start with other settings, also those that are fixed while a run runs.
+
+        Clicks stay, balls that were added or removed do not. A ``preset`` overrides the settings in force, but for what
+        it needs clicks for where there are none yet.
+
+        Raises
+        ------
+        UsageError, InputError
+            From the Future, when a setting is not valid, or no run can be made with it; nothing is changed then.
+        """
+        return self._do(lambda timeline: timeline.restart_with(settings))
+
+    def look(self, work: Callable[[Run], T]) -> Future[T]:
+        """Have a function read the run between two steps; it must change nothing, and no new view follows."""
+        return self._do(lambda timeline: work(timeline.run), changes=False)
+
     def undo(self) -> Future[None]:
         """Undo the last change, and go to the step where it was made."""
         return self._do(lambda timeline: timeline.undo())
@@ -235,6 +245,14 @@ class Session:
     def redo(self) -> Future[None]:
         """Make the change again that was undone last."""
         return self._do(lambda timeline: timeline.redo())
+
+    def figures(self) -> Future[Figures]:
+        """Compute the figures of the objects as they are now: volume, surface, intensities, diameters."""
+        return self._do(figures_of)
+
+    def diameters(self, object_id: int) -> Future[Diameters]:
+        """Compute the longest lines of an object as it is now; fails when it has no voxel."""
+        return self._do(lambda timeline: diameters_of(timeline, object_id))
 
     def go_to_change(self, count: int) -> Future[None]:
         """Undo changes, or make them again, until the first ``count`` of `Status.changes` are in force; in one go."""
@@ -280,13 +298,13 @@ class Session:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _do(self, work: Callable[[Timeline], Any]) -> Future[Any]:
+    def _do(self, work: Callable[[Timeline], Any], changes: bool = True) -> Future[Any]:
         """Have a command carried out on the timeline."""
         if not self.is_alive:
             future: Future[Any] = Future()
             future.set_exception(UsageError("the session has been closed"))
             return future
-        return self._commands.put(work)
+        return self._commands.put(work, changes)
 
     def _is_idle(self) -> bool:
         return not self._status.playing and self._commands.pending == 0 and self.ready.done()
@@ -343,12 +361,15 @@ class Session:
         """Carry out a command; its error is reported and does not end the session."""
         try:
             answer = command.work(timeline)
-            timeline.apply_edits()
+            if command.changes:
+                timeline.apply_edits()
         except Exception as error:
-            self._report(timeline, error)
+            if command.changes:
+                self._report(timeline, error)
             command.future.set_exception(error)
         else:
-            self._report(timeline)
+            if command.changes:
+                self._report(timeline)
             command.future.set_result(answer)
         self._commands.done()
 

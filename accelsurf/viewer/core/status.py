@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
@@ -59,6 +59,8 @@ class Status(NamedTuple):
         Steps in which the surface rested before it broke through, and that have been made.
     doubts : tuple of Doubt
         Where to click next, the most doubtful place first; found some time after the run's end.
+    terms : sequence of dict
+        Of the energy of the first object, with every setting resolved, see `ResolvedEnergy`.
     """
 
     ready: bool
@@ -79,6 +81,7 @@ class Status(NamedTuple):
     changes: tuple[ChangeLine, ...] = ()
     rests: tuple[int, ...] = ()
     doubts: tuple[Doubt, ...] = ()
+    terms: Sequence[dict[str, Any]] = ()
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:
@@ -106,6 +109,7 @@ class Status(NamedTuple):
             refinements=timeline.corrections.wanted,
             changes=timeline.log.lines,
             rests=rests_of(timeline),
+            terms=timeline.run.objects[0].made.terms,
         )
 
     @property

@@ -20,6 +20,7 @@ from accelsurf.viewer.core.corrections import Corrections
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.object_commands import ObjectCommands
+from accelsurf.viewer.core.restarted import restart_message, restarted
 
 #: Why an object has ended for good: there is nothing to continue from.
 FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
@@ -301,13 +302,23 @@ class Timeline:
         """Begin another run, with the settings in force."""
         self.start_with({"start": start}, "start: " + " + ".join(start))
 
+    def restart_with(self, settings: dict[str, Any]) -> None:
+        """Begin another run with other settings and what was clicked, see `Session.restart_with`."""
+        before = self.run.settings
+        config = restarted(before, self._edits_so_far(), self.corrections.wanted, settings, self.run.has_ids)
+        self._begin_again(config, restart_message(before, config))
+
     def start_with(self, settings: dict[str, Any], said: str) -> None:
         """Begin another run, with other settings besides those in force."""
+        self._begin_again(self.run.settings.replace(**settings), said)
+
+    def _begin_again(self, config: RunConfig, message: str) -> None:
+        """Begin another run, which can be undone."""
         before = self._now()
         self.pause()
-        self._replace_run(self.run.settings.replace(**settings))
-        self._message = said
-        self.log.add(before._replace(step=0), said)
+        self._replace_run(config)
+        self._message = message
+        self.log.add(before._replace(step=0), message)
         self.corrections.wanted = ()
 
     def undo(self) -> None:

@@ -82,5 +82,10 @@ def sheet(theme: str) -> str:
     QCheckBox::indicator:checked {{ background: {SURFACE}; border-color: {SURFACE}; }}
     QLabel#help {{ background: {ui.field}; border: 1px solid {SURFACE}; border-radius: 8px; padding: 14px 22px; }}
     QLabel#message {{ color: {ui.weak}; }}
+    QLabel#title {{ font-size: 24px; font-weight: bold; }}
+    QListWidget {{ background: {ui.field}; border: 1px solid {ui.lines}; border-radius: 6px; }}
+    QListWidget::item {{ padding: 4px 6px; }}
+    QListWidget::item:disabled {{ color: {ui.weak}; }}
+    QListWidget:focus {{ border-color: {SURFACE}; }}
     QLabel#message[failed="true"] {{ color: {ALARM[theme]}; font-weight: bold; }}
     """

@@ -1,4 +1,4 @@
-"""Serves a session as a page until the user ends it."""
+"""Serves the page until the user ends it."""
 
 from __future__ import annotations
 
@@ -8,37 +8,39 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from accelsurf.grid.grey_window import parse_window
-from accelsurf.grid.volume import Volume
-from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.opening import OpenedImage
+from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.frontends.page import POLL_SECONDS, Page
 from accelsurf.viewer.frontends.page_guard import LOCAL
-from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.opening import Opening
 
 
 def serve(
-    session: Session,
-    reference: Volume | None,
+    opening: Opening,
+    first: tuple[OpenedImage, Session] | None,
     folder: Path | None,
     theme: str,
     overwrite: bool = False,
+    checkpoint_mb: float = CHECKPOINT_MB,
     host: str = LOCAL,
     port: int = 0,
     on_ready: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve a session in a page until Ctrl-C.
+    """Serve the page until Ctrl-C.
 
     Parameters
     ----------
-    session : Session
-    reference : Volume or None
-        Labels to compare with.
+    opening : Opening
+    first : (OpenedImage, Session) or None
+        The image that is open at first; None for the start page.
     folder : Path or None
         Where files are saved; None: a folder that is deleted at the end, from which they can be downloaded.
     theme : str
         "dark" or "light".
     overwrite : bool, optional
-        Replace files there that this session has not written.
+        Replace files there that a session has not written.
+    checkpoint_mb : float, optional
+        Memory for stored steps, MB.
     host, port : str, int, optional
         As of `Page`.
     on_ready : callable, optional
@@ -53,12 +55,14 @@ def serve(
     GraphicsError
         When nothing can be drawn here.
     """
-    window = parse_window(session.status.settings.window)
-    scene = Scene(session.volume, theme=theme, reference=reference, window=window)
     with contextlib.ExitStack() as stack:
-        stack.callback(scene.close)
-        home = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-")))
-        page = Page(session, scene, home, host, port, overwrite)
+        temporary = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-")))
+        uploads = temporary / "uploads"
+        uploads.mkdir()
+        page = Page(opening, folder or temporary, uploads, host, port, overwrite, theme, checkpoint_mb)
+        stack.callback(page.close)
+        if first is not None:
+            page.open(*first)
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(_serve(page, on_ready))
 

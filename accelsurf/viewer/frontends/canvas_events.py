@@ -13,6 +13,8 @@ from accelsurf.viewer.workplace.workplace import Workplace
 
 _BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}
 _PRESSES = (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick)
+#: After these the screen may have other pixels.
+_FITS = (QEvent.Type.Show, QEvent.Type.Resize, QEvent.Type.DevicePixelRatioChange)
 _KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease)
 
 
@@ -40,6 +42,8 @@ class CanvasEvents(QObject):
         if event.type() in _KEYS:
             # VTK has keys of its own, which close windows and change how things are drawn.
             return True
+        if event.type() in _FITS:
+            self._workplace.scene.tiles.pixel_ratio = self._canvas.devicePixelRatioF()
         if isinstance(event, QWheelEvent):
             zoom = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
             turned = event.angleDelta().y()

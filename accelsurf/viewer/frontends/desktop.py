@@ -1,4 +1,4 @@
-"""The desktop window: the scene, the panel of controls, the bar to move over steps; mouse and keys."""
+"""An image in the window: the scene, the panel of controls, the bar to move over steps; mouse and keys."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def application() -> QApplication:
 
 
 class Window(QMainWindow):
-    """A window on a session; `application` must be called first.
+    """A window on a session, alone or within a `MainWindow`; `application` must be called first.
 
     Parameters
     ----------
@@ -84,6 +84,7 @@ class Window(QMainWindow):
         self.resize(*SIZE)
         geometry = session.volume.geometry
         self.canvas = QtInteractor(self, auto_update=False, **Scene.layout(geometry))
+        self.canvas.setAcceptDrops(False)  # VTK would take them for meshes
         self.scene = Scene(
             session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name,
             window=parse_window(session.status.settings.window),
@@ -120,7 +121,7 @@ class Window(QMainWindow):
         self.message.setObjectName("message")
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.read_out.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.read_out.setToolTip("Place (x, y, z) in mm, voxel (i, j, k), value and label under the mouse")
+        self.read_out.setToolTip("Place (x, y, z), voxel (i, j, k), value and label under the mouse")
         last.addWidget(self.message, 1)
         last.addWidget(self.read_out)
         rows.addLayout(last)
@@ -134,7 +135,7 @@ class Window(QMainWindow):
         self.side.changes.save_wanted.connect(self.save)
         own: dict[str, Callable[[], Any]] = {
             "Ctrl+S": self.save, "F1": self.toggle_help, "H": self.toggle_help, "Escape": self._escape,
-            "Ctrl+Q": self.close,
+            "Ctrl+Q": lambda: self.window().close(),
         }
         for key in dict.fromkeys((*self.workplace.keys, *own)):
             action = QAction(self)
@@ -208,7 +209,7 @@ class Window(QMainWindow):
         if state["copied"] != before.get("copied") and state["copied"][0]:
             QApplication.clipboard().setText(state["copied"][1])
         self.read_out.setText(
-            f"{state['place']} mm   voxel {state['voxel']}   value {state['value']}   label {state['label']}"
+            f"{state['where']}   voxel {state['voxel']}   value {state['value']}   label {state['label']}"
         )
         if _without_place(state) == _without_place(before):
             return
@@ -238,6 +239,11 @@ class Window(QMainWindow):
         x = max((self.canvas.width() - self.help.width()) // 2, 0)
         self.help.move(x, max((self.canvas.height() - self.help.height()) // 2, 0))
         self.help.raise_()
+
+    def leave(self) -> None:
+        """Show nothing any more; the session is not ended."""
+        self._timer.stop()
+        self.scene.close()
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """End the session; files that are being saved are finished first."""

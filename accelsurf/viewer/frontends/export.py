@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import UsageError
 from accelsurf.grid.orientation import LETTERS
 from accelsurf.io.files import write_bytes
+from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.scene.colors import REFERENCE, SHADES, color_range, object_color
 from accelsurf.viewer.scene.pictures import png_bytes
 from accelsurf.viewer.scene.scene import Scene
@@ -49,6 +50,7 @@ def html_page(scene: Scene) -> str:
         "ink": theme.ink,
         "reach": float(np.linalg.norm(corners, axis=1).max()) or 1.0,
         "half": np.abs(corners).max(axis=0).tolist(),
+        "unit": [scene.unit, in_unit(1.0, scene.unit)],
         "letters": LETTERS if scene.anatomical else (("-x", "+x"), ("-y", "+y"), ("-z", "+z")),
     }
     page = resources.files("accelsurf.viewer").joinpath("export.html").read_text(encoding="utf-8")

@@ -34,6 +34,7 @@ def show(
     planes: bool = False,
     size: tuple[int, int] = SIZE,
     to: str | Path | None = None,
+    title: str | None = None,
     backend: str | None = None,
 ) -> Any:
     """Show a result, or an image, as `accelsurf view` does: the surfaces in mm, three slices, the energies.
@@ -53,6 +54,8 @@ def show(
     to : str or Path, optional
         Write to this file instead: a picture (.png), or a page whose surface can be turned in any browser, without
         the internet (.html).
+    title : str, optional
+        First line over the picture, and of the window; the name of the image's file unless given.
     backend : str, optional
         In a notebook: one of PyVista's Jupyter backends instead of a page without a server.
 
@@ -72,21 +75,17 @@ def show(
     """
     suffix = _check(what, to, backend)
     image = what.volume if isinstance(what, Result) else what
-    plotter = None if to is not None else _plotter(image.geometry, size, backend)
-    scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size)
+    title = title or (image.source.name if image.source else "accelsurf")
+    plotter = None if to is not None else _plotter(image.geometry, size, backend, title)
+    scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size, title=title)
     if isinstance(what, Result):
         scene.update(Frame.of_result(what), [one.history for one in what.objects])
     scene.show_volume(volume)
     scene.show_planes(planes)
-    if plotter is not None:
-        return _show_in_pyvista(scene, backend)
-    try:
-        return SceneOutput(scene) if to is None else _write(scene, to, suffix)
-    finally:
-        scene.close()
+    return _show_in_pyvista(scene, backend) if plotter is not None else _output(scene, to, suffix)
 
 
-def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None) -> pv.Plotter | None:
+def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None, title: str) -> pv.Plotter | None:
     """A plotter for a window or for a backend of PyVista; None in a notebook that gets a page of our own."""
     notebook = in_notebook()
     if not notebook and not _has_screen():
@@ -95,7 +94,19 @@ def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None) -> 
         return None
     if notebook:
         require_graphics()
-    return pv.Plotter(off_screen=notebook, notebook=notebook, window_size=list(size), **Scene.layout(geometry))
+    layout = Scene.layout(geometry)
+    return pv.Plotter(off_screen=notebook, notebook=notebook, window_size=list(size), title=title, **layout)
+
+
+def _output(scene: Scene, to: str | Path | None, suffix: str) -> SceneOutput | None:
+    """The output of a cell; with a path write a file instead. The scene is closed."""
+    try:
+        if to is None:
+            return SceneOutput(scene)
+        _write(scene, to, suffix)
+        return None
+    finally:
+        scene.close()
 
 
 def _write(scene: Scene, path: str | Path, suffix: str) -> None:

@@ -1,4 +1,4 @@
-"""The scene in a page: a session steered from a browser on this machine, served by trame.
+"""The scene in a page: a session steered from a browser on this machine, served by trame; before that the start page.
 
 The page shows pictures of the same scene as the window, drawn here, and sends requests, which `requests` checks. It
 loads nothing from elsewhere. Whoever has the token of the address can change the run; nobody else is answered.
@@ -9,30 +9,39 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
-import html
 import io
 import secrets
 import socket
 import sys
+import threading
 import time
 from collections import deque
-from collections.abc import Iterator
-from importlib import resources
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvista
 from numpy.typing import NDArray
 from PIL import Image
 
-from accelsurf.errors import OutputError, UsageError
-from accelsurf.viewer.core.session import Session
+from accelsurf.errors import AccelsurfError, OutputError, UsageError
+from accelsurf.grid.grey_window import parse_window
+from accelsurf.viewer.core.opening import OpenedImage
+from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
+from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.frontends.display import INSTALL
+from accelsurf.viewer.frontends.page_document import document, page_text
 from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
+from accelsurf.viewer.frontends.page_uploads import PageUploads
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.folders import ResultFolders
+from accelsurf.viewer.workplace.former_sessions import FormerSessions
 from accelsurf.viewer.workplace.help import help_rows
 from accelsurf.viewer.workplace.mouse import MouseFeature
+from accelsurf.viewer.workplace.opening import Opening
+from accelsurf.viewer.workplace.picture import PictureFeature
 from accelsurf.viewer.workplace.quiet import Quiet
 from accelsurf.viewer.workplace.workplace import Workplace
 
@@ -43,25 +52,30 @@ PATIENCE = 2.0
 
 
 class Page:
-    """A session in a page.
+    """The start page, or the image that is open.
 
     Parameters
     ----------
-    session : Session
-    scene : Scene
-        Of the same image; drawn in the thread that serves.
+    opening : Opening
     folder : Path
         Where files are saved, and downloaded from.
+    uploads : Path
+        An empty folder for what is uploaded.
     host : str, optional
         Address to listen on; by default of this machine alone.
     port : int, optional
         0 takes a free one.
     overwrite : bool, optional
-        Replace files in the folder that this session has not written.
+        Replace files in the folder that a session has not written.
+    theme : str, optional
+        "dark" or "light".
+    checkpoint_mb : float, optional
+        Memory for stored steps, MB.
 
     Attributes
     ----------
-    workplace : Workplace
+    workplace : Workplace or None
+        Of the image that is open; drawn in the thread that serves.
     token : str
         Whoever has it can change the run.
     address : str
@@ -75,61 +89,131 @@ class Page:
 
     def __init__(
         self,
-        session: Session,
-        scene: Scene,
+        opening: Opening,
         folder: Path,
+        uploads: Path,
         host: str = LOCAL,
         port: int = 0,
         overwrite: bool = False,
+        theme: str = "dark",
+        checkpoint_mb: float = CHECKPOINT_MB,
     ) -> None:
-        self.session, self.scene = session, scene
-        self.workplace = Workplace(session, scene, folder, overwrite)
+        self.opening, self._theme, self._overwrite, self._checkpoint_mb = opening, theme, overwrite, checkpoint_mb
+        self.workplace: Workplace | None = None
+        self._folders = ResultFolders(folder)
+        self._former = FormerSessions()
+        #: The room that the page has said the picture has, and its pixels; nothing before.
+        self._room: tuple[Any, ...] = ()
         self.token, self.address = secrets.token_hex(24), ""
-        self._guard = PageGuard(host, self.token, self.workplace.feature(FilesFeature).files)
+        self._guard = PageGuard(host, self.token, self._saved_files)
+        self._uploads = PageUploads(uploads, self._guard, opening)
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
-        self.quiet = Quiet(self.workplace)
+        self.quiet: Quiet | None = None
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
+        #: What draws takes seconds to load: while the person chooses.
+        self._loading = threading.Thread(target=getattr, args=(pyvista, "Plotter"), daemon=True)
+        self._loading.start()
 
     # -- the page -----------------------------------------------------------------------------------------
 
     def _make_server(self) -> Any:
         get_server, layout, style = _import_trame()
         server = get_server(f"accelsurf-{self.token[:8]}", client_type="vue3")
-        tools = self.workplace.tools.values()
-        server.state.update(self._state() | {
-            "trame__title": "accelsurf", "picture": "", "title": self.scene.title or "accelsurf",
-            "tools": [{"name": one.name, "key": one.key, "text": one.text, "tip": one.tip} for one in tools],
-            "keys": list(self.workplace.keys),
-            "help": [list(row) for row in help_rows(self.workplace.keys)],
-        })
+        server.state.update({"trame__title": "accelsurf", "theme": self._theme, "picture": "", **self._state()})
+        server.state.upload_to = f"upload?secret={self.token}&name="
         server.trigger("ask")(self._ask)
         server.trigger("shown")(self._was_shown)
         server.controller.on_server_bind.add(self._guard.install)
-        with layout(server) as page:
-            page.root.add_child(style(_read_text("page.css")))
-            page.root.add_child(_document())
+        server.controller.on_server_bind.add(self._uploads.install)
+        self._layout, self._style = layout(server), style
+        self._lay_out()
         return server
+
+    def _lay_out(self) -> None:
+        """The page has other parts when an image is open."""
+        with self._layout as page:
+            page.root.clear()
+            page.root.add_child(self._style(page_text("page.css")))
+            page.root.add_child(document(() if self.workplace is None else PANELS))
 
     def _state(self) -> dict[str, Any]:
         """What the page shows beside the picture."""
+        state = self.opening.state()
+        if self.workplace is None:
+            return state
         link = f"files/{{}}?secret={self.token}"
-        state = self.workplace.state()
+        state |= self.workplace.state()
         return state | {"files": [{"name": name, "link": link.format(name)} for name in state["saved"]]}
 
+    def _saved_files(self) -> Mapping[str, Path]:
+        return {} if self.workplace is None else self.workplace.feature(FilesFeature).files
+
     def _ask(self, *request: Any, **_: Any) -> None:
-        self.workplace.request(*request[:8])
+        name = request[0] if request else None
+        if self.workplace is None or (isinstance(name, str) and name in self.opening.names):
+            self.opening.request(*(request[:8] or (None,)))
+        else:
+            self.workplace.request(*request[:8])
 
     def _was_shown(self, *size: Any, **_: Any) -> None:
-        """The page shows the last picture, in a window of this size."""
+        """The page shows the last picture, in a window of this size and this many pixels of the device for one."""
         self._is_shown = True
-        before = tuple(self.scene.plotter.render_window.GetSize())
-        changed = self.workplace.changed
-        self.workplace.request("size", *size[:2])
-        if tuple(self.scene.plotter.render_window.GetSize()) == before:
-            self.workplace.changed = changed
+        if self.workplace is not None:
+            self._room = size[:3]
+            self.workplace.request("size", *self._room)
+
+    # -- images -------------------------------------------------------------------------------------------
+
+    def open(self, opened: OpenedImage, session: Session | None = None) -> None:
+        """Show an image in place of what is shown now.
+
+        Parameters
+        ----------
+        opened : OpenedImage
+        session : Session, optional
+            Of it; one is begun otherwise.
+
+        Raises
+        ------
+        GraphicsError, InputError
+            When it cannot be drawn; what was shown stays.
+        """
+        self._loading.join()
+        former = self.workplace
+        scene = Scene(
+            opened.volume, theme=self._theme if former is None else former.scene.theme_name, reference=opened.reference,
+            title=None if opened.source is not None else opened.name, window=parse_window(opened.config.window),
+        )
+        if former is not None:
+            self._former.add(former)
+            former.scene.close()
+        session = opened.session(self._checkpoint_mb) if session is None else session
+        self.workplace = Workplace(session, scene, self._folders.of_next(opened.name), self._overwrite)
+        self.quiet = Quiet(self.workplace)
+        if self._room:
+            self.workplace.request("size", *self._room)
+        self._drawing.extend((0.0,) * 3)
+        self._is_shown = True
+        self.opening.show(self.workplace, opened)
+        self._uploads.discard(opened.source)
+        tools, keys = self.workplace.tools.values(), self.workplace.keys
+        with self._server.state as state:
+            state.update(self._state() | {
+                "picture": "", "title": scene.title or "accelsurf", "keys": list(keys),
+                "tools": [{"name": one.name, "key": one.key, "text": one.text, "tip": one.tip} for one in tools],
+                "help": [list(row) for row in help_rows(keys)],
+            })
+            self._lay_out()
+
+    def close(self) -> None:
+        """Close the image; sessions finish what was asked of them."""
+        if self.workplace is not None:
+            self._former.add(self.workplace)
+            self.workplace.scene.close()
+        self._former.close()
 
     # -- serving ------------------------------------------------------------------------------------------
 
@@ -168,63 +252,55 @@ class Page:
 
     def _update(self) -> None:
         """Draw what is new, and send it to the page."""
-        now = time.perf_counter()
-        self.workplace.collect_results()
-        # While a button is down the hand comes first.
-        is_moving = self.workplace.feature(MouseFeature).is_moving
-        view = None if is_moving else self.session.next_view(min(self._drawing))
-        if view is not None:
-            self.workplace.update(view)
-        if view is not None or self.workplace.changed:
-            self.quiet.touch()
-            may_send = self._may_send(now)
-            if may_send:
-                self._drawing.append(self._draw())
-            self.workplace.changed = not may_send
-        elif self._may_send(now) and self.quiet.draw_in_full():
-            self._draw()
+        opened = self.opening.fetch()
+        if opened is not None:
+            try:
+                self.open(opened)
+            except AccelsurfError as error:
+                self.opening.refuse(error_line(error))
+        if self.workplace is not None and self.quiet is not None:
+            self._update_picture(self.workplace, self.quiet)
         with self._server.state as state:
             state.update(self._state())
+
+    def _update_picture(self, workplace: Workplace, quiet: Quiet) -> None:
+        """Draw what has changed, and send it."""
+        now = time.perf_counter()
+        workplace.collect_results()
+        # While a button is down the hand comes first.
+        is_moving = workplace.feature(MouseFeature).is_moving
+        view = None if is_moving else workplace.session.next_view(min(self._drawing))
+        if view is not None:
+            workplace.update(view)
+        if view is not None or workplace.changed:
+            quiet.touch()
+            workplace.feature(PictureFeature).draw_fine(False)
+            may_send = self._may_send(now)
+            if may_send:
+                self._drawing.append(self._draw(workplace))
+            workplace.changed = not may_send
+        elif self._may_send(now) and quiet.draw_in_full():
+            workplace.feature(PictureFeature).draw_fine(True)
+            self._draw(workplace)
 
     def _may_send(self, now: float) -> bool:
         """Whether the page has shown the last picture; a slow page does not get more than it can show."""
         return self._is_shown or now - self._sent_at > PATIENCE
 
-    def _draw(self) -> float:
+    def _draw(self, workplace: Workplace) -> float:
         """Draw and send a picture; returns the seconds that it took."""
         began = time.perf_counter()
-        data = _jpeg(self.scene.screenshot())
+        data = _jpeg(workplace.scene.screenshot())
         self._server.state.picture = "data:image/jpeg;base64," + base64.b64encode(data).decode()
         self._sent_at, self._is_shown = time.perf_counter(), False
         return self._sent_at - began
 
 
 #: The panels of the page, in their order, that of the window.
-PANELS = ("head", "tools", "objects", "settings", "slices", "picture", "history", "files", "help")
-#: A key by Qt's name of it; keys that are typed into a field, or turn a control, are left to it.
-_ON_KEY = """
-  const typed = ['INPUT', 'SELECT', 'TEXTAREA', 'BUTTON', 'SUMMARY', 'A'].includes($event.target.tagName);
-  const names = {' ': 'Space', ArrowRight: 'Right', ArrowLeft: 'Left', ArrowUp: 'Up', ArrowDown: 'Down'};
-  const key = names[$event.key] || ($event.key.length === 1 ? $event.key.toUpperCase() : $event.key);
-  const name = ($event.ctrlKey ? 'Ctrl+' : '') + ($event.shiftKey && $event.ctrlKey ? 'Shift+' : '') + key;
-  const copies = {'Ctrl+C': as_point, 'Ctrl+Shift+C': as_ball}[name];
-  if (copies && $event.view.getSelection().isCollapsed && $event.view.navigator.clipboard) {
-    $event.view.navigator.clipboard.writeText(copies); }
-  if (!$event.altKey && !$event.metaKey && ($event.ctrlKey || !typed) && keys.includes(name)) {
-    $event.preventDefault(); trigger('ask', ['key', name]); }
-"""
-
-
-def _document() -> str:
-    """The page: panels and the picture."""
-    panels = "\n".join(_read_text(f"{name}.html") for name in PANELS)
-    on_key = html.escape(" ".join(_ON_KEY.split()))
-    return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{on_key}">
-<aside aria-label="panels">{panels}</aside>{_read_text("canvas.html")}</div>"""
-
-
-def _read_text(name: str) -> str:
-    return resources.files("accelsurf.viewer").joinpath("page", name).read_text(encoding="utf-8")
+PANELS = (
+    "head", "open", "tools", "objects", "history", "settings", "histogram", "slices", "picture", "measure", "files",
+    "help",
+)  # fmt: skip
 
 
 def _jpeg(picture: NDArray[np.uint8]) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hmac
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +42,11 @@ class PageGuard:
         Address that the server listens on.
     token : str
         Whoever has it may download the files.
-    files : mapping of str to Path
-        What may be downloaded, by name; looked up at each request.
+    files : callable
+        Returns what may be downloaded, by name; called at each request.
     """
 
-    def __init__(self, host: str, token: str, files: Mapping[str, Path]) -> None:
+    def __init__(self, host: str, token: str, files: Callable[[], Mapping[str, Path]]) -> None:
         self._host, self._token, self._files = host, token, files
         self.connections = ConnectionLimit()
         self._server: Any = None
@@ -84,14 +84,20 @@ class PageGuard:
         origin = request.headers.get("Origin")
         return origin is None or origin.partition("://")[2] == host
 
+    def has_token(self, request: Any) -> bool:
+        """Whether a request has the token; its connection is trusted then."""
+        if not hmac.compare_digest(request.query.get("secret", "").encode(), self._token.encode()):
+            return False
+        self.connections.trust(request.transport)
+        return True
+
     async def _download(self, request: Any) -> Any:
         """One of the saved files, by its name alone."""
         from aiohttp import web
 
-        if not hmac.compare_digest(request.query.get("secret", "").encode(), self._token.encode()):
+        if not self.has_token(request):
             return web.Response(status=403, text="the token is not right")
-        self.connections.trust(request.transport)
-        path = self._files.get(request.match_info["name"])
+        path = self._files().get(request.match_info["name"])
         if path is None or not path.is_file():
             return web.Response(status=404, text="no such file")
         headers = {"Content-Disposition": f'attachment; filename="{path.name}"'}

@@ -5,21 +5,36 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from accelsurf.grid.geometry import Geometry
+from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import REFERENCE
 from accelsurf.viewer.scene.object_styles import ObjectStyle
 
 #: Lines of the legend at most.
 MAX_LEGEND = 20
+#: From this volume on ml are written, mm3.
+MIN_ML = 100.0
 
 
-def caption(frame: Frame, geometry: Geometry) -> list[str]:
-    """Return step, level, and the volume (of an image of one slice the area) of the objects."""
+def caption(frame: Frame, geometry: Geometry, unit: str = "mm") -> list[str]:
+    """Return step, level, and the volume (of an image of one slice the area) of the objects, in the file's unit."""
     step = f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
     axis = geometry.slice_axis
     if axis is None:
-        return [step, f"volume {measure(frame.volume_mm3)} mm3"]
-    return [step, f"area {measure(frame.volume_mm3 / geometry.spacing[axis])} mm2"]
+        return [step, f"volume {volume_line(frame.volume_mm3, unit)}"]
+    return [step, f"area {measure(in_unit(frame.volume_mm3 / geometry.spacing[axis], unit, 2))} {unit}2"]
+
+
+def volume_line(mm3: float, unit: str = "mm") -> str:
+    """Return a volume in the unit of the file, with ml beside it where people use them.
+
+    Examples
+    --------
+    >>> volume_line(67033.2), volume_line(12.5), volume_line(4.2e-7, "um")
+    ('67 033 mm3 = 67.03 ml', '12.5 mm3', '420 um3')
+    """
+    ml = f" = {mm3 / 1000:.4g} ml" if unit == "mm" and mm3 >= MIN_ML else ""
+    return f"{measure(in_unit(mm3, unit, 3))} {unit}3{ml}"
 
 
 def legend_lines(

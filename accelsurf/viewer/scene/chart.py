@@ -13,7 +13,12 @@ from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
 from accelsurf.evolution.records import StepRecord
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, Theme
-from accelsurf.viewer.scene.overlay import MIN_TEXT, TEXT, round_length
+from accelsurf.viewer.scene.overlay import Label, Pixels, round_length
+
+#: Width of a curve, pixels of a usual screen.
+LINE = 2.0
+#: Said before there is a curve.
+WAIT = "energies: from the first step on"
 
 
 class _Curve(NamedTuple):
@@ -65,7 +70,12 @@ class EnergyChart:
         self._is_single = True
         self.colors: Sequence[str] = OBJECT_COLORS
         self._theme = theme
+        #: Width and height of the tile, and height of text, for which the ticks were made; pixels.
+        self._renderer, self._room = plotter.renderer, (0, 0, 0)
+        #: What is said before there is a curve.
+        self._wait = Label(plotter.renderer, theme.ink, (0.5, 0.5))
         self._draw([], [])
+        self.update([])
         self.paint(theme)
 
     def update(self, histories: Sequence[Sequence[StepRecord]]) -> None:
@@ -87,15 +97,16 @@ class EnergyChart:
             if curves:
                 chart.x_range = (0.0, float(last))
                 chart.y_range = _range([v for curve in curves for v in curve.values], from_zero=curves is kinetic)
-                _set_ticks(chart.x_axis, chart.x_range, 4, whole=True)
-                _set_ticks(chart.y_axis, chart.y_range, 3, whole=False)
+            chart.visible = bool(curves)
+        self._wait.text = "" if potential else WAIT
+        self._room = (0, 0, 0)
 
     def _draw(self, potential: list[_Curve], kinetic: list[_Curve]) -> None:
         """Draw the curves, in place of those before; a chart needs at least one line of kinetic energy."""
         self._curves = (potential, kinetic or [_Curve(0, [0.0, 1.0], [0.0, 0.0])])
         for chart, lines, curves in zip(self._charts, (self._potential, self._kinetic), self._curves, strict=True):
             while len(lines) < len(curves):
-                lines.append(chart.line([0.0, 1.0], [0.0, 0.0], width=2.0))
+                lines.append(chart.line([0.0, 1.0], [0.0, 0.0], width=LINE))
             while len(lines) > len(curves):
                 chart.remove_plot(lines.pop())
             for line, curve in zip(lines, curves, strict=True):
@@ -110,18 +121,38 @@ class EnergyChart:
                 several = self.colors[curve.position] if curve.position < len(self.colors) else color
                 line.color = color if self._is_single else several
 
-    def fit(self, height: int) -> None:
-        """Make text readable in a window of so many pixels."""
-        size = max(MIN_TEXT, round(height * TEXT))
+    def fit(self, pixels: Pixels) -> None:
+        """Make text readable, and lines as wide as the screen asks for."""
+        size = pixels.text
+        self._wait.fit(pixels)
+        self._set_ticks(size)
+        for line in (*self._potential, *self._kinetic):
+            line.width = LINE * pixels.ratio
         for chart in self._charts:
             chart.GetTitleProperties().SetFontSize(size)
             for axis in (chart.x_axis, chart.y_axis):
                 axis.GetLabelProperties().SetFontSize(size - 1)
+                axis.pen.width = pixels.ratio
+                axis.GetGridPen().SetWidth(pixels.ratio)
                 axis.GetTitleProperties().SetFontSize(size)
+
+    def _set_ticks(self, text: int) -> None:
+        """Put as many ticks on the axes as have room beside each other."""
+        width, height = self._renderer.GetSize()
+        if self._room == (width, height, text):
+            return
+        self._room = (width, height, text)
+        # Half of the tile for each chart; three lines of it are title and steps.
+        rows, columns = 0.5 * height / text - 3.5, width / text - 6.0
+        for chart in self._charts:
+            if chart.visible:
+                _set_ticks(chart.x_axis, chart.x_range, _most(columns / 3.0), whole=True)
+                _set_ticks(chart.y_axis, chart.y_range, _most(rows / 1.6), whole=False)
 
     def paint(self, theme: Theme) -> None:
         """Use a theme."""
         self._theme = theme
+        self._wait.paint(theme.ink)
         ink = pv.Color(theme.ink).float_rgb
         for chart in self._charts:
             chart.background_color = theme.background
@@ -137,16 +168,41 @@ class EnergyChart:
         self._paint_lines()
 
 
-def _set_ticks(axis: pv.plotting.charts.Axis, ends: tuple[float, float], parts: int, whole: bool) -> None:
-    """Put ticks at round numbers; those of VTK have many digits."""
+def _most(room: float) -> int:
+    """How many gaps between ticks there may be, from 1 to 5."""
+    return min(max(int(room), 1), 5)
+
+
+def _set_ticks(axis: pv.plotting.charts.Axis, ends: tuple[float, float], most: int, whole: bool) -> None:
+    """Put ticks at round numbers, with at most so many gaps in the range; those of VTK have many digits."""
     low, high = ends
-    gap = round_length((high - low) / parts) if high > low else 1.0
-    gap = max(gap, 1.0) if whole else gap
+    gap = max(_gap((high - low) / most), 1.0) if whole else _gap((high - low) / most)
     positions, labels = vtkDoubleArray(), vtkStringArray()
     for number in range(math.ceil(low / gap - 1e-9), math.floor(high / gap + 1e-9) + 1):
         positions.InsertNextValue(number * gap)
-        labels.InsertNextValue(f"{number * gap:.4g}")
+        # VTK draws the last column of a text once more before the first, over a minus sign: blanks stand at both ends.
+        labels.InsertNextValue(f" {tick_text(number * gap)} ")
     axis.SetCustomTickPositions(positions, labels)
+
+
+def _gap(least: float) -> float:
+    """The smallest of 1, 2, 5, 10, ... (and tenths, ...) that is at least so much."""
+    below = round_length(least) if least > 0 else 1.0
+    return below if below >= least * (1 - 1e-9) else round_length(2.5 * below)
+
+
+def tick_text(value: float) -> str:
+    """Return a number as it stands beside an axis.
+
+    Examples
+    --------
+    >>> tick_text(-8000.0), tick_text(12000.0), tick_text(2e-06), tick_text(0.0)
+    ('-8000', '1.2e4', '2e-6', '0')
+    """
+    if value == 0 or 1e-3 <= abs(value) < 1e4:
+        return f"{value:.4g}"
+    digits, _, power = f"{value:.3e}".partition("e")
+    return f"{float(digits):g}e{int(power)}"
 
 
 def _range(values: Sequence[float], from_zero: bool) -> tuple[float, float]:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.report.canvas import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from accelsurf.report import canvas
+from accelsurf.report.canvas import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 
 class Theme(NamedTuple):
@@ -26,10 +27,13 @@ THEMES = {
     "dark": Theme("#14171C", "#1D2128", "#F2F2F2", "#5A6270", SKY, ORANGE),
     "light": Theme("#FFFFFF", "#FFFFFF", "#1A1A1A", "#9AA0A8", BLUE, VERMILION),
 }
-#: Surfaces and contours of the objects, in order of their ids.
-OBJECT_COLORS = (ORANGE, GREEN, BLUE, VERMILION, PURPLE)
-#: The first object, also the accent of controls; the reference; the cursor's lines; a ball that is being placed.
-SURFACE, REFERENCE, CURSOR, MARK = ORANGE, SKY, "#F0E442", PURPLE
+#: Surfaces and contours of the objects, in order of their ids; the first, also the accent of controls; the reference:
+#: as in the pictures of reports.
+OBJECT_COLORS, SURFACE, REFERENCE = canvas.OBJECT_COLORS, canvas.SURFACE, canvas.REFERENCE
+#: The cursor's lines; a ball that is being placed.
+CURSOR, MARK = YELLOW, PURPLE
+#: Measurements, and the rim around their lines.
+MEASURE, RIM = YELLOW, "#101010"
 #: Clicks.
 INSIDE, OUTSIDE = GREEN, VERMILION
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pyvista as pv
@@ -10,9 +11,39 @@ from vtkmodules.vtkRenderingAnnotation import vtkAnnotatedCubeActor
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
 
 from accelsurf.grid.orientation import LETTERS
+from accelsurf.settings.wording import in_unit
 
-#: Height of text, parts of the window's height, and the smallest that can be read, pixels.
+#: Height of text, parts of the window's height, and the smallest that can be read, pixels of a usual screen.
 TEXT, MIN_TEXT = 1 / 50, 12
+#: Thickness of a scale bar, pixels of a usual screen.
+BAR = 4.0
+#: Pixels of an inch, so that the size of text in points is that in pixels: VTK would scale it a second time.
+DPI = 72
+
+
+class Pixels(NamedTuple):
+    """How large text and lines are drawn.
+
+    Attributes
+    ----------
+    height : int
+        Of the window, in pixels of the device.
+    ratio : float
+        Pixels of the device for one of a usual screen, by which widths of lines are given; 2 on many fine screens.
+
+    Examples
+    --------
+    >>> Pixels(1440, 2.0).text, Pixels(480, 1.0).text
+    (29, 12)
+    """
+
+    height: int
+    ratio: float = 1.0
+
+    @property
+    def text(self) -> int:
+        """Height of text, in pixels of the device."""
+        return round(max(MIN_TEXT * self.ratio, self.height * TEXT))
 
 
 class Label:
@@ -22,12 +53,12 @@ class Label:
     ----------
     renderer : pyvista.Renderer
     color : str
-    place : (float, float)
+    place : (float, float) or (float, float, float)
         Of the text's left end in the left part of the renderer, of its centre in the middle, of its right end in the
-        right part.
+        right part. With three numbers a place in the renderer's space, to the upper right of which it stands.
     text : str, optional
     boxed : bool, optional
-        Bold on a dark ground, to be read on any image; the place is that of its middle.
+        Bold on a dark ground, to be read on any image; a place of two numbers is that of its middle.
     top : bool, optional
         The place is that of the text's upper edge.
     """
@@ -36,28 +67,32 @@ class Label:
         self,
         renderer: pv.Renderer,
         color: str,
-        place: tuple[float, float],
+        place: tuple[float, ...],
         text: str = "",
         boxed: bool = False,
         top: bool = False,
     ) -> None:
         self._renderer = renderer
         self._actor = actor = vtkTextActor()
-        actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-        actor.SetPosition(*place)
+        in_space = len(place) == 3
+        if in_space:
+            actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
+        else:
+            actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+        self.move(*place)
         style = actor.GetTextProperty()
         style.SetFontFamilyToArial()
         style.SetBold(boxed)
-        (style.SetJustificationToLeft, style.SetJustificationToCentered, style.SetJustificationToRight)[
-            (place[0] >= 0.4) + (place[0] > 0.6)
-        ]()
+        side = 0 if in_space else (place[0] >= 0.4) + (place[0] > 0.6)
+        (style.SetJustificationToLeft, style.SetJustificationToCentered, style.SetJustificationToRight)[side]()
         if top:
             style.SetVerticalJustificationToTop()
         if boxed:
+            style.SetBackgroundColor(0.0, 0.0, 0.0)
+            style.SetBackgroundOpacity(0.65)
+        if boxed and not in_space:
             style.SetJustificationToCentered()
             style.SetVerticalJustificationToCentered()
-            style.SetBackgroundColor(0.0, 0.0, 0.0)
-            style.SetBackgroundOpacity(0.45)
         renderer.AddViewProp(actor)
         self.paint(color)
         self.text = text
@@ -72,13 +107,13 @@ class Label:
         self._actor.SetInput(text)
         self._actor.SetVisibility(bool(text))
 
-    def fit(self, height: int) -> None:
-        """Make the text readable in a window of so many pixels."""
-        self._actor.GetTextProperty().SetFontSize(max(MIN_TEXT, round(height * TEXT)))
+    def fit(self, pixels: Pixels) -> None:
+        """Make the text readable."""
+        self._actor.GetTextProperty().SetFontSize(pixels.text)
 
-    def move(self, right: float, up: float) -> None:
+    def move(self, right: float, up: float, depth: float = 0.0) -> None:
         """Change the place."""
-        self._actor.SetPosition(right, up)
+        self._actor.GetPositionCoordinate().SetValue(right, up, depth)
 
     def paint(self, color: str) -> None:
         """Change the colour."""
@@ -86,10 +121,18 @@ class Label:
 
 
 class ScaleBar:
-    """A bar of a round number of mm at the lower right of a renderer with parallel projection."""
+    """A bar of a round length at the lower right of a renderer with parallel projection.
 
-    def __init__(self, renderer: pv.Renderer, color: str) -> None:
-        self._renderer = renderer
+    Parameters
+    ----------
+    renderer : pyvista.Renderer
+    color : str
+    unit : str, optional
+        Of lengths: mm, um or nm; the renderer's is mm.
+    """
+
+    def __init__(self, renderer: pv.Renderer, color: str, unit: str = "mm") -> None:
+        self._renderer, self._unit = renderer, unit
         self._label = Label(renderer, color, (0.97, 0.045))
         self._mesh = pv.PolyData(np.zeros((2, 3), np.float32), lines=[2, 0, 1])
         mapper = vtkPolyDataMapper2D()
@@ -99,20 +142,20 @@ class ScaleBar:
         mapper.SetTransformCoordinate(coordinate)
         self._actor = vtkActor2D()
         self._actor.SetMapper(mapper)
-        self._actor.GetProperty().SetLineWidth(4.0)
         renderer.AddViewProp(self._actor)
         self.paint(color)
 
-    def fit(self, window_height: int) -> None:
+    def fit(self, pixels: Pixels) -> None:
         """Make the bar as long as the camera's scale asks for."""
-        self._label.fit(window_height)
+        self._label.fit(pixels)
+        self._actor.GetProperty().SetLineWidth(BAR * pixels.ratio)
         width, height = self._renderer.GetSize()
         if not width or not height:
             return
-        mm = 2.0 * self._renderer.camera.parallel_scale * width / height
-        length = round_length(0.25 * mm)
-        self._mesh.points = np.array([[0.97 - length / mm, 0.03, 0.0], [0.97, 0.03, 0.0]], np.float32)
-        self._label.text = f"{length:g} mm"
+        wide = in_unit(2.0 * self._renderer.camera.parallel_scale * width / height, self._unit)
+        length = round_length(0.25 * wide)
+        self._mesh.points = np.array([[0.97 - length / wide, 0.03, 0.0], [0.97, 0.03, 0.0]], np.float32)
+        self._label.text = f"{length:g} {self._unit}"
 
     def paint(self, color: str) -> None:
         """Change the colour."""

@@ -21,19 +21,20 @@ from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
+from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.captions import caption, legend_lines, measure
+from accelsurf.viewer.scene.captions import caption, legend_lines, volume_line
 from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend
 from accelsurf.viewer.scene.marks import Marks
+from accelsurf.viewer.scene.measure_marks import MeasureLayer
 from accelsurf.viewer.scene.object_styles import ObjectStyle, ObjectStyles
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.scene.pictures import grab, png_bytes
 from accelsurf.viewer.scene.reference import Reference
-from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
 from accelsurf.viewer.scene.tiles import Tiles
@@ -72,6 +73,9 @@ class Scene:
         What is drawn now.
     tiles : Tiles
         How the tiles lie, and what part of the image each shows.
+    measures : MeasureLayer
+    unit : str
+        Of lengths in the file, and in read-outs.
     marks : Marks
         Strokes that are painted, and doubtful places.
 
@@ -106,7 +110,7 @@ class Scene:
         self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
-        self.anatomical = is_anatomical(volume.metadata)
+        self.anatomical, self.unit = is_anatomical(volume.metadata), volume.metadata.get(UNIT_KEY, "mm")
         if plotter is None:
             require_graphics()
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
@@ -115,9 +119,11 @@ class Scene:
         self._build()
         self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
         self._redraw = self.tiles.redraw
+        self.measures = MeasureLayer(self.geometry, self.slice_tiles, self.space, self.unit, self._redraw)
         self.marks = Marks(self.geometry, self.slice_tiles, self.space, self._redraw)
         self.paint(theme)
-        plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
+        others = self._legend, self._chart, self.measures
+        plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
 
     @staticmethod
     def layout(geometry: Geometry) -> dict[str, Any]:
@@ -128,19 +134,17 @@ class Scene:
 
     def _build(self) -> None:
         plotter, upright, image = self.plotter, DisplayOrientation.of(self.geometry), self.volume.array
-        flat = self.geometry.slice_axis
+        flat, style = self.geometry.slice_axis, (self.anatomical, self._theme, self.unit)
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
-            self.space = SpaceTile(plotter, self.geometry, image, self._window, self.anatomical, self._theme)
+            self.space = SpaceTile(plotter, self.geometry, image, self._window, *style)
             self.space.styles = self.styles
-            if self._reference is not None:
-                self.space.show_reference(label_surface(self._reference.inside, self.geometry))
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
-            tile = SliceTile(plotter.renderer, image, self._window, upright, plane, self.anatomical, self._theme)
+            tile = SliceTile(plotter.renderer, image, self._window, upright, plane, *style)
             self.slice_tiles[TILES[plane]] = tile
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
@@ -152,8 +156,8 @@ class Scene:
         for tile in self.slice_tiles.values():
             tile.styles = self.styles
             tile.show(self._cursor)
-            if self._reference is not None:
-                tile.draw_reference(self._reference.contour_function)
+        if self._reference is not None:
+            self._reference.draw(self.space, self.slice_tiles.values())
 
     # -- what is drawn ------------------------------------------------------------------------------------
 
@@ -176,7 +180,7 @@ class Scene:
         if self.space is not None:
             self.space.show(frame, self._color, coarse)
         self._show_flat(frame)
-        lines = [line for line in (self.title, *caption(frame, self.geometry)) if line]
+        lines = [line for line in (self.title, *caption(frame, self.geometry, self.unit)) if line]
         if self.space is not None:
             self.space.title.text = "\n".join(lines)
         else:
@@ -200,6 +204,13 @@ class Scene:
     def theme(self) -> Theme:
         """The colours in use."""
         return self._theme
+
+    def compare(self, labels: Volume) -> None:
+        """Compare with labels from now on; InputError when they are on another grid."""
+        self._reference = Reference(labels, self.geometry)
+        self._reference.draw(self.space, self.slice_tiles.values())
+        self._show_frame()
+        self._redraw.mark_all()
 
     @property
     def legend(self) -> tuple[str, ...]:
@@ -306,6 +317,7 @@ class Scene:
                 if self.frame is not None:
                     tile.draw_objects(self.frame)
             self._redraw.mark(tile.renderer)
+        self.measures.move()
         self.marks.show_slices()
         if self.space is not None and self.space.shows_planes:
             self.space.move_planes(self._cursor)
@@ -314,18 +326,17 @@ class Scene:
     def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
         """Draw a ball that is being placed (world mm), in 3D and where it cuts the slices; None removes it."""
         middle = None if center is None else np.asarray(center, float)
-        if self.space is not None:
-            self.space.mark_ball(middle, radius)
+        if self.space is not None and self.space.mark_ball(middle, radius):
             self._redraw.mark(self.space.renderer)
         for tile in self.slice_tiles.values():
-            tile.mark_ball(middle, radius, self.geometry)
-            self._redraw.mark(tile.renderer)
+            if tile.mark_ball(middle, radius, self.geometry):
+                self._redraw.mark(tile.renderer)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
         """Draw in the slices what belongs to an object of the size that a drag stands for; None removes it."""
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
-            tile.mark_size(drag, volume, "" if volume is None else f"size {measure(volume)} mm3")
+            tile.mark_size(drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}")
             self._redraw.mark(tile.renderer)
 
     def paint(self, theme: str) -> None:
@@ -387,12 +398,3 @@ class Scene:
     def close(self) -> None:
         """Free the plotter and its memory."""
         self.plotter.close()
-
-    def _fit(self) -> None:
-        """Before each picture: what depends on the size of the window and on the camera."""
-        height = int(self.plotter.render_window.GetSize()[1])
-        for tile in (self.space, *self.slice_tiles.values()):
-            if tile is not None:
-                tile.fit(height)
-        self._legend.fit(height)
-        self._chart.fit(height)

@@ -122,6 +122,15 @@ def slice_of(surface: SurfaceFrame, axis: int, index: float) -> NDArray[np.float
     return np.asarray((1 - share) * first + share * surface.psi.take(low + 1, axis=axis))
 
 
+def box_edges(geometry: Geometry) -> pv.PolyData:
+    """The edges of the volume, along the outer faces of its border voxels."""
+    ends = [(-0.5, n - 0.5) for n in geometry.shape]
+    corners = np.array([[z, y, x] for z in ends[0] for y in ends[1] for x in ends[2]])
+    edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+    lines = np.array([(2, a, b) for a, b in edges])
+    return pv.PolyData(geometry.index_to_world(corners).astype(np.float32), lines=lines.ravel())
+
+
 class GreyTexture:
     """A picture in grey for a quad; ``texture`` is VTK's."""
 
@@ -136,9 +145,13 @@ class GreyTexture:
         self.texture.SetInterpolate(on)
 
     def show(self, rows: NDArray[np.uint8]) -> None:
-        """Show a picture, its first row at the lower edge of the quad."""
+        """Show a picture (rows, columns), its first row at the lower edge of the quad."""
+        self.show_colors(np.repeat(rows[..., None], 3, axis=2))
+
+    def show_colors(self, rows: NDArray[np.uint8]) -> None:
+        """Show a picture in colours (rows, columns, 3), or with opacities (rows, columns, 4)."""
         image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
-        image.point_data["grey"] = np.repeat(rows.reshape(-1, 1), 3, axis=1)
+        image.point_data["colors"] = rows.reshape(-1, rows.shape[2])
         self.texture.SetInputData(image)
 
 

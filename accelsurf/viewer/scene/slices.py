@@ -12,17 +12,21 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrientation
+from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.scene.captions import measure
 from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme
 from accelsurf.viewer.scene.object_styles import ObjectStyles
-from accelsurf.viewer.scene.overlay import Label, ScaleBar
+from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, contour, slice_of
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
 FILL = 0.82
 #: Largest enlargement, and smallest, of what fits the tile.
 MAX_ZOOM, MIN_ZOOM = 40.0, 0.5
+#: Between the image and the middle of a letter, heights of text.
+LETTER = 0.8
 #: Length of the arms of a click's mark, of the longer side of the image.
 ARM = 0.012
 #: Directions of the arms of a mark: + for inside, x for outside.
@@ -49,6 +53,8 @@ class SliceTile:
     anatomical : bool
         Whether letters may be written.
     theme : Theme
+    unit : str, optional
+        Of lengths in the file, in which they are written.
     """
 
     def __init__(
@@ -60,15 +66,18 @@ class SliceTile:
         plane: int,
         anatomical: bool,
         theme: Theme,
+        unit: str = "mm",
     ) -> None:
-        self.renderer, self.plane = renderer, plane
+        self.renderer, self.plane, self._unit = renderer, plane, unit
         self._up, self._anatomical, self._theme = upright, anatomical, theme
         self._image, self._window = upright.reorient(image), window
         self._vertical, self._horizontal = IN_PLANE[plane]
         #: Array axis of the volume that this slice cuts.
         self.axis = upright.order[plane]
         self._index = -1
-        self._lines: dict[str, pv.Actor] = {}
+        #: What draws each line, and its width in pixels of a usual screen.
+        self._lines: dict[str, tuple[pv.Actor, float]] = {}
+        self._ratio = 1.0
         self._drawn_objects, self.styles = 0, ObjectStyles()
         self._texture = GreyTexture()
         left, right, bottom, top = self.extent
@@ -83,7 +92,7 @@ class SliceTile:
         renderer.camera_set = True
         renderer.SetInteractive(False)
         self.title = Label(renderer, theme.ink, (0.03, 0.975), top=True)
-        self._bar = ScaleBar(renderer, theme.ink)
+        self._bar = ScaleBar(renderer, theme.ink, unit)
         self._letters = self._write_letters() if anatomical else []
 
     # -- places -------------------------------------------------------------------------------------------
@@ -146,13 +155,21 @@ class SliceTile:
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
         self._draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
         name = PLANES[self.plane] if self._anatomical else "Slice"
-        where = self._up.coordinate(self.plane, turned)
-        self.title.text = f"{name}  {self._up.names[self.plane]} = {where:.4g} mm"
+        where = in_unit(self._up.coordinate(self.plane, turned), self._unit)
+        self.title.text = f"{name}  {self._up.names[self.plane]} = {measure(where)} {self._unit}"
 
     def _show_grey(self) -> None:
         grey = self._window.grey(self._image.take(self._index, axis=self.plane))
-        # The texture's first row is at the bottom of the quad.
-        self._texture.show(grey[::-1] if self._down else grey)
+        self._texture.show(self._upwards(grey))
+
+    def _upwards(self, picture: NDArray[Any]) -> NDArray[Any]:
+        """A picture with the row at the lower edge of the quad first, as textures have it."""
+        return picture[::-1] if self._down else picture
+
+    def hung(self, plane: NDArray[Any]) -> NDArray[Any]:
+        """A plane of the image across `axis`, (rows, columns) of its array, as the texture of a quad on `extent`."""
+        turned = self._up.reorient(np.expand_dims(plane, self.axis))
+        return self._upwards(turned.take(0, axis=self.plane))
 
     def use_window(self, window: GreyWindow) -> None:
         """Draw other values black and white."""
@@ -183,7 +200,7 @@ class SliceTile:
             lines = lines if style.visible else lines[:0]
             self._draw_lines(f"object {position}", lines, style.color, 2.2, style.opacity)
         for position in range(len(frame.surfaces), self._drawn_objects):
-            self._lines[f"object {position}"].SetVisibility(False)
+            self._lines[f"object {position}"][0].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
         self._draw_clicks(frame)
 
@@ -199,8 +216,14 @@ class SliceTile:
         places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
         return places
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float, geometry: Geometry) -> None:
-        """Draw the circle in which a ball (world mm) cuts this slice; nothing for None or beside it."""
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float, geometry: Geometry) -> bool:
+        """Draw the circle in which a ball (world mm) cuts this slice; nothing for None or beside it.
+
+        Returns
+        -------
+        bool
+            Whether the picture has changed.
+        """
         lines = np.zeros((0, 2, 2))
         if center is not None:
             index = geometry.world_to_index(center)
@@ -209,7 +232,11 @@ class SliceTile:
                 turn = np.linspace(0.0, 2.0 * np.pi, 65)
                 ring = self.to_tile(index) + np.sqrt(radius**2 - off**2) * np.stack([np.cos(turn), np.sin(turn)], -1)
                 lines = np.stack([ring[:-1], ring[1:]], axis=1)
+        was_there = "ball" in self._lines and bool(self._lines["ball"][0].GetVisibility())
+        if not was_there and not len(lines):
+            return False
         self._draw_lines("ball", lines, MARK, 2.2)
+        return True
 
     def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None, text: str = "") -> None:
         """Draw the outline that a drag shows in this slice, and write a text below the title; nothing for None."""
@@ -229,11 +256,6 @@ class SliceTile:
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         lines = [place + size * sides for place in here for size in (1.4, 2.4)]
         self._draw_lines("places", np.concatenate(lines) if lines else np.zeros((0, 2, 2)), CURSOR, 2.5)
-
-    def hung(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values of a slice of the image (its two other axes in their order) as rows of a picture, lowest first."""
-        turned = self._up.reorient(np.expand_dims(values, self.axis)).take(0, axis=self.plane)
-        return turned[::-1] if self._down else turned
 
     def add_picture(self, quad: pv.PolyData, texture: ColorTexture) -> pv.Actor:
         """Draw a picture over the image."""
@@ -266,25 +288,30 @@ class SliceTile:
             cells = np.column_stack([np.full(len(lines), 2), np.arange(2 * len(lines)).reshape(-1, 2)])
             mesh = pv.PolyData(points, lines=cells.ravel())
         if name not in self._lines:
-            self._lines[name] = self._add(mesh, color, opacity=opacity)
-            self._lines[name].prop.line_width = width
-        self._lines[name].prop.color, self._lines[name].prop.opacity = color, opacity
-        self._lines[name].mapper.SetInputData(mesh)
-        self._lines[name].SetVisibility(len(lines) > 0)
+            self._lines[name] = self._add(mesh, color, opacity=opacity), width
+            self._lines[name][0].prop.line_width = width * self._ratio
+        actor = self._lines[name][0]
+        actor.prop.color, actor.prop.opacity = color, opacity
+        actor.mapper.SetInputData(mesh)
+        actor.SetVisibility(len(lines) > 0)
 
-    def fit(self, window_height: int) -> None:
+    def fit(self, pixels: Pixels) -> None:
         """Make the slice as large as its tile allows, the bar as long as that makes it, and text readable."""
         for label in (self.title, *self._letters):
-            label.fit(window_height)
+            label.fit(pixels)
+        self._ratio = pixels.ratio
+        for actor, own_width in self._lines.values():
+            actor.prop.line_width = own_width * pixels.ratio
         width, height = self.renderer.GetSize()
         if not width or not height:
             return
         self._aim()
-        self._bar.fit(window_height)
+        self._bar.fit(pixels)
         if self._letters:
             left, right, bottom, top = self.extent
             scale = 2.0 * self.renderer.camera.parallel_scale
-            self._place_letters((right - left) * height / width / scale, (top - bottom) / scale)
+            room = LETTER * pixels.text / height
+            self._place_letters((right - left) * height / width / scale, (top - bottom) / scale, room)
 
     # -- zoom and pan -------------------------------------------------------------------------------------
 
@@ -347,9 +374,11 @@ class SliceTile:
         top, bottom = (low, high) if self._down else (high, low)
         return [Label(self.renderer, "white", (0.5, 0.5), text, boxed=True) for text in (left, right, top, bottom)]
 
-    def _place_letters(self, wide: float, high: float) -> None:
-        """Put the letters beside an image that takes these parts of the tile; below the title, above the bar."""
-        right, up = min(0.5 + 0.5 * wide + 0.03, 0.97), min(0.5 + 0.5 * high + 0.025, 0.905)
-        down = max(0.5 - 0.5 * high - 0.025, 0.035)
+    def _place_letters(self, wide: float, high: float, room: float) -> None:
+        """Put the letters beside an image that takes these parts of the tile, ``room`` from it: two at a thin slab do
+        not overlap; below the title, above the bar.
+        """
+        right, up = min(0.5 + 0.5 * wide + 0.03, 0.97), min(0.5 + 0.5 * high + room, 0.905)
+        down = max(0.5 - 0.5 * high - room, 0.035)
         for letter, place in zip(self._letters, ((1 - right, 0.5), (right, 0.5), (0.5, up), (0.5, down)), strict=True):
             letter.move(*place)

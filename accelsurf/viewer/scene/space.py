@@ -7,21 +7,22 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
+from accelsurf.viewer.scene.legend import color_scale
 from accelsurf.viewer.scene.object_styles import ObjectStyles, paint
-from accelsurf.viewer.scene.overlay import Label, ScaleBar, orientation_cube
+from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.picking import place_in_renderer
 from accelsurf.viewer.scene.ray import first_met
-from accelsurf.viewer.scene.shapes import GreyTexture, isosurface
+from accelsurf.viewer.scene.shapes import GreyTexture, box_edges, isosurface
+from accelsurf.viewer.scene.volume_picture import VolumePicture
 
-#: Most voxels along an axis of the image as it is drawn in 3D; more take too long.
-MAX_ALONG = 160
+#: Width of the edges of the volume, pixels of a usual screen.
+BOX = 1.0
 #: Voxels of psi from which a surface is drawn coarsely.
 COARSE_VOXELS = 400_000
 #: Where the camera is, as a direction (x, y, z) in LPS, and which direction is up; it begins at `corner`.
@@ -51,6 +52,8 @@ class SpaceTile:
     anatomical : bool
         Whether directions may be named by letters.
     theme : Theme
+    unit : str, optional
+        Of lengths in the file, in which they are written.
     """
 
     def __init__(
@@ -61,8 +64,9 @@ class SpaceTile:
         window: GreyWindow,
         anatomical: bool,
         theme: Theme,
+        unit: str = "mm",
     ) -> None:
-        self.renderer, self._plotter = plotter.renderer, plotter
+        self.renderer = plotter.renderer
         self._geometry, self._image, self._window = geometry, image, window
         self._meshes: list[pv.PolyData] = []
         self._frame: Frame | None = None
@@ -71,22 +75,23 @@ class SpaceTile:
         self.styles = ObjectStyles()
         self._surfaces = [self._add_surface()]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
-        self.box = _box(geometry)
+        self.box = box_edges(geometry)
         self.reference: pv.PolyData | None = None
+        self._reference_actor: Any = None
         self._box = self._add(self.box, theme.lines)
-        self._box.prop.lighting, self._box.prop.line_width = False, 1.0
+        self._box.prop.lighting = False
         self._ball: pv.Actor | None = None
         self._places: pv.Actor | None = None
-        self._volume: pv.Volume | None = None
+        self._volume = VolumePicture(plotter, self.renderer, geometry, image)
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
         self._table = pv.LookupTable()
-        self._scale = _color_scale(self.renderer)
+        self._scale = color_scale(self.renderer)
         self._quantity = Label(self.renderer, theme.ink, (0.5, 0.135))
         # VTK's own labels come to lie on the colours in a picture that is drawn once.
         self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
-        self._bar = ScaleBar(self.renderer, theme.ink)
+        self._bar = ScaleBar(self.renderer, theme.ink, unit)
         plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
         self.look_from()
 
@@ -154,17 +159,21 @@ class SpaceTile:
 
     def show_reference(self, mesh: pv.PolyData) -> None:
         """Draw a second surface, translucent."""
-        self.reference = mesh
-        self._add(mesh, REFERENCE, opacity=0.35)
+        if self._reference_actor is not None:
+            self.renderer.RemoveActor(self._reference_actor)
+        self.reference, self._reference_actor = mesh, self._add(mesh, REFERENCE, opacity=0.35)
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
-        """Draw a translucent ball (world mm); nothing for None."""
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
+        """Draw a translucent ball (world mm); nothing for None. Returns whether the picture has changed."""
+        if center is None and (self._ball is None or not self._ball.GetVisibility()):
+            return False
         if self._ball is None:
             self._ball = self._add(pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32), MARK, opacity=0.55)
         self._ball.SetVisibility(center is not None)
         if center is not None:
             self._ball.position = tuple(center)
             self._ball.scale = (radius, radius, radius)
+        return True
 
     @property
     def smallest(self) -> float:
@@ -183,43 +192,19 @@ class SpaceTile:
     # -- the image ----------------------------------------------------------------------------------------
 
     def show_volume(self, on: bool) -> None:
-        """Draw the image translucent, bright parts denser, or not."""
-        if on and self._volume is None:
-            self._volume = self._make_volume()
-        if self._volume is not None:
-            self._volume.SetVisibility(on)
-
-    def _make_volume(self) -> pv.Volume:
-        stride = [max(1, -(-n // MAX_ALONG)) for n in self._image.shape]
-        grey = self._window.grey(self._image[tuple(slice(None, None, s) for s in stride)])
-        steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
-        image = pv.ImageData(dimensions=grey.shape[::-1], spacing=steps[::-1])
-        image.point_data["grey"] = grey.ravel()
-        self._plotter.subplot(0, 0)
-        # Nothing below a fifth of the range: noise in the air would hide everything.
-        opacity = np.concatenate([np.zeros(51), np.linspace(0.0, 110.0, 205)]).astype(np.uint8)
-        volume = self._plotter.add_volume(
-            image, scalars="grey", cmap="gray", clim=(0, 255), opacity=opacity, shade=False,
-            opacity_unit_distance=4.0 * max(steps), show_scalar_bar=False, reset_camera=False, render=False,
-        )
-        turn = np.eye(4)
-        turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
-        volume.user_matrix = turn
-        return volume
+        """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
+        self._volume.show(on, self._window)
 
     def use_window(self, window: GreyWindow, cursor: NDArray[np.float64]) -> None:
         """Draw other values black and white."""
         self._window = window
         self.move_planes(cursor)
-        if self._volume is not None:
-            shown = bool(self._volume.GetVisibility())
-            self.renderer.remove_actor(self._volume, reset_camera=False, render=False)
-            self._volume = self._make_volume() if shown else None
+        self._volume.use_window(window)
 
     @property
     def shows_volume(self) -> bool:
         """Whether the image is drawn."""
-        return self._volume is not None and bool(self._volume.GetVisibility())
+        return self._volume.is_shown
 
     @property
     def shows_planes(self) -> bool:
@@ -343,12 +328,14 @@ class SpaceTile:
 
     # -- theme and size -----------------------------------------------------------------------------------
 
-    def fit(self, window_height: int) -> None:
+    def fit(self, pixels: Pixels) -> None:
         """Make text readable, and the bar as long as the camera's scale asks for."""
-        self.title.fit(window_height)
-        self._bar.fit(window_height)
+        self.title.fit(pixels)
+        self._bar.fit(pixels)
+        self._volume.cut_away(self._meshes)
+        self._box.prop.line_width = BOX * pixels.ratio
         for label in (self._quantity, *self._ends):
-            label.fit(window_height)
+            label.fit(pixels)
 
     def paint(self, theme: Theme) -> None:
         """Use a theme."""
@@ -372,29 +359,3 @@ class SpaceTile:
         actor.prop.color, actor.prop.opacity = color, opacity
         self.renderer.add_actor(actor, reset_camera=False, render=False)
         return actor
-
-
-def _box(geometry: Geometry) -> pv.PolyData:
-    """The edges of the volume, along the outer faces of its border voxels."""
-    ends = [(-0.5, n - 0.5) for n in geometry.shape]
-    corners = np.array([[z, y, x] for z in ends[0] for y in ends[1] for x in ends[2]])
-    edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
-    lines = np.array([(2, a, b) for a, b in edges])
-    return pv.PolyData(geometry.index_to_world(corners).astype(np.float32), lines=lines.ravel())
-
-
-def _color_scale(renderer: pv.Renderer) -> vtkScalarBarActor:
-    """A horizontal scale of the colours at the lower edge, hidden until something is coloured."""
-    scale = vtkScalarBarActor()
-    scale.SetOrientationToHorizontal()
-    scale.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    scale.SetPosition(0.2, 0.1)
-    scale.SetWidth(0.6)
-    scale.SetHeight(0.025)
-    scale.SetBarRatio(1.0)
-    scale.SetNumberOfLabels(0)
-    scale.DrawTickLabelsOff()
-    scale.SetMaximumNumberOfColors(256)
-    scale.VisibilityOff()
-    renderer.AddViewProp(scale)
-    return scale

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 import pyvista as pv
 
 from accelsurf.errors import check_known
 from accelsurf.viewer.scene.layouts import viewports
+from accelsurf.viewer.scene.overlay import DPI, Pixels
 from accelsurf.viewer.scene.redraw import Redraw
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import VIEWS, SpaceTile
+
+
+class Fitted(Protocol):
+    """What is drawn as large as window and screen ask for."""
+
+    def fit(self, pixels: Pixels) -> None:
+        """Before a picture of this size."""
 
 
 class Tiles:
@@ -33,6 +42,8 @@ class Tiles:
         The tile that the layouts ``one`` and ``single`` show large.
     shows_chart : bool
         Whether the chart of the energies is shown.
+    pixel_ratio : float
+        Pixels of the device for one of a usual screen, from who owns the window: text and lines scale with it.
     redraw : Redraw
     """
 
@@ -40,10 +51,20 @@ class Tiles:
         self, plotter: pv.Plotter, space: SpaceTile | None, slices: Mapping[str, SliceTile], chart: pv.Renderer
     ) -> None:
         self._space, self._slices, self._chart = space, slices, chart
+        self._window, self.pixel_ratio = plotter.render_window, 1.0
         self.redraw = Redraw(plotter.render_window, plotter.renderers)
         self.layout, self.shows_chart = "one", True
         self.large = "space" if space is not None else next(iter(slices))
         self.lay_out()
+
+    def fit(self, *others: Fitted) -> None:
+        """Before each picture: make text and lines, of ``others`` too, as large as window and screen ask for."""
+        if self._window.GetDPI() != DPI:  # Qt sets it on a fine screen
+            self._window.SetDPI(DPI)
+        pixels = Pixels(int(self._window.GetSize()[1]), self.pixel_ratio)
+        for part in (self._space, *self._slices.values(), *others):
+            if part is not None:
+                part.fit(pixels)
 
     # -- layout -------------------------------------------------------------------------------------------
 
@@ -76,6 +97,13 @@ class Tiles:
     def renderer(self, name: str) -> pv.Renderer:
         """The renderer of a tile."""
         return self._space.renderer if self._space is not None and name == "space" else self._slices[name].renderer
+
+    def mm_per_pixel(self, name: str) -> float:
+        """How many mm a pixel of a tile is."""
+        if name in self._slices:
+            return self._slices[name].mm_per_pixel()
+        camera, height = self.renderer(name).camera, self.renderer(name).GetSize()[1]
+        return 2.0 * float(camera.parallel_scale) / max(height, 1)
 
     # -- what each shows ----------------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.viewer.core.status import Status, View
@@ -50,3 +51,7 @@ class Feature:
 
     def update(self, view: View) -> None:
         """A new frame has been drawn."""
+
+    def save_beside(self, folder: Path) -> list[Path]:
+        """Write what belongs beside the files of the run, which have been saved; return the paths."""
+        return []

@@ -28,6 +28,14 @@ class FilesFeature(Feature):
         super().__init__(workplace)
         self.files: dict[str, Path] = {}
         self.is_saving = False
+        #: What of the run the files have that were saved last.
+        self._stored: Any = None
+
+    @property
+    def is_unsaved(self) -> bool:
+        """Whether something was done that is not in the files that were saved last."""
+        status = self.workplace.session.status
+        return bool(status.step or status.undoable) and _content(status) != self._stored
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {"save": self._save}
@@ -38,20 +46,26 @@ class FilesFeature(Feature):
     def state(self, status: Status) -> dict[str, Any]:
         return {"saved": sorted(self.files), "saving": self.is_saving}
 
+    def add(self, *paths: Path) -> None:
+        """These have been saved too."""
+        self.files |= {path.name: path for path in paths}
+
     def _save(self, *what: Any) -> None:
         workplace = self.workplace
         kinds = [word(kind, KINDS) for kind in what] or list(KINDS)
         if workplace.folder is None:
             raise UsageError("save: there is no folder to save in", "name one")
         future = workplace.session.save(workplace.folder, kinds, workplace.overwrite)
+        content = _content(workplace.session.status)
         self.is_saving = True
         future.add_done_callback(lambda _: setattr(self, "is_saving", False))
         workplace.note("saving ...", 600)
         folder, is_all = workplace.folder, not what
-        workplace.ask(future, lambda paths: self._saved(folder, paths, is_all))
+        workplace.ask(future, lambda paths: self._saved(folder, paths, is_all, content if "labels" in kinds else None))
 
-    def _saved(self, folder: Path, paths: list[Path], is_all: bool) -> None:
+    def _saved(self, folder: Path, paths: list[Path], is_all: bool, content: Any) -> None:
         """List what was saved; with all there is, save the scene as it is drawn now."""
+        self._stored = content or self._stored
         home = folder.resolve()
         # The session chooses the names; a file elsewhere would not be served all the same.
         self.files |= {path.name: path for path in paths if path.resolve().parent == home}
@@ -59,4 +73,9 @@ class FilesFeature(Feature):
         if is_all:
             picture = folder / f"{self.workplace.session.name}_view.png"
             self.workplace.scene.screenshot(picture)
-            self.files[picture.name] = picture
+            self.add(picture, *(path for feature in self.workplace.features for path in feature.save_beside(folder)))
+
+
+def _content(status: Status) -> tuple[Any, ...]:
+    """What files hold of a run."""
+    return status.step, status.settings, status.edits, status.refinements

@@ -48,6 +48,7 @@ class MouseFeature(Feature):
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
             "tool": self._use,
+            "no_tool": lambda: self._use("look"),
             "radius": self._radius,
             "scale_radius": lambda factor: self._radius(self.workplace.radius * number(factor, 0.1, 10.0)),
             "press": self._press,
@@ -63,6 +64,7 @@ class MouseFeature(Feature):
 
     def keys(self) -> Mapping[str, Key]:
         return {
+            "Escape": Key("no_tool", (), "look; what is being drawn is dropped"),
             "[": Key("scale_radius", (1 / 1.25,), "smaller ball and brush"),
             "]": Key("scale_radius", (1.25,), "larger ball and brush"),
         }

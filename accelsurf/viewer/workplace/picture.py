@@ -14,10 +14,18 @@ from accelsurf.viewer.workplace.feature import Feature, Key
 
 #: Smallest and largest size of a picture, pixels.
 MIN_SIZE, MAX_SIZE = (480, 272), (3840, 2400)
+#: Most pixels of a device for one of a usual screen, along each side.
+MAX_RATIO = 4.0
 
 
 class PictureFeature(Feature):
     """Changes how the scene is drawn."""
+
+    def __init__(self, workplace: Any) -> None:
+        super().__init__(workplace)
+        #: Size of the picture in pixels of a usual screen, and how many of the device each is.
+        self._sides: tuple[int, int] = self.workplace.scene.plotter.render_window.GetSize()
+        self._ratio = 1.0
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
@@ -68,11 +76,24 @@ class PictureFeature(Feature):
         self.workplace.scene.tiles.look_from(word(name, tuple(VIEWS)))
         self.workplace.changed = True
 
-    def _size(self, width: Any, height: Any) -> None:
+    def _size(self, width: Any, height: Any, ratio: Any = 1.0) -> None:
         # In steps of 8, so that resizing a window does not redraw the scene for every pixel.
-        sides = [
+        wide, high = (
             int(min(max(number(side, 0, 1e6), low), high)) // 8 * 8
             for side, low, high in zip((width, height), MIN_SIZE, MAX_SIZE, strict=True)
-        ]
-        self.workplace.scene.resize(*sides)
+        )
+        # A page that is zoomed out has less than a pixel; one on a large fine screen gets what it may.
+        ratio = min(max(number(ratio, 0.01, 100.0), 1.0), MAX_RATIO, MAX_SIZE[0] / wide, MAX_SIZE[1] / high)
+        if (wide, high) == self._sides and ratio == self._ratio:
+            return
+        self._sides, self._ratio = (wide, high), ratio
+        self.draw_fine(True)
         self.workplace.changed = True
+
+    def draw_fine(self, on: bool) -> None:
+        """Draw in the pixels of the device, or, while something moves, in those of a usual screen, which is faster."""
+        scene, ratio = self.workplace.scene, self._ratio if on else 1.0
+        sides = round(self._sides[0] * ratio), round(self._sides[1] * ratio)
+        scene.tiles.pixel_ratio = ratio
+        if tuple(scene.plotter.render_window.GetSize()) != sides:
+            scene.resize(*sides)

@@ -45,7 +45,7 @@ class Quiet:
             self._workplace.scene.smooth_edges(False)
 
     def draw_in_full(self) -> bool:
-        """Draw all triangles and smooth edges, when nothing has happened for some time; returns whether it did."""
+        """Draw all triangles and smooth edges, once nothing has happened for some time; returns whether it is time."""
         if self._is_full or time.perf_counter() - self._since < DELAY or self._is_busy():
             return False
         scene, self._is_full = self._workplace.scene, True
@@ -54,7 +54,7 @@ class Quiet:
             changed |= scene.smooth_edges(True)
         if changed:
             scene.render()
-        return changed
+        return True
 
     def _is_busy(self) -> bool:
         return self._workplace.session.status.playing or self._workplace.feature(MouseFeature).is_dragging

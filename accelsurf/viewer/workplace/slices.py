@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.grey_window import AUTO, CT_WINDOWS, GreyWindow, parse_window, window_of
+from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.layouts import LAYOUTS
@@ -23,7 +24,7 @@ IMAGE = "image"
 #: Words of windows, as lists show them.
 WINDOWS = (IMAGE, AUTO, *CT_WINDOWS)
 #: What the state says of the place under the mouse.
-READ_OUT = ("place", "voxel", "value", "label", "as_ball", "as_point")
+READ_OUT = ("place", "where", "voxel", "value", "label", "as_ball", "as_point")
 #: A drag over the whole picture changes level and width by this many widths.
 DRAG = 2.0
 #: Largest magnitude of a level or width.
@@ -225,11 +226,18 @@ class SlicesFeature(Feature):
         value = scene.volume.array[voxel]
         where = self._text(world)
         return {
-            "place": where, "voxel": ", ".join(str(i) for i in voxel[::-1]),
+            "place": where, "where": self._shown(world), "voxel": ", ".join(str(i) for i in voxel[::-1]),
             "value": f"{value:.6g}" if np.isfinite(value) else str(value), "label": ", ".join(ids) or "0",
             "as_ball": f"ball:{where.replace(' ', '')},{self.workplace.radius:.4g}",
             "as_point": f"point:{where.replace(' ', '')}",
         }
+
+    def _shown(self, world: Any) -> str:
+        """A place in the unit of the file."""
+        unit = self.workplace.scene.unit
+        if unit == "mm":
+            return f"{self._text(world)} mm"
+        return ", ".join(f"{in_unit(float(part), unit) + 0.0:.5g}" for part in world) + f" {unit}"
 
     def _text(self, world: Any) -> str:
         """A place in world mm, as settings have it."""

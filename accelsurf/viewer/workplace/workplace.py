@@ -16,10 +16,14 @@ from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.box import BoxFeature
 from accelsurf.viewer.workplace.checks import short
 from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.force import ForceFeature
+from accelsurf.viewer.workplace.histogram import HistogramFeature
 from accelsurf.viewer.workplace.history import HistoryFeature
+from accelsurf.viewer.workplace.measure import MeasureFeature
 from accelsurf.viewer.workplace.mouse import MouseFeature
 from accelsurf.viewer.workplace.objects import ObjectsFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
@@ -37,8 +41,12 @@ FEATURES: tuple[type[Feature], ...] = (
     StrokesFeature,
     HistoryFeature,
     SettingsFeature,
+    HistogramFeature,
+    ForceFeature,
+    BoxFeature,
     SlicesFeature,
     PictureFeature,
+    MeasureFeature,
     FilesFeature,
 )
 #: Requests after which an earlier error stays in sight: the mouse moves all the time.
@@ -130,11 +138,12 @@ class Workplace:
         if does is not None:
             self.request(does.request, *does.values)
 
-    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None) -> None:
+    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, quiet: bool = False) -> None:
         """Wait for a command of the session, without blocking: `collect_results` reports its error, or passes its
-        result to ``then``.
+        result to ``then``. With ``quiet`` the message stays that is shown now.
         """
-        self.message = ""
+        if not quiet:
+            self.message = ""
         self._waiting.append((future, then))
 
     def note(self, line: str, seconds: float = 8.0) -> None:

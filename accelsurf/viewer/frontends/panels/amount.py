@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QSlider, QWidget
 
+from accelsurf.viewer.frontends.panels.wheel import WheelGuard
+
 #: Positions of a slider; and how long after the last change its value is emitted, milliseconds.
 TICKS, DELAY_MS = 1000, 250
 
@@ -58,6 +60,9 @@ class Amount(QWidget):
             line.addWidget(self.word)
         line.addWidget(self.slider, 1)
         line.addWidget(self.box)
+        for part in (self.slider, self.box, self.word):
+            if part is not None:
+                WheelGuard(part)
         self._delay = QTimer(self, singleShot=True, interval=DELAY_MS)
         self._delay.timeout.connect(self._emit)
         self.slider.valueChanged.connect(self._slid)

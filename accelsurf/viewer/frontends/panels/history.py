@@ -13,7 +13,7 @@ from accelsurf.viewer.frontends.panels.section import Section, button
 from accelsurf.viewer.workplace.workplace import Workplace
 
 #: Lines that are in sight at once.
-LINES = 5
+LINES = 4
 
 
 class HistoryPanel(Section):

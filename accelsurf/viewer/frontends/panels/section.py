@@ -8,6 +8,7 @@ from typing import Any
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton, QSizePolicy, QToolButton, QVBoxLayout, QWidget
 
+from accelsurf.viewer.frontends.panels.wheel import WheelGuard
 from accelsurf.viewer.workplace.workplace import Workplace
 
 
@@ -67,6 +68,7 @@ def choice(names: Sequence[str] = (), label: str = "") -> QComboBox:
     made.setFocusPolicy(Qt.FocusPolicy.TabFocus)
     made.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
     made.setMinimumContentsLength(6)
+    WheelGuard(made)
     made.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     return made
 

@@ -9,7 +9,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QScrollArea, QVBoxLayout, QWidget
 
 from accelsurf.viewer.frontends.panels.changes import ChangesBar
+from accelsurf.viewer.frontends.panels.histogram import HistogramPanel
 from accelsurf.viewer.frontends.panels.history import HistoryPanel
+from accelsurf.viewer.frontends.panels.measure import MeasurePanel
 from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
 from accelsurf.viewer.frontends.panels.picture import PicturePanel
 from accelsurf.viewer.frontends.panels.section import Section
@@ -20,7 +22,14 @@ from accelsurf.viewer.workplace.workplace import Workplace
 
 #: In their order; that of the page is the same.
 PANELS: tuple[Callable[[Workplace], Section], ...] = (
-    ToolsPanel, ObjectsPanel, SettingsPanel, SlicesPanel, PicturePanel, HistoryPanel,
+    ToolsPanel,
+    ObjectsPanel,
+    HistoryPanel,
+    SettingsPanel,
+    HistogramPanel,
+    SlicesPanel,
+    PicturePanel,
+    MeasurePanel,
 )
 WIDTH = 318
 

@@ -1,0 +1,74 @@
+"""The force of the image in a slice, without its curvature, wherever the surface may be."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.grid.boxes import corner_of
+from accelsurf.segmentation.evolving_object import EvolvingObject
+from accelsurf.segmentation.run import Run
+
+
+def image_forces(
+    run: Run, planes: list[tuple[int, int]], object_id: int | None = None, is_measured: bool = False
+) -> list[NDArray[np.float32]] | None:
+    """The force of an object's energy in slices of the image, outward: above 0 a surface there would grow.
+
+    Means and models are those of the present surface. Changes nothing.
+
+    Parameters
+    ----------
+    run : Run
+    planes : list of (int, int)
+        Array axis (of z, y, x) and index of each slice.
+    object_id : int, optional
+        Of several objects; the first unless given.
+    is_measured : bool, optional
+        The run is as it was when this was called last for this object: means and models are those of then.
+
+    Returns
+    -------
+    list of ndarray, or None
+        (rows, columns) of the image; NaN where it is not known, as beyond the region of interest. None where the energy
+        does not tell, or there is no surface.
+    """
+    one = next((own for own in run.objects if object_id in (None, own.id)), run.objects[0])
+    if one.surface.size == 0:
+        return None
+    if not is_measured:
+        one.evolution.initialize()
+        one.evolution.energy.value(one.surface, *one.surface.fraction_and_area())
+    forces = [_in_slice(run, one, axis, index) for axis, index in planes]
+    return None if any(force is None for force in forces) else [force for force in forces if force is not None]
+
+
+def _in_slice(run: Run, one: EvolvingObject, axis: int, index: int) -> NDArray[np.float32] | None:
+    surface, places = one.surface, _places(run, one)
+    shape = [n for other, n in enumerate(run.volume.geometry.shape) if other != axis]
+    out = np.full(shape, np.nan, np.float32)
+    at = places[axis][index]
+    if at < 0:
+        return out
+    box = tuple(slice(at, at + 1) if other == axis else slice(0, n) for other, n in enumerate(surface.shape))
+    force = one.evolution.energy.image_force(surface, (box[0], box[1], box[2]))
+    if force is None:
+        return None
+    rows, columns = (part for other, part in enumerate(places) if other != axis)
+    known = np.ix_(rows >= 0, columns >= 0)
+    flat: NDArray[np.float32] = -np.squeeze(force, axis=axis)
+    out[known] = flat[np.ix_(rows[rows >= 0], columns[columns >= 0])]
+    return out
+
+
+def _places(run: Run, one: EvolvingObject) -> list[NDArray[np.int64]]:
+    """For each voxel of the image along each axis, the nearest one of the object's grid; -1 where there is none."""
+    level, first = run.grid, corner_of(run.prepared.box)
+    places = []
+    for axis, n in enumerate(run.volume.geometry.shape):
+        within = (np.arange(n) - first[axis] - level.first[axis]) / level.factors[axis]
+        place = np.rint(within).astype(np.int64) - one.corner[axis]
+        in_region = (np.arange(n) >= first[axis]) & (np.arange(n) < run.prepared.box[axis].stop)
+        known = in_region & (place >= 0) & (place < one.surface.shape[axis])
+        places.append(np.where(known, place, -1))
+    return places

@@ -1,0 +1,207 @@
+"""What can be opened in the viewer, and how it is read: an image, one of several in a folder, a phantom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from accelsurf import io
+from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+from accelsurf.io import channels, headers
+from accelsurf.io.files import naming
+from accelsurf.phantoms import recipes
+from accelsurf.segmentation.fitting_level import fitting_level
+from accelsurf.segmentation.memory_need import allowed_bytes
+from accelsurf.settings import energy_expression
+from accelsurf.settings.registry import load
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
+
+#: Settings that belong to one image: places in it, files on its grid, which part of its file it is.
+OF_ONE_IMAGE = (
+    "start", "objects", "mask", "roi", "foreground", "background", "channel", "edit", "inside", "outside", "box",
+    "size", "refine", "checkpoint", "level", "channel_index", "time_index", "channels_from_time", "series", "spacing",
+    "resample", "name", "color", "label_table",
+)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of several images of a file or folder: what it is, and the settings with which it is read."""
+
+    text: str
+    settings: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedImage:
+    """An image that was read.
+
+    Attributes
+    ----------
+    volume : Volume
+    config : RunConfig
+        Of its run; repeats how it was read.
+    name : str
+        First part of the names of files.
+    source : Path or None
+        Its file; None for a phantom.
+    channels : tuple of Volume
+        Further ones.
+    reference : Volume or None
+        Labels to compare with.
+    note : str
+        What a person should know of it, in one line; may be empty.
+    """
+
+    volume: Volume
+    config: RunConfig
+    name: str
+    source: Path | None = None
+    channels: tuple[Volume, ...] = field(default=())
+    reference: Volume | None = None
+    note: str = ""
+
+    def session(self, checkpoint_mb: float = CHECKPOINT_MB) -> Session:
+        """Return a session of it, which prepares itself in its own thread."""
+        return Session(
+            self.volume, self.config, name=self.name, source=self.source, checkpoint_mb=checkpoint_mb,
+            channels=self.channels,
+        )
+
+
+def for_another_image(config: RunConfig) -> RunConfig:
+    """Return settings without those that belong to one image.
+
+    Examples
+    --------
+    >>> made = for_another_image(RunConfig(smoothness=0.5, start="ball:1,2,3,4"))
+    >>> made.smoothness, made.start
+    (0.5, ('center',))
+    """
+    # An energy that learns from clicks has none in another image.
+    left_out = {*OF_ONE_IMAGE, *(["energy"] if energy_expression.uses_model(config.energy) else [])}
+    return RunConfig(**{key: getattr(config, key) for key in config.model_fields_set - left_out})
+
+
+def choices_of(path: Path, config: RunConfig) -> list[Choice]:
+    """Return the images of a file or folder where it has several and the settings do not say which; else none.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    with naming(path):
+        form = headers.format_of(path)
+        if form.listing is not None:
+            # One file stands for its series; where it does not, reading says so.
+            is_study = path.is_dir() or path.suffix.lower() == ".zip"
+            found = load(form.listing)(path) if is_study and config.series is None else []
+            return _several([Choice(_volume_text(one), {"series": str(one["number"])}) for one in found])
+        asked = config.reading.among(form.options)
+        if "time_index" not in form.options or asked.time_index is not None or asked.channels_from_time:
+            return []
+        moments = headers.counts(path, replace(asked, level=0))[1]
+    return _several([Choice(f"time point {n + 1} of {moments}", {"time_index": n}) for n in range(moments)])
+
+
+def _several(found: list[Choice]) -> list[Choice]:
+    return found if len(found) > 1 else []
+
+
+def _volume_text(entry: Mapping[str, Any]) -> str:
+    """A volume of a DICOM folder in one line."""
+    phase = ", ".join(f"{name} {value}" for name, value in entry["phase"].items())
+    words = [" ".join(word for word in (entry["modality"], entry["description"]) if word) or "without a name"]
+    words += [phase] if phase else []
+    if entry["size"] is not None:
+        size, voxel = " x ".join(map(str, entry["size"])), " x ".join(f"{h:.4g}" for h in entry["spacing"])
+        words += [f"{size} voxels of {voxel} mm", entry["orientation"]]
+    return f"{entry['number']}  {', '.join([*words, *entry['warnings']])}"
+
+
+def read_image(path: Path, config: RunConfig) -> OpenedImage:
+    """Read an image, of one with levels the finest whose run fits into the memory.
+
+    Parameters
+    ----------
+    path : Path
+        A file, or a folder that is an image.
+    config : RunConfig
+        Settings of the run; options of reading that the format of the file lacks are left out.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    asked = config.reading.among(_options(path))
+    config = config.replace(**{name: getattr(asked, name) for name in OF_ONE_IMAGE if hasattr(asked, name)})
+    config, note = _with_level(path, config)
+    volume, *more = channels.read(path, config.reading)
+    notes = [text for text in (note, volume.metadata.get(io.WARNING_KEY, "")) if text]
+    return OpenedImage(volume, config, io.split_name(path)[0], path, tuple(more), note="; ".join(notes))
+
+
+def _options(path: Path) -> tuple[str, ...]:
+    """Names of the options that the format of a file has; also of one that is known by its content alone."""
+    with naming(path):
+        return headers.format_of(path).options
+
+
+def _with_level(path: Path, config: RunConfig) -> tuple[RunConfig, str]:
+    """The settings with the level that is read, and what is said of it."""
+    if config.level not in (0, "auto"):
+        return config, ""
+    try:
+        found = fitting_level(path, config, allowed_bytes(None, io.available_memory()))
+    except InputError:  # packed as a whole: reading says what is wrong, if something is
+        found = None
+    if found is None or found.levels == 1:
+        return config.replace(level=0), ""
+    return config.replace(level=found.level), found.text
+
+
+def make_phantom(name: str, config: RunConfig) -> OpenedImage:
+    """Make one of the phantoms that come with accelsurf; its truth is the reference.
+
+    Raises
+    ------
+    UsageError
+        When none has this name.
+    """
+    recipe = recipes.load_recipe(name)
+    phantom = recipes.make(recipe)
+    return OpenedImage(phantom.image, config, name, None, reference=phantom.truth)
+
+
+def phantom_texts() -> dict[str, str]:
+    """Return the phantoms by name, each with its size."""
+    found: dict[str, str] = {}
+    for name in recipes.recipe_names():
+        recipe = recipes.load_recipe(name)
+        found[name] = f"{recipe.kind}, {' x '.join(map(str, recipe.shape))} voxels"
+    return found
+
+
+def read_reference(path: Path, geometry: Geometry) -> Volume:
+    """Read labels to compare with.
+
+    Raises
+    ------
+    InputError
+        When they cannot be read, or are on another grid.
+    """
+    labels = io.read_labels(path)
+    with naming(path):
+        if not geometry.matches(labels.geometry):
+            raise InputError(
+                f"the reference is not on the image's grid: {geometry.difference(labels.geometry)}",
+                "resample it to the image's grid",
+            )
+    return labels

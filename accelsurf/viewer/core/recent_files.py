@@ -1,0 +1,88 @@
+"""The images that were opened last, in a file of the user's own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+#: So many are listed.
+MAX_RECENT = 12
+#: Bytes of the list that are read at most, and letters of a path.
+_MAX_BYTES, _MAX_LETTERS = 1 << 16, 4096
+
+
+class Recent(NamedTuple):
+    """An image that was opened: its ``path``, and whether it ``exists`` now."""
+
+    path: Path
+    exists: bool
+
+
+class RecentFiles:
+    """The list of the images that were opened last, the newest first.
+
+    What is wrong with its file is no error: the list is empty then, or is not written.
+
+    Parameters
+    ----------
+    file : Path or None
+        Where it is stored; None lists and stores nothing.
+    """
+
+    def __init__(self, file: Path | None) -> None:
+        self._file = file
+
+    def entries(self) -> list[Recent]:
+        """Return what was opened last, the newest first."""
+        return [Recent(path, path.exists()) for path in map(Path, self._read())]
+
+    def add(self, path: Path) -> None:
+        """Put an image at the top of the list; what another window has added meanwhile stays in it."""
+        if self._file is None:
+            return
+        name = str(path.absolute())
+        names = [name, *(one for one in self._read() if one != name)]
+        with contextlib.suppress(OSError, UnicodeError):
+            self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            handle, draft = tempfile.mkstemp(dir=self._file.parent, prefix=self._file.name)  # for this user alone
+            try:
+                with os.fdopen(handle, "w", encoding="utf-8") as file:
+                    json.dump(names[:MAX_RECENT], file)
+                os.replace(draft, self._file)
+            except BaseException:
+                os.unlink(draft)
+                raise
+
+    def _read(self) -> list[str]:
+        if self._file is None:
+            return []
+        try:
+            with self._file.open("rb") as file:
+                found = json.loads(file.read(_MAX_BYTES))
+        except (OSError, ValueError, RecursionError):
+            return []
+        names = found if isinstance(found, list) else []
+        fit = (one for one in names if isinstance(one, str) and 0 < len(one) <= _MAX_LETTERS and one.isprintable())
+        return list(dict.fromkeys(fit))[:MAX_RECENT]
+
+
+def recent_file() -> Path:
+    """Return where the list is stored: in the folder of this system for what programs note about their use.
+
+    ``XDG_STATE_HOME`` is used where it is set, on every system.
+    """
+    base = os.environ.get("XDG_STATE_HOME", "")
+    if base and Path(base).is_absolute():
+        folder = Path(base)
+    elif sys.platform == "win32":
+        folder = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        folder = Path.home() / "Library" / "Application Support"
+    else:
+        folder = Path.home() / ".local" / "state"
+    return folder / "accelsurf" / "recent.json"

@@ -1,0 +1,92 @@
+"""The configuration of another run in place of the present one: settings that are fixed while a run runs, presets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from accelsurf.settings.catalogue import as_typed
+from accelsurf.settings.edits import Edit
+from accelsurf.settings.energy_expression import uses_model
+from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.run_config import RunConfig
+
+#: How a run begins from what was clicked.
+FROM_CLICKS = ("clicks",)
+
+
+def restarted(
+    settings: RunConfig,
+    edits: Sequence[Edit],
+    refinements: Sequence[Refinement],
+    changes: Mapping[str, Any],
+    has_ids: bool,
+) -> RunConfig:
+    """Return the configuration of a run that begins again with other settings, and with what was clicked.
+
+    Parameters
+    ----------
+    settings : RunConfig
+        In force now, without edits.
+    edits, refinements : sequence of Edit, sequence of Refinement
+        What was done since the start, in order: clicks stay, from the first step on; balls do not.
+    changes : mapping
+        New values by name. A ``preset`` brings its values; see `of_preset`.
+    has_ids : bool
+        Whether it is a run of objects with ids.
+
+    Raises
+    ------
+    UsageError
+        When a value is not valid.
+    """
+    done: list[Edit | Refinement] = [*edits, *refinements]
+    clicked = [one for one in done if one.inside or one.outside]
+    has_clicks = bool(settings.inside) or any(one.inside for one in clicked)
+    if changes.get("preset") is not None:
+        changes = {**changes, **of_preset(settings, str(changes["preset"]), has_clicks)}
+    config = settings.replace(**changes)
+    if needs_clicks(config) and not config.inside and not has_ids:
+        sides = {side: tuple(text for one in clicked for text in getattr(one, side)) for side in ("inside", "outside")}
+        return config.replace(inside=sides["inside"], outside=(*config.outside, *sides["outside"]))
+    first = [Edit(step=0, inside=one.inside, outside=one.outside, object=one.object) for one in clicked]
+    return config.replace(edit=tuple(first))
+
+
+def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any]:
+    """Return the values of a preset: they override those in force, but for what needs clicks where there are none.
+
+    An unknown preset has none; the configuration refuses it.
+    """
+    values = dict(PRESETS[name].settings) if name in PRESETS else {}
+    if settings.objects is not None:
+        values.pop("start", None)
+    if not has_clicks:
+        waits = {"start": FROM_CLICKS == values.get("start"), "energy": uses_model(values.get("energy", "chan-vese"))}
+        values |= {key: getattr(settings, key) for key, is_so in waits.items() if is_so}
+    return values
+
+
+def needs_clicks(config: RunConfig) -> bool:
+    """Whether a run begins with what was clicked, or its energy is of it."""
+    return FROM_CLICKS == config.start or uses_model(config.energy)
+
+
+def restart_message(before: RunConfig, after: RunConfig) -> str:
+    """Return one line: what is different in another run, but for edits and clicks.
+
+    Examples
+    --------
+    >>> restart_message(RunConfig(), RunConfig(cfl=0.3, presmooth="1vox"))
+    'from the start: presmooth 1vox, cfl 0.3'
+    """
+    shown = [key for key in RunConfig.model_fields if key not in ("edit", "refine", "inside", "outside", "preset")]
+    changed = [key for key in shown if getattr(before, key) != getattr(after, key)]
+    said = ", ".join(f"{key.replace('_', ' ')} {as_typed(getattr(after, key)) or 'none'}" for key in changed)
+    said = said or "nothing else changes"
+    if after.preset is None or after.preset == before.preset:
+        return f"from the start: {said}"
+    waits = PRESETS[after.preset].settings.get("start") == FROM_CLICKS and after.start != FROM_CLICKS
+    then = "; now click in the object, or draw its size" if waits else ""
+    return f"from the start: preset {after.preset}: {said}{then}"

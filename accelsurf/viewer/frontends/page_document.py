@@ -1,0 +1,65 @@
+"""What the page is made of: its panels, its picture, its keys, and what happens to a file that is dropped on it."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from importlib import resources
+
+#: A key by Qt's name of it; keys that are typed into a field, or turn a control, are left to it.
+_ON_KEY = """
+  const typed = ['INPUT', 'SELECT', 'TEXTAREA', 'BUTTON', 'SUMMARY', 'A'].includes($event.target.tagName);
+  const names = {' ': 'Space', ArrowRight: 'Right', ArrowLeft: 'Left', ArrowUp: 'Up', ArrowDown: 'Down'};
+  const key = names[$event.key] || ($event.key.length === 1 ? $event.key.toUpperCase() : $event.key);
+  const name = ($event.ctrlKey ? 'Ctrl+' : '') + ($event.shiftKey && $event.ctrlKey ? 'Shift+' : '') + key;
+  const copies = {'Ctrl+C': as_point, 'Ctrl+Shift+C': as_ball}[name];
+  if (copies && $event.view.getSelection().isCollapsed && $event.view.navigator.clipboard) {
+    $event.view.navigator.clipboard.writeText(copies); }
+  if (!$event.altKey && !$event.metaKey && ($event.ctrlKey || !typed) && keys.includes(name)) {
+    $event.preventDefault(); trigger('ask', ['key', name]); }
+"""
+
+#: A file that is dropped, or chosen in a field, is sent to the address for uploads.
+_SEND = """
+  const files = FILES;
+  const view = $event.target.ownerDocument.defaultView;
+  if (files.length === 1) {
+    const place = upload_to + encodeURIComponent(files[0].name);
+    view.fetch(place, {method: 'POST', body: files[0]}).catch(() => trigger('ask', ['drop_failed']));
+  } else if (files.length) { trigger('ask', ['drop_failed']); }
+"""
+
+
+def document(panels: Sequence[str]) -> str:
+    """Return the page: panels and the picture, or, where there are no panels, what can be opened.
+
+    Parameters
+    ----------
+    panels : sequence of str
+        Names of their files, in their order.
+    """
+    drop = f'@dragover.prevent="0" @drop.prevent="{_inline(_SEND.replace("FILES", "$event.dataTransfer.files"))}"'
+    asked = page_text("opening.html")
+    if not panels:
+        begin = f'<div class="begin">{_with_lists("start.html")}{asked}</div>'
+        return f'<div class="page" :class="theme" {drop}>{begin}</div>'
+    inner = "\n".join(_with_lists(f"{name}.html") for name in panels)
+    return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{_inline(_ON_KEY)}" {drop}>
+<details class="panels" open><summary id="fold">Panels</summary>
+<aside aria-label="panels">{asked}{inner}</aside></details>{page_text("canvas.html")}</div>"""
+
+
+def _inline(script: str) -> str:
+    """A script as the value of an attribute."""
+    return html.escape(" ".join(script.split()))
+
+
+def _with_lists(name: str) -> str:
+    """A file of the page, with the lists of what can be opened where it has them."""
+    send = _inline(_SEND.replace("FILES", "$event.target.files"))
+    return page_text(name).replace("LISTS", page_text("lists.html")).replace("UPLOAD", send)
+
+
+def page_text(name: str) -> str:
+    """Return the text of a file of the page."""
+    return resources.files("accelsurf.viewer").joinpath("page", name).read_text(encoding="utf-8")

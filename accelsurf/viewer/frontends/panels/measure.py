@@ -1,0 +1,124 @@
+"""The panel of measures: the figures of the objects, and what was drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QAction, QKeySequence
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+)
+
+from accelsurf.viewer.frontends.panels.section import Section, button
+from accelsurf.viewer.workplace.workplace import Workplace
+
+#: Lines of a table that are seen without scrolling.
+LINES = 10
+
+
+class MeasurePanel(Section):
+    """Tables of the objects and of lengths and angles, and buttons to copy and save them."""
+
+    def __init__(self, workplace: Workplace) -> None:
+        super().__init__("Measures", workplace, folded=True)
+        self.measure = button("Measure", "Volume, surface, intensity and diameters of each object as it is now")
+        self.diameters = button("Diameters", "Draw the largest diameter, the one across, and both in the axial slice")
+        self.copy = button("Copy", "Copy the tables, with tabs between the columns")
+        self.save = button("CSV", "Save the tables in the folder of the run")
+        self.clear = button("Clear", "Delete all lengths and angles (one: choose its line, press Delete)")
+        for made, request in (
+            (self.measure, "measure_table"), (self.diameters, "measure_diameters"), (self.copy, "measure_copy"),
+            (self.save, "measure_save"), (self.clear, "measure_clear"),
+        ):  # fmt: skip
+            made.clicked.connect(lambda _, request=request: self.ask(request))
+        self.step = QLabel("")
+        self.objects, self.drawn = _table("figures of the objects"), _table("lengths and angles")
+        delete = QAction(self.drawn, shortcut=QKeySequence("Delete"))
+        delete.setShortcutContext(Qt.ShortcutContext.WidgetShortcut)
+        delete.triggered.connect(self._delete)
+        self.drawn.addAction(delete)
+        column = QVBoxLayout(self.body)
+        column.setSpacing(4)
+        column.setContentsMargins(8, 2, 8, 6)
+        column.addLayout(_buttons(self.measure, self.diameters))
+        column.addWidget(self.step)
+        column.addWidget(self.objects)
+        column.addWidget(self.drawn)
+        column.addLayout(_buttons(self.copy, self.save, self.clear))
+        self._shown: dict[str, Any] = {}
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the tables."""
+        shown = {key: state[key] for key in ("figures", "measurements", "figures_step", "figures_current")}
+        self.measure.setEnabled(state["ready"] and not state["measuring"])
+        self.diameters.setEnabled(state["ready"])
+        if shown == self._shown:
+            return
+        lines, drawn = state["figures"], state["measurements"]
+        if lines != self._shown.get("figures"):
+            _fill(self.objects, lines)
+        if drawn != self._shown.get("measurements"):
+            _fill(self.drawn, [["", "kind", "value"], *([str(number), kind, text] for number, kind, text in drawn)])
+            self.drawn.setVisible(bool(drawn))
+        self._shown = shown
+        self.step.setText(_about(state))
+        self.step.setVisible(bool(lines))
+        for made in (self.copy, self.save):
+            made.setEnabled(bool(lines or drawn))
+        self.clear.setEnabled(bool(drawn))
+
+    def _delete(self) -> None:
+        for place in {index.row() for index in self.drawn.selectedIndexes()}:
+            self.ask("measure_delete", self._shown["measurements"][place][0])
+
+
+def _about(state: Mapping[str, Any]) -> str:
+    """Of which state the table is."""
+    return f"of step {state['figures_step']}" + ("" if state["figures_current"] else ", not the one shown")
+
+
+def _table(name: str) -> QTableWidget:
+    made = QTableWidget(0, 0)
+    made.setAccessibleName(name)
+    made.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+    made.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+    made.verticalHeader().hide()
+    made.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+    made.horizontalHeader().setStretchLastSection(True)
+    made.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+    made.hide()
+    return made
+
+
+def _fill(made: QTableWidget, lines: Sequence[Sequence[str]]) -> None:
+    """Show lines, the first of which names the columns."""
+    made.setRowCount(max(len(lines) - 1, 0))
+    made.setColumnCount(len(lines[0]) if lines else 0)
+    for row, cells in enumerate(lines):
+        for column, text in enumerate(cells):
+            if row:
+                made.setItem(row - 1, column, QTableWidgetItem(text))
+            else:
+                made.setHorizontalHeaderItem(column, QTableWidgetItem(text))
+    made.resizeRowsToContents()
+    height = made.horizontalHeader().sizeHint().height() + sum(
+        made.rowHeight(row) for row in range(min(made.rowCount(), LINES))
+    )
+    made.setFixedHeight(height + 18)
+    made.setVisible(bool(lines))
+
+
+def _buttons(*parts: Any) -> QHBoxLayout:
+    line = QHBoxLayout()
+    line.setSpacing(4)
+    for part in parts:
+        line.addWidget(part)
+    return line

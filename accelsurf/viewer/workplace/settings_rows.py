@@ -1,0 +1,118 @@
+"""The settings as window and page show them: rows made from the catalogue, and from the terms of the energy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from accelsurf.settings import energy_expression
+from accelsurf.settings.catalogue import as_typed, entry, help_of, kind_of, label_of, names_of, viewer_settings
+from accelsurf.settings.energy_terms import TERMS, Word, examples
+from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.run_config import RunConfig
+
+Row = dict[str, Any]
+#: Positions of a slider.
+TICKS = 1000
+
+
+def settings_rows(settings: RunConfig, terms: Sequence[Mapping[str, Any]], finest: float) -> list[Row]:
+    """Return a row for each setting that the viewer shows, in the order of the help; the common ones first.
+
+    Parameters
+    ----------
+    settings : RunConfig
+        In force.
+    terms : sequence of mapping
+        Of the energy, with every setting resolved, see `Status.terms`.
+    finest : float
+        Smallest spacing of the image, mm: lengths of sliders are in voxels.
+
+    Returns
+    -------
+    list of dict
+        ``key``, ``label``, ``unit``, ``help``; ``kind``: slider, list, text, switch, energy or file; ``group``: empty
+        for the common ones; ``value`` in force; ``enabled``: whether it acts on this flow and energy; ``restarts``:
+        whether a change begins another run; ``names`` of a list, each with its help; of a slider its ``low`` and
+        ``high`` end, ``power``, ``digits``, ``limit``, ``words``, and ``tick``, its position from 0 to `TICKS`;
+        ``term``: of a setting of a term its place and name, else empty (the channel of a term only where there are
+        several); ``now``: the value that is meant by an empty field.
+    """
+    rows = []
+    for where in ("first", "more"):
+        for key in viewer_settings("first" if where == "first" else "more"):
+            rows.append(_setting_row(key, settings, finest, where == "first"))
+            if key == "energy":
+                rows += _term_rows(settings.energy, terms)
+    return rows
+
+
+def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool) -> Row:
+    said, value = entry(key), getattr(settings, key)
+    kind: str = {"energy": "energy", "mask": "file"}.get(key, kind_of(key))
+    row: Row = {
+        "key": key, "label": label_of(key), "unit": said.unit, "help": help_of(key), "kind": kind,
+        "group": "" if is_first else str(said.group), "value": shown_value(key, value),
+        "enabled": settings.matters(key), "restarts": said.fixed, "names": _names(key, settings), "term": [],
+        "now": "", "low": 0.0, "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0, "words": [],
+        "tick": 0,
+    }
+    if said.slider is not None:
+        unit, one = finest**said.slider.voxel_power, said.slider
+        row |= {"low": one.low * unit, "high": one.high * unit, "power": one.power, "digits": one.digits}
+        share = 0.0 if isinstance(value, str) else min(max((value - row["low"]) / (row["high"] - row["low"]), 0.0), 1.0)
+        row |= {"limit": one.limit, "words": list(one.words), "tick": round(TICKS * share ** (1.0 / one.power))}
+    return row
+
+
+def shown_value(key: str, value: Any) -> Any:
+    """A value as a row has it: numbers of sliders and switches as they are, all else as it would be typed."""
+    if kind_of(key) == "switch" or (kind_of(key) == "slider" and not isinstance(value, str)):
+        return value
+    return " ".join(value) if isinstance(value, tuple) else as_typed(value)
+
+
+def _names(key: str, settings: RunConfig) -> list[dict[str, str]]:
+    """What can be chosen, each with what it means."""
+    if key == "preset":
+        presets = {name: f"{one.summary} Sets {_said(one.settings)}." for name, one in PRESETS.items()}
+        return _listed({"": "No preset: its values are the defaults again.", **presets})
+    if key == "energy":
+        # The run's energy may be an expression that is not in the list.
+        return _listed({name: TERMS[name.partition(":")[0]].help for name in examples()} | {settings.energy: ""})
+    return _listed(names_of(key)) if kind_of(key) == "list" else []
+
+
+def _listed(names: Mapping[str, str]) -> list[dict[str, str]]:
+    return [{"name": name, "help": help} for name, help in names.items()]
+
+
+def _said(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{label_of(key)} {as_typed(value)}" for key, value in values.items())
+
+
+def _term_rows(energy: str, terms: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """A row for each setting that a term of the energy has of its own, below the energy."""
+    rows: list[Row] = []
+    for place, term in enumerate(energy_expression.parse(energy)):
+        known = terms[place] if place < len(terms) and terms[place].get("term") == term.name else {}
+        for key, kind in TERMS[term.name].settings.items():
+            if key == "channel" and "channels" not in known:
+                continue  # there is but one
+            names = _listed({"": "", **dict.fromkeys(kind.words, "")}) if isinstance(kind, Word) else []
+            rows.append({
+                "key": f"{term.name}-{place}-{key}", "label": f"{term.name} {key}", "unit": "", "help": _help_of(kind),
+                "kind": "list" if names else "text", "group": "", "value": as_typed(term.settings.get(key)),
+                "enabled": True, "restarts": False, "names": names, "term": [place, key],
+                "now": _resolved(known.get(key)), "low": 0.0, "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0,
+                "words": [], "tick": 0,
+            })  # fmt: skip
+    return rows
+
+
+def _help_of(kind: Any) -> str:
+    return f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}."
+
+
+def _resolved(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else as_typed(value)

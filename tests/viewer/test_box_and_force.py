@@ -1,0 +1,238 @@
+"""The box of a run, drawn and dragged in slices; the force of the image over the slices."""
+
+import numpy as np
+import pytest
+
+from accelsurf.grid.volume import Volume
+from accelsurf.segmentation.region_of_interest import region_of_interest
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.scene.box import VoxelBox
+from accelsurf.viewer.scene.colors import MARK
+from accelsurf.viewer.scene.force_overlay import OPACITY, force_colors
+from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.box import BoxFeature
+from accelsurf.viewer.workplace.force import ForceFeature
+from accelsurf.viewer.workplace.workplace import Workplace
+from tests.support import viewing
+
+SIZE = (1000, 600)
+
+
+@pytest.fixture(scope="module", params=["straight", "oblique"])
+def placed(request):
+    viewing.needs_graphics()
+    volume, center = viewing.ball_image(direction=viewing.TURN if request.param == "oblique" else None)
+    scene = Scene(volume, size=SIZE)
+    scene.tiles.lay_out("slices", "axial", False)
+    yield scene, volume, center
+    scene.close()
+
+
+@pytest.fixture
+def workplace(placed):
+    scene, volume, center = placed
+    scene.frame, scene.cursor = None, center
+    start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
+    with Session(volume, RunConfig(start=start, threads=1, max_steps=60), name="ball") as session:
+        session.ready.result(60)
+        made = Workplace(session, scene)
+        settle(made)
+        scene.screenshot()
+        yield made
+
+
+def settle(workplace):
+    """Wait for all that was asked, and draw it."""
+    for _ in range(4):
+        assert workplace.session.wait(60)
+        workplace.collect_results()
+        view = workplace.session.next_view()
+        if view is not None:
+            workplace.update(view)
+        workplace.state()
+    assert workplace.session.wait(60)
+    workplace.collect_results()
+
+
+def pixel(workplace, tile_name, index):
+    """Parts of width, and of the height from the top, at which an index (z, y, x) is seen in a tile."""
+    tile = workplace.scene.slice_tiles[tile_name]
+    left, bottom, right, top = tile.renderer.GetViewport()
+    x, y = tile.to_tile(np.asarray(index, float))
+    (x0, y0), (x1, y1) = tile.to_plane(0.0, 0.0), tile.to_plane(1.0, 1.0)
+    across, up = (x - x0) / (x1 - x0), (y - y0) / (y1 - y0)
+    return left + across * (right - left), 1.0 - (bottom + up * (top - bottom))
+
+
+def drag(workplace, tile, start, end):
+    workplace.request("press", *pixel(workplace, tile, start))
+    for share in (0.3, 0.7, 1.0):
+        between = np.asarray(start, float) + share * (np.asarray(end, float) - start)
+        workplace.request("move", *pixel(workplace, tile, between))
+    workplace.request("release")
+
+
+def box_of(workplace):
+    roi = workplace.session.status.settings.roi
+    return [(s.start, s.stop - 1) for s in region_of_interest(roi, workplace.scene.geometry)]
+
+
+# -------------------------------------------------------------------------------------------------------------- the box
+
+
+def test_a_box_is_drawn_in_a_slice_and_its_sides_are_dragged(workplace):
+    tile = workplace.scene.slice_tiles["axial"]
+    assert tile.axis == 0
+    z = tile.index
+    workplace.request("tool", "box")
+    drag(workplace, "axial", (z, 4, 6), (z, 33, 39))
+    settle(workplace)
+    assert not workplace.message and workplace.session.status.step == 0
+    assert box_of(workplace) == [(0, 19), (4, 33), (6, 39)] and workplace.state()["has_box"]
+    # the upper side along y, in the same slice; then both sides of a corner in another one
+    drag(workplace, "axial", (z, 33.5, 20), (z, 36, 20))
+    settle(workplace)
+    assert box_of(workplace) == [(0, 19), (4, 36), (6, 39)]
+    other = workplace.scene.slice_tiles["coronal"]
+    across = other.index
+    corner, target = [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]
+    corner[other.axis] = target[other.axis] = across
+    free = 3 - other.axis  # the axis in the plane of both that is not z
+    corner[0], corner[free] = -0.5, box_of(workplace)[free][0] - 0.5
+    target[free] = box_of(workplace)[free][0] + 3
+    before = box_of(workplace)
+    drag(workplace, "coronal", corner, target)
+    settle(workplace)
+    wanted = list(before)
+    wanted[0], wanted[free] = (2, 19), (before[free][0] + 3, before[free][1])
+    assert box_of(workplace) == wanted
+    workplace.request("undo")
+    settle(workplace)
+    assert box_of(workplace) == before
+    assert workplace.feature(BoxFeature).overlay.box == VoxelBox(*zip(*before, strict=True))
+
+
+def test_a_box_that_the_run_refuses_leaves_the_one_before(workplace):
+    workplace.request("tool", "box")
+    z = workplace.scene.slice_tiles["axial"].index
+    drag(workplace, "axial", (z, 1, 1), (z, 4, 4))
+    settle(workplace)
+    assert "start" in workplace.message and workplace.session.status.settings.roi is None
+    assert workplace.feature(BoxFeature).overlay.box is None
+    workplace.message = ""
+    drag(workplace, "axial", (z, 10, 10), (z, 10.2, 10.2))
+    settle(workplace)
+    assert workplace.session.status.settings.roi is None and not workplace.message, "a click draws none"
+
+
+def test_a_box_is_laid_around_the_object_and_taken_away(workplace):
+    workplace.request("box_around")
+    settle(workplace)
+    box = box_of(workplace)
+    psi = workplace.session.look(lambda run: run.objects[0].surface.psi.shape).result(60)
+    assert psi == tuple(high - low + 1 for low, high in box) and np.prod(psi) < 0.8 * 20 * 40 * 44
+    workplace.request("box_none")
+    settle(workplace)
+    assert workplace.session.status.settings.roi is None and not workplace.state()["has_box"]
+
+
+def test_the_box_is_seen_in_slices_and_in_3d(workplace):
+    workplace.scene.tiles.lay_out("four", "space", False)
+    settle(workplace)
+    without = workplace.scene.screenshot().astype(int)
+    workplace.request("set", "roi", "6,6,4,38,34,16vox")
+    settle(workplace)
+    picture = workplace.scene.screenshot().astype(int)
+    color = np.array([int(MARK[i : i + 2], 16) for i in (1, 3, 5)])
+    for name in ("space", "axial", "coronal", "sagittal"):
+        left, bottom, right, top = workplace.scene.tiles.renderer(name).GetViewport()
+        rows = slice(round(SIZE[1] * (1 - top)), round(SIZE[1] * (1 - bottom)))
+        columns = slice(round(SIZE[0] * left), round(SIZE[0] * right))
+        near = [(np.abs(one[rows, columns] - color).sum(axis=-1) < 40).sum() for one in (without, picture)]
+        assert near[1] > near[0] + 60, name
+    workplace.scene.tiles.lay_out("slices", "axial", False)
+
+
+def test_an_image_of_one_slice_has_a_box_too():
+    viewing.needs_graphics()
+    rows, columns = np.indices((40, 50))
+    disc = ((rows - 20) ** 2 + (columns - 25) ** 2 < 100)[None] * np.float32(100)
+    scene = Scene(Volume.from_array(disc), size=(600, 400))
+    with Session(scene.volume, RunConfig(start="ball:25,20,0,6vox", threads=1), name="disc") as session:
+        session.ready.result(60)
+        workplace = Workplace(session, scene)
+        settle(workplace)
+        scene.screenshot()
+        workplace.request("tool", "box")
+        drag(workplace, next(iter(scene.slice_tiles)), (0, 3, 5), (0, 36, 44))
+        settle(workplace)
+        assert not workplace.message
+        assert box_of(workplace) == [(0, 0), (3, 36), (5, 44)] and not workplace.message
+        workplace.request("force", True)
+        settle(workplace)
+        assert len(workplace.feature(ForceFeature).overlay.shown) == 1
+    scene.close()
+
+
+# ------------------------------------------------------------------------------------------------------------ the force
+
+
+def test_colours_say_the_sign_and_the_size():
+    table = np.linspace([0, 0, 0, 255], [250, 0, 250, 255], 256).astype(np.uint8)
+    picture = force_colors(np.array([[-2.0, -0.5, 0.0, 0.5, 1.0, np.nan]], np.float32), 1.0, table)
+    assert picture[0, :, 3].tolist() == [round(255 * OPACITY * v) for v in (1, 0.5**0.5, 0, 0.5**0.5, 1, 0)]
+    assert (picture[0, :2, 0] < 60).all() and (picture[0, 3:5, 0] > 190).all()
+
+
+def picture_of(workplace, name):
+    picture = workplace.scene.screenshot().astype(int)
+    left, bottom, right, top = workplace.scene.tiles.renderer(name).GetViewport()
+    return picture[
+        round(SIZE[1] * (1 - top)) : round(SIZE[1] * (1 - bottom)), round(SIZE[0] * left) : round(SIZE[0] * right)
+    ]
+
+
+def test_the_force_lies_over_the_slices_where_it_belongs(workplace):
+    """In the bright ball the surface grows: purple, bluer than before; beyond it shrinks: orange, redder."""
+    overlay = workplace.feature(ForceFeature).overlay
+    before = picture_of(workplace, "axial")
+    assert overlay.shown == ()
+    workplace.request("force", True)
+    settle(workplace)
+    assert set(overlay.shown) == set(workplace.scene.slice_tiles) and "purple grows" in workplace.state()["force_note"]
+    after = picture_of(workplace, "axial")
+    bluer = (after - before)[..., 2] - (after - before)[..., 0]
+    tile = workplace.scene.slice_tiles["axial"]
+    ball = workplace.session.volume.array[tile.index]
+    for inside in (True, False):
+        row, column = np.argwhere((ball > 50) == inside)[[100, -100]][int(inside)]
+        x, y = pixel(workplace, "axial", (tile.index, row, column))
+        left, _, right, top = tile.renderer.GetViewport()
+        at = bluer[round(SIZE[1] * y - SIZE[1] * (1 - top)), round(SIZE[0] * (x - left))]
+        assert (at > 15) if inside else (at < -15)
+    workplace.request("next_force")
+    settle(workplace)
+    assert overlay.shown == () and np.array_equal(picture_of(workplace, "axial"), before)
+
+
+def test_the_force_follows_slices_and_the_run(workplace):
+    feature = workplace.feature(ForceFeature)
+    workplace.request("force", True)
+    settle(workplace)
+    workplace.scene.step_slice("axial", 3)
+    assert "axial" not in feature.overlay.shown, "that of another slice is not shown"
+    settle(workplace)
+    assert "axial" in feature.overlay.shown
+    before = picture_of(workplace, "axial")
+    workplace.request("set", "energy", "threshold:,20")
+    settle(workplace)
+    assert np.abs(picture_of(workplace, "axial") - before).max() > 60, "what was bright is outside now"
+    asked = feature._run
+    workplace.state()
+    settle(workplace)
+    assert feature._run is asked and not workplace.session.has_unseen_state, "nothing new, nothing asked"
+    workplace.request("step")
+    settle(workplace)
+    assert feature._run != asked
+    workplace.request("force", False)

@@ -1,0 +1,88 @@
+"""Settings, histogram, force and box in the window, by mouse and keys."""
+
+import time
+
+import pytest
+
+from accelsurf import io
+from accelsurf.segmentation.api import segment
+from accelsurf.settings.run_config import RunConfig
+from tests.viewer.test_desktop import needs_screen, person, scan, screen
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+__all__ = ["person", "scan", "screen"]
+
+
+def fill(person, key, text):
+    """Click on the line of a setting, replace what is in it, press Return."""
+    x, y = reach(person, lambda now: now["rows"][key][1])
+    person.do("mousemove", str(x), str(y), "click", "1")
+    person.do("key", "ctrl+a")
+    person.do("type", "--delay", "5", text)
+    return lambda: person.do("key", "Return")
+
+
+def reach(person, place):
+    """Scroll the panels until a place in them is on the screen; return it."""
+    for _ in range(40):
+        time.sleep(0.25)  # until the panels rest, and have said where they are
+        x, y, *rest = place(person.now())
+        if 90 < y < 600:
+            return (x, y, *rest)
+        person.do("mousemove", "1100", "300", "click", "5" if y >= 600 else "4")
+    raise AssertionError("it cannot be reached")
+
+
+@needs_screen
+def test_a_run_set_up_by_hand_is_the_same_from_the_command_line(person, scan, tmp_path):
+    now = person.now()
+    rows = now["state"]["settings"]
+    assert [row["key"] for row in rows] == list(now["rows"])
+    for row in rows:
+        label = now["rows"][row["key"]][0]
+        assert label.startswith(row["label"]) and row["unit"] in label and ("\u21ba" in label) == row["restarts"]
+    # The wheel over the panel scrolls it, and changes no list and no number.
+    x, y = now["rows"]["energy"][1]
+    person.do("mousemove", str(x), str(y - 28), "click", "5")
+    person.until(lambda now: now["rows"]["energy"][1][1] != y)
+    assert person.now()["settings"] == now["settings"]
+    # An energy, with a mistake on the way.
+    fill(person, "energy", "threshold:60,1e")
+    person.until(lambda now: "not '1e'" in now["energy_error"])
+    assert person.now()["settings"]["energy"] == "chan-vese"
+    enter = fill(person, "energy", "threshold:40,400")
+    person.until(lambda now: now["energy_error"] == "")
+    enter()
+    person.until(lambda now: now["settings"]["energy"] == "threshold:40,400")
+    person.until(lambda now: now["rows"]["threshold-0-LO"] and len(now["state"]["bounds"]) == 2)
+    # A bound on the histogram.
+    x, y, width = reach(person, lambda now: now["histogram"])
+    said = person.now()["state"]
+    ends, low = said["histogram"], said["bounds"][0]["value"]
+    pixel = x + round((width - 1) * (low - ends["low"]) / (ends["high"] - ends["low"]))
+    person.drag((pixel, y), (pixel + 6, y), (pixel + 12, y))
+    moved = person.until(lambda now: now["state"]["bounds"][0]["value"] > low)
+    value = moved["state"]["bounds"][0]["value"]
+    assert value - low == pytest.approx(12 / (width - 1) * (ends["high"] - ends["low"]), rel=0.15)
+    # What is fixed while a run runs; the force; a box in a slice.
+    fill(person, "presmooth", "0.5vox")()
+    now = person.until(lambda now: now["settings"]["presmooth"] == "0.5vox")
+    assert now["settings"]["energy"] == f"threshold:LO={value:g},HI=400" and now["step"] == 0
+    person.do("mousemove", "700", "690")
+    person.key("f")
+    person.until(lambda now: "purple grows" in now["state"]["force_note"])
+    person.key("x")
+    person.until(lambda now: now["state"]["tool"] == "box")
+    x, y = person.now()["tiles"]["axial"]
+    person.drag((x - 70, y - 75), (x, y), (x + 70, y + 75))
+    now = person.until(lambda now: now["settings"]["roi"] is not None)
+    assert now["settings"]["roi"].endswith("vox") and now["state"]["has_box"]
+    person.key("Right", "Right", "Right")
+    person.until(lambda now: now["drawn"][0] == 3 and now["step"] == 3)
+    person.do("key", "ctrl+s")
+    person.until(lambda now: "saved in" in now["message"], 120)
+    person.leave()
+    config = RunConfig.from_toml(tmp_path / "out/run.toml")
+    assert config.roi == now["settings"]["roi"] and config.presmooth == "0.5vox"
+    again = segment(io.read(scan), config=config)
+    assert again.labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()

@@ -1,0 +1,235 @@
+"""Settings in the workplace: rows from the catalogue, presets, energies as they are typed, bounds, the mask."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from accelsurf import io
+from accelsurf.cli import execute
+from accelsurf.settings.catalogue import default_shown, entry, help_of, names_of
+from accelsurf.settings.energy_terms import TERMS, Word
+from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.settings_rows import settings_rows
+from accelsurf.viewer.workplace.workplace import Workplace
+from tests.support import viewing
+
+COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi", "mask"]
+
+
+def rows_of(workplace):
+    return {row["key"]: row for row in workplace.state()["settings"]}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    viewing.needs_graphics()
+    volume, _ = viewing.ball_image()
+    made = Scene(volume, size=(480, 272))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def workplace(scene, tmp_path):
+    volume, center = viewing.ball_image()
+    start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
+    image = tmp_path / "scan" / "ball.nii.gz"
+    image.parent.mkdir()
+    io.write(volume, image)
+    config = RunConfig(start=start, threads=1, max_steps=60)
+    with Session(volume, config, name="ball", source=image) as session:
+        session.ready.result(60)
+        yield Workplace(session, scene, tmp_path / "out")
+
+
+def ask(workplace, *request):
+    workplace.message = ""
+    workplace.request(*request)
+    assert workplace.session.wait(60)
+    workplace.collect_results()
+    return workplace.session.status
+
+
+# ------------------------------------------------------------------------------------------------------------ the rows
+
+
+def test_rows_are_the_options_of_the_command_line_in_their_order(capsys):
+    """The same names, help and numbers: the common ones first, each part in the order of ``--help``."""
+    assert execute(["segment", "--help"]) == 0
+    shown = capsys.readouterr().out
+    options = re.findall(r"^│ (?:\* +)?--([a-z0-9-]+)", shown, re.MULTILINE)
+    places = {key: options.index(key) for key in dict.fromkeys(options)}
+    rows = [row for row in settings_rows(RunConfig(), (), 1.0) if not row["term"]]
+    assert [row["key"] for row in rows if not row["group"]] == COMMON
+    for wanted in (COMMON, [row["key"] for row in rows if row["group"]]):
+        order = [places[key.replace("_", "-")] for key in wanted]
+        assert order == sorted(order)
+    for row in rows:
+        assert row["label"].replace(" ", "-") in places
+        assert row["help"] == help_of(row["key"]) and row["unit"] == entry(row["key"]).unit
+        assert shown.index(row["group"] or "What to run") >= 0
+    values = {row["key"]: str(row["value"]) for row in rows if row["kind"] not in ("switch", "slider")}
+    assert values == {key: default_shown(key).replace("none", "") for key in values}
+
+
+def test_each_kind_of_row_has_what_it_needs():
+    rows = {row["key"]: row for row in settings_rows(RunConfig(flow="gradient"), (), 0.5)}
+    assert json.loads(json.dumps(rows)) == rows
+    assert {row["kind"] for row in rows.values()} == {"slider", "list", "text", "switch", "energy", "file"}
+    smooth, diffusion, flow = rows["smoothness"], rows["diffusion"], rows["flow"]
+    assert (smooth["low"], smooth["high"], smooth["value"], smooth["words"]) == (0.0, 2.5, 0.0, [])
+    assert (diffusion["high"], diffusion["value"], diffusion["words"]) == (5.0, "auto", ["auto", "free"])
+    assert not rows["friction"]["enabled"] and smooth["enabled"]
+    assert not diffusion["restarts"] and rows["levels"]["restarts"]
+    assert {one["name"]: one["help"] for one in flow["names"]} == names_of("flow")
+    assert [one["name"] for one in rows["preset"]["names"]] == ["", *PRESETS]
+    vessel = next(one["help"] for one in rows["preset"]["names"] if one["name"] == "ct-vessel")
+    assert PRESETS["ct-vessel"].summary in vessel and "smoothness 0.5" in vessel
+
+
+@pytest.mark.parametrize("name", [name for name, term in TERMS.items() if term.sees_image])
+def test_the_settings_of_a_term_appear_when_the_energy_has_it(name):
+    text = TERMS[name].example or name
+    rows = [row for row in settings_rows(RunConfig(energy=f"{text} + area"), (), 1.0) if row["term"]]
+    assert [row["term"] for row in rows] == [[0, key] for key in TERMS[name].settings if key != "channel"]
+    several = [{"term": name, "weight": 1.0, "channels": [{"channel": 1}, {"channel": 2}]}]
+    rows = [row for row in settings_rows(RunConfig(energy=f"{text} + area"), several, 1.0) if row["term"]]
+    assert [row["term"] for row in rows] == [[0, key] for key in TERMS[name].settings]
+    for row in rows:
+        kind = TERMS[name].settings[row["term"][1]]
+        assert row["label"] == f"{name} {row['term'][1]}" and kind.expected in row["help"]
+        assert [one["name"] for one in row["names"]] == (["", *kind.words] if isinstance(kind, Word) else [])
+
+
+# ------------------------------------------------------------------------------------------------------------- changes
+
+
+def test_a_setting_that_may_change_is_an_edit_and_a_fixed_one_begins_another_run(workplace):
+    status = ask(workplace, "step")
+    status = ask(workplace, "set", "smoothness", 0.4)
+    assert status.step == 1 and status.edits[0].settings == {"smoothness": 0.4}
+    assert rows_of(workplace)["smoothness"]["value"] == 0.4
+    status = ask(workplace, "set", "presmooth", " 1vox ")
+    assert status.step == 0 and status.settings.presmooth == "1vox" and status.settings.smoothness == 0.4
+    ask(workplace, "step")
+    assert ask(workplace, "set", "presmooth", "1vox").step == 1, "nothing is different"
+    assert ask(workplace, "set", "presmooth", "").settings.presmooth == 0.0
+    assert ask(workplace, "set", "stop_at_rest", True).settings.stop_at_rest is True
+    assert ask(workplace, "set", "foreground", "ball:1,2,3,4vox ball:9,9,9,2vox").settings.foreground == (
+        "ball:1,2,3,4vox", "ball:9,9,9,2vox",
+    )
+    assert rows_of(workplace)["foreground"]["value"] == "ball:1,2,3,4vox ball:9,9,9,2vox"
+    assert not workplace.message
+
+
+def test_a_preset_is_chosen_and_says_what_it_changes(workplace):
+    status = ask(workplace, "set", "preset", "mr-ventricle")
+    assert status.settings.energy == "threshold:,auto" and status.settings.preset == "mr-ventricle"
+    assert workplace.state()["message"] == (
+        "from the start: preset mr-ventricle: energy threshold:,auto, smoothness 0.5"
+    )
+    status = ask(workplace, "undo")
+    assert status.settings.preset is None and status.settings.energy == "chan-vese"
+
+
+BAD = [
+    ("set", "energy", "chan-vesee"), ("set", "energy", "balloon"), ("set", "presmooth", "-1"), ("set", "cfl", "7"),
+    ("set", "preset", "ct-boone"), ("set", "levels", 0), ("set", "roi", "1,2"), ("set", "stop_at_rest", "yes"),
+    ("set", "start", "label:/etc/passwd"), ("set", "start", "ball:1,2,3,4 mesh:/x.stl"), ("set", "mask", "/etc/passwd"),
+    ("set", "foreground", "label:secret.nii"), ("set", "edit", "step=3"), ("set", "channel", "/etc/passwd"),
+    ("set", "smoothness", "x" * 500), ("set", "smoothness", True), ("mask", "/etc/passwd"), ("mask", "../x.nii.gz"),
+    ("set_term", 0, "R", 3), ("set_term", 5, "balance", 3), ("set_term", 0, "balance", "-3"), ("bound", 0, "LO", 3),
+    ("set_term", 0, "balance", "2,epsilon=1"), ("set_term", 0, "balance", "2 + geodesic"), ("bound", 0, "balance", 3),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("request_", BAD, ids=str)
+def test_what_is_wrong_changes_nothing_and_says_so_in_one_line(workplace, request_):
+    before = ask(workplace, "step")
+    after = ask(workplace, *request_)
+    assert workplace.message and "\n" not in workplace.message and len(workplace.message) < 700
+    assert (after.step, after.settings, after.edits, after.undoable) == (1, before.settings, (), 0)
+    assert workplace.state()["failed"]
+
+
+def test_an_energy_is_checked_as_it_is_typed(workplace):
+    before = workplace.session.status
+    for typed, wrong in (("chan", "chan"), ("chan-vese + ", "blank"), ("local-region:R=-1", "R of local-region")):
+        workplace.request("type_energy", typed)
+        assert wrong in workplace.state()["energy_error"], typed
+        assert not workplace.message and workplace.session.status is before
+    workplace.request("type_energy", "local-region:R=9 + 0.1*geodesic")
+    assert workplace.state()["energy_error"] == ""
+    ask(workplace, "type_energy", "chan")
+    status = ask(workplace, "set", "energy", "local-region:R=9 + 0.1*geodesic")
+    assert status.settings.energy == "local-region:R=9 + 0.1*geodesic" and workplace.state()["energy_error"] == ""
+    rows = rows_of(workplace)
+    assert rows["local-region-0-R"]["value"] == "9" and rows["geodesic-1-scale"]["now"] == "2"
+    assert ask(workplace, "set_term", 0, "R", "7.5").settings.energy == "local-region:R=7.5 + 0.1*geodesic"
+    assert ask(workplace, "set_term", 0, "R", "").settings.energy == "local-region + 0.1*geodesic"
+
+
+def test_only_masks_that_are_offered_are_read(workplace, tmp_path):
+    volume = workplace.session.volume
+    cut = np.zeros(volume.array.shape, np.uint8)
+    cut[:, :, :22] = 1
+    io.write_labels(volume.with_array(cut), tmp_path / "scan" / "left.nii.gz")
+    io.write_labels(volume.with_array(cut), tmp_path / "elsewhere.nii.gz")
+    (tmp_path / "scan" / "secret.txt").write_text("mine")
+    assert [one["name"] for one in rows_of(workplace)["mask"]["names"]] == ["", "left.nii.gz"]
+    status = ask(workplace, "mask", "left.nii.gz")
+    assert status.settings.mask == str(tmp_path / "scan" / "left.nii.gz") and not workplace.message
+    assert rows_of(workplace)["mask"]["value"] == "left.nii.gz"
+    for name in ("elsewhere.nii.gz", "secret.txt", str(tmp_path / "elsewhere.nii.gz")):
+        assert ask(workplace, "mask", name).settings.mask == status.settings.mask and workplace.message
+    assert ask(workplace, "mask", "").settings.mask is None
+
+
+# ----------------------------------------------------------------------------------------------------------- histogram
+
+
+def draw(workplace):
+    view = None
+    while view is None:
+        view = workplace.session.next_view()
+    workplace.update(view)
+
+
+def test_the_histogram_is_of_the_image_and_of_the_object(workplace):
+    draw(workplace)
+    said = workplace.state()["histogram"]
+    assert said is workplace.state()["histogram"], "counted once"
+    image = workplace.session.volume.array
+    assert (said["low"], said["high"]) == (0.0, 100.0) and len(said["image"]) == len(said["object"]) == 96
+    share = np.mean(image > 50) / np.mean(image < 50)
+    assert said["image"][0] == 1.0 and said["image"][-1] == pytest.approx(np.sqrt(share), abs=0.02)
+    assert said["object"][-1] == 1.0 and max(said["object"][:-1]) == 0.0, "the start lies in the ball"
+
+
+def test_bounds_are_shown_where_they_are_in_force_and_moved(workplace):
+    assert workplace.state()["bounds"] == []
+    ask(workplace, "set", "energy", "0.5*chan-vese + threshold:auto")
+    (low,) = workplace.state()["bounds"]
+    assert (low["term"], low["key"], low["given"]) == (1, "LO", False) and 20 < low["value"] < 80
+    status = ask(workplace, "bound", 1, "LO", 30.25)
+    assert status.settings.energy == "0.5*chan-vese + threshold:LO=30.25" and not workplace.message
+    ask(workplace, "set_term", 1, "HI", "120")
+    assert [(one["key"], one["value"], one["given"]) for one in workplace.state()["bounds"]] == [
+        ("LO", pytest.approx(30.25), True), ("HI", pytest.approx(120.0), True),
+    ]
+    before = workplace.session.status.settings.energy
+    assert ask(workplace, "bound", 1, "LO", 130).settings.energy == before and "below" in workplace.message
+
+
+def test_large_images_are_counted_on_a_coarser_grid():
+    from accelsurf.viewer.workplace.histogram import SAMPLE, sample
+
+    image = np.broadcast_to(np.arange(512, dtype=np.int16), (300, 512, 512))
+    values = sample(image)
+    assert 0.3 * SAMPLE < values.size <= SAMPLE and abs(values.mean() - 255.5) < 8
+    assert sample(np.zeros((1, 30, 40))).size == 1200
