@@ -78,8 +78,7 @@ def movie(
     """Make a movie of a run; needs no screen.
 
     Runs as accelsurf segment does, with the same options and the same result, and draws the steps; with --objects each
-    object in a colour of its own. Given a folder with
-    the results of a run, it repeats that run with the settings in its report.
+    object in a colour of its own. Given a folder with the results of a run, it repeats that run.
 
     Parameters
     ----------

@@ -59,11 +59,6 @@ class _Source:
     image: Path
     state: StateFile
 
-    def corrected(self, refinement: Refinement) -> RunConfig:
-        """The settings with a further correction."""
-        config: RunConfig = self.state.config
-        return config.replace(refine=(*config.refine, refinement))
-
 
 def refine(
     result: Annotated[Path | None, Parameter(group=FILES)] = None,
@@ -79,11 +74,11 @@ def refine(
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     display: Display | None = None,
 ) -> int:
-    """Correct the result of a run by clicks: beyond what they are about every byte stays. Or have other objects.
+    """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays.
 
-    The run's files are replaced, all at once, unless another folder is given. A correction that fails leaves them as
-    they are. What accelsurf segment or refine wrote with its state (NAME_state.npz) can be refined; NAME_run.toml has
-    all settings and corrections, and accelsurf segment --config repeats them.
+    Or have other objects: a new one, two merged, one split. The run's files are replaced, all at once, unless another
+    folder is given. A correction that fails leaves them as they are. What accelsurf segment or refine wrote with its
+    state (NAME_state.npz) can be refined; NAME_run.toml has all settings and corrections, for segment --config.
 
     Parameters
     ----------
@@ -107,23 +102,22 @@ def refine(
     strict
         Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
     """
-    given = {"inside": inside, "outside": outside, "near": near, "object": object}
-    given |= vars(objects or ObjectOptions())
+    given = {"inside": inside, "outside": outside, "near": near, "object": object, **vars(objects or ObjectOptions())}
     (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
     from accelsurf.cli.case import run_case
     from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
 
-    display = display or Display()
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
     folder = source.report.parent if output is None else output
-    in_place = folder.resolve() == source.report.parent.resolve()
+    in_place, config = folder.resolve() == source.report.parent.resolve(), source.state.config
     place = Place(source.image, folder, source.name, overwrite or in_place, has_checkpoint=False)
     if in_place and not overwrite:
         _refuse_changed(place, source)
     compute = _Refinement(source, refinement, in_place)
-    done = run_case(place, source.corrected(refinement), Watcher(display), strict, compute)
-    if not display.quiet:
+    watcher = Watcher(display or Display())
+    done = run_case(place, config.replace(refine=(*config.refine, refinement)), watcher, strict, compute)
+    if display is None or not display.quiet:
         _print_summary(done, compute)
     return done.code
 

@@ -322,24 +322,12 @@ class Timeline:
         self.corrections.wanted = ()
 
     def undo(self) -> None:
-        """Undo the last change, and go to the step where it was made.
-
-        Raises
-        ------
-        UsageError
-            When there is none.
-        """
+        """Undo the last change, and go to the step where it was made; UsageError when there is none."""
         self._go_back_to(self.log.undo(self._now()))
         self._message = f"undid the last change, at step {self.step_number}"
 
     def redo(self) -> None:
-        """Make the change again that was undone last.
-
-        Raises
-        ------
-        UsageError
-            When there is none.
-        """
+        """Make the change again that was undone last; UsageError when there is none."""
         self._go_back_to(self.log.redo(self._now()))
         self._message = f"made the undone change again, at step {self.step_number}"
 
