@@ -258,3 +258,9 @@ def test_bad_requests_change_nothing_and_say_one_line(workplace, request_):
     assert workplace.message and "\n" not in workplace.message
     assert state["object_rows"] == before and workplace.session.status.refinements == config
     assert workplace.object_id is None
+
+
+def test_no_key_means_two_things(workplace):
+    keys = [tool.key for tool in workplace.tools.values()]
+    keys += [key for feature in workplace.features for key in feature.keys()]
+    assert sorted(keys) == sorted(set(keys))
