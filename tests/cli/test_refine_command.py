@@ -179,7 +179,7 @@ def test_a_state_of_another_version_or_size_is_refused(finished, tmp_path, monke
     state = state._replace(config=state.config.model_dump(mode="json"))
     path = tmp_path / "ball_state.npz"
     path.write_bytes(to_bytes(({"accelsurf": "9", "state": 99}, state), state_file.TYPES))
-    with pytest.raises(InputError, match="version 99, expected 1"):
+    with pytest.raises(InputError, match="version 99, expected 2"):
         read_state(path)
     path.write_bytes(to_bytes(({"state": 1}, state._replace(shape=(4, 4, 4))), state_file.TYPES))
     with pytest.raises(InputError, match="beyond the image"):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QApplication, QListWidget, QWidget
+from PySide6.QtWidgets import QApplication, QListWidget, QTableWidget, QWidget
 
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
@@ -78,6 +78,8 @@ def places(window: Window) -> dict[str, Any]:
         | {f"measure_{name}": middle(getattr(measure, name)) for name in ("title", "measure", "diameters", "copy")}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
         | {"next doubt": middle(side.panels["HistoryPanel"].next)}
+        | {f"object {row}": cell_of(side.panels["ObjectsPanel"].table, row, 2) for row in range(3)}
+        | {f"seen {row}": cell_of(side.panels["ObjectsPanel"].table, row, 0) for row in range(3)}
         | {name: ends(row.amount.slider) for name, row in settings.rows.items() if isinstance(row, SliderRow)},
         "tiles": tiles,
         "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
@@ -114,6 +116,12 @@ def row_of(rows: QListWidget, number: int) -> list[int] | None:
     if item is None:
         return None
     place = rows.viewport().mapToGlobal(rows.visualItemRect(item).center())
+    return [place.x(), place.y()]
+
+
+def cell_of(table: QTableWidget, row: int, column: int) -> list[int]:
+    rect = table.visualRect(table.model().index(row, column))
+    place = table.viewport().mapToGlobal(rect.center())
     return [place.x(), place.y()]
 
 

@@ -274,6 +274,51 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
 
 
 @needs_screen
+def test_two_objects_are_built_named_and_saved_by_mouse_and_keys(screen, tmp_path):
+    z, y, x = np.indices((24, 40, 64))
+    balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
+    values = 100.0 * balls + np.random.default_rng(0).normal(0, 6, balls.shape)
+    io.write(Volume.from_array(values.astype(np.float32)), tmp_path / "scan.nii")
+    image = io.read(tmp_path / "scan.nii")
+    place = ",".join(f"{v:g}" for v in image.geometry.index_to_world((12, 20, 16)))
+    person = Person(screen, tmp_path / "scan.nii", tmp_path, inside=f"ball:{place},4", result=tmp_path / "out")
+    try:
+        person.key("space")
+        first = person.until(lambda now: now["stop"] and not now["playing"], 120)
+        left, y = first["tiles"]["axial"]
+        voxels = []
+        for at in (left - 40, left + 40):
+            person.do("mousemove", str(at), str(y))
+            before = person.now()["state"]["voxel"]
+            moved = person.until(lambda now, before=before: now["state"]["voxel"] != before)
+            voxels.append(int(moved["state"]["voxel"].split(",")[0]))
+        pixels = 80 / (voxels[1] - voxels[0])
+        person.key("u")
+        person.until(lambda now: now["state"]["object_active"] == 2 and now["state"]["tool"] == "size")
+        right = left - 40 + pixels * (48 - voxels[0])
+        person.drag((right, y), (right + 5 * pixels, y), (right + 10 * pixels, y))
+        two = person.until(lambda now: [one["word"] for one in now["state"]["object_rows"]] == ["converged"] * 2, 120)
+        assert float(two["state"]["object_rows"][1]["ml"]) == pytest.approx(4.19, rel=0.15)
+        x, row = person.now()["buttons"]["object 1"]
+        person.do("mousemove", str(x), str(row), "click", "--repeat", "2", "--delay", "80", "1")
+        person.do("sleep", "0.3", "type", "cyst")
+        person.key("Return")
+        person.until(lambda now: [one["name"] for one in now["state"]["object_rows"]] == ["object 1", "cyst"])
+        person.click("seen 0")
+        person.until(lambda now: [one["visible"] for one in now["state"]["object_rows"]] == [False, True])
+        person.key("ctrl+s")
+        person.until(lambda now: "run.toml" in now["state"]["saved"], 120)
+        config = RunConfig.from_toml(tmp_path / "out" / "run.toml")
+        assert config.refine[0].new == 2 and config.name == ("1=object 1", "2=cyst")
+        labels = io.read_labels(next((tmp_path / "out").glob("*_seg.nii"))).array
+        again = segment(image, config=config).labels
+        assert sorted(np.unique(labels)) == [0, 1, 2] and np.array_equal(labels, again)
+        person.leave()
+    finally:
+        person.process.kill()
+
+
+@needs_screen
 def test_looks_help_and_errors(person, tmp_path):
     person.picture(tmp_path / "dark.png")
     person.key("F1")

@@ -201,10 +201,10 @@ def test_the_list_and_how_objects_are_drawn(workplace):
     ask(workplace, "object_opacity", 2, 0.25)
     assert second.prop.opacity == 0.25 and first.prop.opacity == 1.0
     workplace.scene.cursor = (38.0, 15.0, 17.0)
-    lines = workplace.scene.slice_tiles["axial"]._lines
-    assert lines["object 1"].GetVisibility() and lines["object 1"].prop.opacity == 0.25
+    tile = workplace.scene.slice_tiles["axial"]
+    assert tile._lines["object 1"][0].GetVisibility() and tile._lines["object 1"][0].prop.opacity == 0.25
     ask(workplace, "object_visible", 2, False)
-    assert not second.GetVisibility() and not lines["object 1"].GetVisibility() and first.GetVisibility()
+    assert not second.GetVisibility() and not tile._lines["object 1"][0].GetVisibility() and first.GetVisibility()
     assert "cyst" not in workplace.scene.legend
     state = ask(workplace, "object_visible", 2, True)
     assert second.GetVisibility() and state["object_rows"][1]["visible"]
@@ -258,3 +258,9 @@ def test_bad_requests_change_nothing_and_say_one_line(workplace, request_):
     assert workplace.message and "\n" not in workplace.message
     assert state["object_rows"] == before and workplace.session.status.refinements == config
     assert workplace.object_id is None
+
+
+def test_no_key_means_two_things(workplace):
+    keys = [tool.key for tool in workplace.tools.values()]
+    keys += [key for feature in workplace.features for key in feature.keys()]
+    assert sorted(keys) == sorted(set(keys))

@@ -38,7 +38,7 @@ class _Drawn(NamedTuple):
 class Split(Tool):
     """Splits off the component under a click."""
 
-    name, key, text = "split", "X", "Split"
+    name, key, text = "split", "Q", "Split"
     tip = "Click in a part of an object: what is connected to it becomes an object of its own"
 
     def press(self, at: Picked) -> None:
