@@ -18,10 +18,11 @@ class Source(QLabel):
         print(f"dropped {done.name}", flush=True)  # the window still asks for what was dropped
 
 
-app = QApplication(sys.argv[:1])
-label = Source("drag me")
-label.setWindowTitle("drag source")
-label.setGeometry(1200, 640, 70, 60)
-label.show()
-print("shown", flush=True)
-app.exec()
+if __name__ == "__main__":
+    app = QApplication(sys.argv[:1])
+    label = Source("drag me")
+    label.setWindowTitle("drag source")
+    label.setGeometry(1200, 640, 70, 60)
+    label.show()
+    print("shown", flush=True)
+    app.exec()

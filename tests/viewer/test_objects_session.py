@@ -194,7 +194,7 @@ def test_the_command_opens_a_session_of_the_objects(config, tmp_path, monkeypatc
     io.write(volume(), tmp_path / "scan.nii.gz")
     seen = []
     monkeypatch.setattr(view, "_front_end", lambda page: page)
-    monkeypatch.setattr(view, "_open_window", lambda session, *_: seen.append(session.status.objects))
+    monkeypatch.setattr(view, "_open_window", lambda opening, first, *_: seen.append(first[1].status.objects))
     assert cli.execute(["view", str(tmp_path / "scan.nii.gz"), "--objects", config.objects]) == 0
     assert seen == [(3, 8)]
 
