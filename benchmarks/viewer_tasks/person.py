@@ -76,10 +76,10 @@ class Person:
         command += [str(truth or "-"), label, *words]
         self.process = subprocess.Popen(command, env=self.env, cwd=ROOT, stdout=self._log, stderr=self._log, text=True)
         self.until(lambda now: now["drawn"] is not None, 300)
-        self._do("search", "--sync", "--onlyvisible", "--name", "accelsurf - ", "windowfocus", "--sync")
+        self._do("search", "--sync", "--onlyvisible", "--name", "accelsurf", "windowfocus", "--sync")
         # What a window manager does, which this screen has not.
         sides = [str(side) for side in size]
-        self._do("search", "--onlyvisible", "--name", "accelsurf - ", "windowsize", *sides, "windowmove", "0", "0")
+        self._do("search", "--onlyvisible", "--name", "accelsurf", "windowsize", *sides, "windowmove", "0", "0")
         self.opened_s = time.monotonic() - self.began
 
     # -- hands --------------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ class WindowWatch:
         said = {
             "time": time.time(), "state": window.workplace.state(), "tiles": self._tiles(), "widgets": self._widgets(),
             "step": status.step, "playing": status.playing, "message": window.message.text(),
-            "title": window.windowTitle(), "stop": status.stop and status.stop.reason,
+            "title": window.window().windowTitle(), "stop": status.stop and status.stop.reason,
             "drawn": None if frame is None else [frame.step, frame.volume_mm3],
             "undoable": status.undoable, "refinements": len(status.refinements), "edits": len(status.edits),
             "settings": status.settings.model_dump(mode="json"),
