@@ -61,7 +61,8 @@ class Tiles:
         """Before each picture: make text and lines, of ``others`` too, as large as window and screen ask for."""
         if self._window.GetDPI() != DPI:  # Qt sets it on a fine screen
             self._window.SetDPI(DPI)
-        pixels = Pixels(int(self._window.GetSize()[1]), self.pixel_ratio)
+        width, height = self._window.GetSize()
+        pixels = Pixels(min(int(height), round(width * 9 / 16)), self.pixel_ratio)
         for part in (self._space, *self._slices.values(), *others):
             if part is not None:
                 part.fit(pixels)

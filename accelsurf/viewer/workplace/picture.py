@@ -13,7 +13,7 @@ from accelsurf.viewer.workplace.checks import number, word
 from accelsurf.viewer.workplace.feature import Feature, Key
 
 #: Smallest and largest size of a picture, pixels.
-MIN_SIZE, MAX_SIZE = (480, 272), (3840, 2400)
+MIN_SIZE, MAX_SIZE = (320, 200), (3840, 2400)
 #: Most pixels of a device for one of a usual screen, along each side.
 MAX_RATIO = 4.0
 
