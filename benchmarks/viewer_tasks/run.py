@@ -24,6 +24,7 @@ import numpy as np
 from scipy import ndimage
 
 from accelsurf import cli, io
+from accelsurf.grid.geometry import Geometry
 from benchmarks.viewer_tasks.person import ROOT, Person, screen
 
 #: Strokes at most after the first result, and the Dice at which a person is content.
@@ -31,7 +32,7 @@ MAX_STROKES, CONTENT = 5, 0.93
 
 
 class Task(NamedTuple):
-    """An object to be segmented: scan, reference and the ids in it, further words of the command."""
+    """What is to be segmented: scan, reference, the ids of each object in it, further words of the command."""
 
     scan: str
     reference: str
@@ -41,8 +42,11 @@ class Task(NamedTuple):
 
 TASKS = {
     "liver": Task("ct_abdomen_hires.nii.gz", "ct_abdomen_hires_ref.nii.gz", "5", ()),
-    "ventricle": Task("mri_brain256.nii.gz", "mri_brain256_ref.nii.gz", "4", ()),
+    "ventricles": Task("mri_brain256.nii.gz", "mri_brain256_ref.nii.gz", "4;43", ()),
+    "nuclei": Task("fluo_nuclei1136.nii.gz", "fluo_nuclei1136_ref.nii.gz", "neighbours", ()),
 }
+#: Nuclei are neighbours at this many voxels; the reference has no three that share a face.
+NEAR = 6
 
 
 def main() -> None:
@@ -71,19 +75,15 @@ def do_task(
     """Do a task; returns what it took and what came of it."""
     scan, reference = volumes / task.scan, volumes / task.reference
     truth = io.read_labels(reference)
-    wanted = np.isin(truth.array, [int(one) for one in task.labels.split(",")])
-    mm3 = float(wanted.sum() * np.prod(truth.geometry.spacing))
+    labels = three_neighbours(truth.array) if task.labels == "neighbours" else task.labels
+    objects = [np.isin(truth.array, [int(one) for one in ids.split(",")]) for ids in labels.split(";")]
+    voxel = float(np.prod(truth.geometry.spacing))
     words = ["view", str(scan), "--result", str(folder / "out"), "--mesh", "stl", *task.words]
-    person = Person(display, folder, words, reference, task.labels, size)
-    depth = ndimage.distance_transform_edt(wanted, sampling=truth.geometry.spacing)
-    place = truth.geometry.index_to_world(np.array(np.unravel_index(int(depth.argmax()), depth.shape), float))
-    show(person, place)
-    draw_size(person, place, mm3)
-    person.until(lambda now: now["settings"]["energy"] == "seeded", 60)
-    person.key("space")
-    person.until(lambda now: now["playing"] or now["stop"], 60)
-    hint = person.now()["settings"]["size"]
-    person.until(lambda now: now["stop"] is not None, 600)
+    person = Person(display, folder, words, reference, labels, size)
+    for number, wanted in enumerate(objects):
+        begin_object(person, number, wanted, truth.geometry, float(wanted.sum() * voxel))
+    if len(objects) > 1:
+        person.click_widget("Nearest")  # strokes are for the object that is nearest
     first_s, judged_s = time.monotonic() - person.began, 0.0
     dice, obeyed = [], []
     while True:
@@ -92,7 +92,7 @@ def do_task(
         judged_s += time.monotonic() - began  # a person sees it
         dice.append(seen["dice"])
         small = seen["worst"]["depth"] < 1.5 * max(truth.geometry.spacing)
-        if seen["dice"] >= CONTENT or small or len(obeyed) == MAX_STROKES:
+        if min(seen["dice"]) >= CONTENT or small or len(obeyed) == MAX_STROKES * len(objects):
             break
         obeyed.append(correct(person, seen["worst"]))
     if pictures:
@@ -104,11 +104,40 @@ def do_task(
     person.close()
     return {
         "actions": actions, "seconds": round(seconds, 1), "opened_s": round(person.opened_s, 1),
-        "first_result_s": round(first_s, 1), "dice": [round(one, 3) for one in dice], "strokes": len(obeyed),
-        "obeyed_s": obeyed, "size": hint,
-        "ml": round(saved_ml(folder / "out"), 2), "ml_reference": round(mm3 / 1000, 2),
+        "first_result_s": round(first_s, 1), "dice": dice, "strokes": len(obeyed),
+        "obeyed_s": obeyed, "ml": saved_ml(folder / "out"),
+        "ml_reference": [round(float(one.sum()) * voxel / 1000, 6) for one in objects],
         "same_bytes": same_bytes(scan, folder),
     }
+
+
+def three_neighbours(labels: np.ndarray) -> str:
+    """Ids of the nucleus with the most voxels among those with two neighbours, and of these two."""
+    ids, counts = np.unique(labels[labels > 0], return_counts=True)
+    volumes, found = dict(zip(ids.tolist(), counts.tolist(), strict=True)), []
+    for own in volumes:
+        around = ndimage.binary_dilation(labels == own, iterations=NEAR) & (labels != own) & (labels > 0)
+        others, voxels = np.unique(labels[around], return_counts=True)
+        if len(others) > 1:
+            nearest = [int(others[place]) for place in np.argsort(-voxels)[:2]]
+            found.append((volumes[own], [own, *nearest]))
+    return ";".join(str(one) for one in max(found)[1])
+
+
+def begin_object(person: Person, number: int, wanted: np.ndarray, geometry: Geometry, mm3: float) -> None:
+    """Press at the thickest place of an object, draw its size out, and let the surface run to its end."""
+    depth = ndimage.distance_transform_edt(wanted, sampling=geometry.spacing)
+    place = geometry.index_to_world(np.array(np.unravel_index(int(depth.argmax()), depth.shape), float))
+    show(person, place)
+    before = person.now()
+    if number:
+        person.key("u")
+    draw_size(person, place, mm3)
+    person.until(lambda now: now["undoable"] > before["undoable"], 300)
+    if not number:
+        person.key("space")
+        person.until(lambda now: now["playing"] or now["stop"], 60)
+    person.until(lambda now: now["stop"] is not None and not now["playing"], 600)
 
 
 def show(person: Person, world: np.ndarray) -> None:
@@ -155,11 +184,11 @@ def correct(person: Person, worst: dict[str, Any]) -> float:
     return round(time.monotonic() - began, 2)
 
 
-def saved_ml(folder: Path) -> float:
-    """The volume that the saved table says."""
+def saved_ml(folder: Path) -> list[float]:
+    """The volume of each object that the saved table says."""
     (table,) = folder.glob("*_statistics.csv")
     with open(table, newline="") as lines:
-        return sum(float(line["volume_mm3"]) for line in csv.DictReader(lines)) / 1000.0
+        return [round(float(line["volume_mm3"]) / 1000.0, 6) for line in csv.DictReader(lines)]
 
 
 def same_bytes(scan: Path, folder: Path) -> bool:

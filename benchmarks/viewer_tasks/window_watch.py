@@ -1,6 +1,6 @@
 """Opens the window by the command ``accelsurf view``, and writes to a file, every 40 ms, what a person would see.
 
-Usage: python -m benchmarks.viewer_tasks.window_watch STATE_FILE TRUTH|- ID WORDS OF ACCELSURF ...
+Usage: python -m benchmarks.viewer_tasks.window_watch STATE_FILE TRUTH|- IDS WORDS OF ACCELSURF ...
 
 All that happens to the window comes from outside, as events of mouse and keys. TRUTH is a label map that the window
 does not know: with it the watcher says where the surface is wrong most, as a person would see it. In the seconds that
@@ -30,8 +30,8 @@ INTERVAL_MS = 40
 class WindowWatch:
     """Says where the parts of a window are, what it shows, and where its surface is wrong."""
 
-    def __init__(self, window: Any, state_file: Path, truth: Any, label: int) -> None:
-        self._window, self._file, self._truth, self._label = window, state_file, truth, label
+    def __init__(self, window: Any, state_file: Path, truth: list[Any]) -> None:
+        self._window, self._file, self._truth = window, state_file, truth
         self._wanted = state_file.with_suffix(".judge")
         self._verdict: dict[str, Any] = {}
         self._frames: list[float] = []
@@ -99,38 +99,38 @@ class WindowWatch:
         return found
 
     def _judge(self, frame: Any) -> dict[str, Any]:
-        """Dice with the truth, and the deepest place of what is missing or too much."""
-        geometry = self._window.scene.geometry
-        truth = self._truth
-        labels = np.zeros(truth.shape, bool)
-        for surface in frame.surfaces:
-            if surface.id != self._label and len(frame.surfaces) > 1:
-                continue
-            places = np.argwhere(surface.psi < 0)
-            index = np.rint(surface.to_image(places)).astype(int) if len(places) else places
-            labels[tuple(np.clip(index, 0, np.array(truth.shape) - 1).T)] = True
-        common = 2.0 * (labels & truth).sum() / max(labels.sum() + truth.sum(), 1)
-        worst: dict[str, Any] = {"depth": 0.0}
-        for side, wrong in (("inside", truth & ~labels), ("outside", labels & ~truth)):
-            depth = ndimage.distance_transform_edt(np.pad(wrong, 1), sampling=geometry.spacing)[1:-1, 1:-1, 1:-1]
-            at = np.unravel_index(int(depth.argmax()), depth.shape)
-            if depth[at] > worst["depth"]:
-                axis, kind = "axial", wrong[at[0]]
-                world = geometry.index_to_world(np.array(at, float)).tolist()
-                worst = {"depth": float(depth[at]), "side": side, "world": world, "tile": axis, "area": int(kind.sum())}
-        return {"dice": float(common), "worst": worst, "mm3": float(frame.volume_mm3)}
+        """Dice of each object, and the deepest place of what is missing or too much in any of them."""
+        geometry, shape = self._window.scene.geometry, self._window.scene.geometry.shape
+        dice, worst = [], {"depth": 0.0}
+        for number, truth in enumerate(self._truth):
+            labels = np.zeros(shape, bool)
+            if number < len(frame.surfaces):
+                surface = frame.surfaces[number]
+                places = np.argwhere(surface.psi < 0)
+                index = np.rint(surface.to_image(places)).astype(int) if len(places) else places
+                labels[tuple(np.clip(index, 0, np.array(shape) - 1).T)] = True
+            dice.append(round(float(2.0 * (labels & truth).sum() / max(labels.sum() + truth.sum(), 1)), 3))
+            for side, wrong in (("inside", truth & ~labels), ("outside", labels & ~truth)):
+                depth = ndimage.distance_transform_edt(np.pad(wrong, 1), sampling=geometry.spacing)[1:-1, 1:-1, 1:-1]
+                at = np.unravel_index(int(depth.argmax()), depth.shape)
+                if depth[at] > worst["depth"]:
+                    world = geometry.index_to_world(np.array(at, float)).tolist()
+                    worst = {"depth": float(depth[at]), "side": side, "world": world, "object": number}
+        return {"dice": dice, "worst": worst, "mm3": float(frame.volume_mm3)}
 
 
 def main() -> int:
     """Run the command, and watch the window that it opens."""
     state_file, truth_file, label, *words = sys.argv[1:]
-    ids = [int(one) for one in label.split(",")]
-    truth = None if truth_file == "-" else np.isin(io.read_labels(Path(truth_file)).array, ids)
+    truth = []
+    if truth_file != "-":
+        known = io.read_labels(Path(truth_file)).array
+        truth = [np.isin(known, [int(one) for one in ids.split(",")]) for ids in label.split(";")]
     original = desktop.Window.__init__
 
     def watched(window: Any, *values: Any, **options: Any) -> None:
         original(window, *values, **options)
-        window.watch = WindowWatch(window, Path(state_file), truth, ids[0])
+        window.watch = WindowWatch(window, Path(state_file), truth)
 
     desktop.Window.__init__ = watched  # type: ignore[method-assign]
     return cli.execute(words)
