@@ -181,12 +181,12 @@ def test_a_state_of_another_version_or_size_is_refused(finished, tmp_path, monke
     path.write_bytes(to_bytes(({"accelsurf": "9", "state": 99}, state), state_file.TYPES))
     with pytest.raises(InputError, match="version 99, expected 2"):
         read_state(path)
-    path.write_bytes(to_bytes(({"state": 1}, state._replace(shape=(4, 4, 4))), state_file.TYPES))
+    path.write_bytes(to_bytes(({"state": state_file.VERSION}, state._replace(shape=(4, 4, 4))), state_file.TYPES))
     with pytest.raises(InputError, match="beyond the image"):
         read_state(path)
     bomb = state.objects[0].surface.values._replace(shape=(1 << 40,))
     one = state.objects[0]._replace(surface=state.objects[0].surface._replace(values=bomb))
-    path.write_bytes(to_bytes(({"state": 1}, state._replace(objects=(one,))), state_file.TYPES))
+    path.write_bytes(to_bytes(({"state": state_file.VERSION}, state._replace(objects=(one,))), state_file.TYPES))
     with pytest.raises((InputError, ValueError)):
         surface_of(read_state(path).objects[0])
 
