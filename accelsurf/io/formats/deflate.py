@@ -14,7 +14,7 @@ from accelsurf.settings import budgets
 
 TRUNCATED_HINT = "the file is truncated: copy or export it again"
 GZIP_START = b"\x1f\x8b"
-_CHUNK, _PIECE = 1 << 18, 1 << 20
+_CHUNK, _PIECE = 1 << 16, 1 << 20
 
 
 def inflate(file: BinaryIO, limit: int | None = None, claimed: int | None = None) -> Iterator[bytes]:
