@@ -38,7 +38,8 @@ NAMES = (
     "long path",
     "wide path",
 )
-MAX_SECONDS, MAX_RSS_MB = 5.0, 1024
+#: Memory beyond that of the program itself, which is what it imports.
+MAX_SECONDS, MAX_RSS_MB = 5.0, 700
 
 
 @pytest.fixture(scope="module")
@@ -232,8 +233,9 @@ def main(folder):
     from accelsurf.errors import AccelsurfError
 
     resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
-    out = {}
-    for name, read in bombs(Path(folder)).items():
+    out, known = {}, bombs(Path(folder))
+    own = peak_mb()
+    for name, read in known.items():
         began = time.perf_counter()
         try:
             found = "read", repr(read())[:200]
@@ -241,7 +243,7 @@ def main(folder):
             found = type(error).__name__, error.message
         except BaseException as error:
             found = "fault", f"{type(error).__name__}: {error}"[:500]
-        out[name] = (*found, time.perf_counter() - began, peak_mb())
+        out[name] = (*found, time.perf_counter() - began, peak_mb() - own)
     print(json.dumps(out))
 
 
