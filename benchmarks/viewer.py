@@ -1,6 +1,6 @@
 """How much a window slows the solver, and how soon it answers a key, with a large volume evolving.
 
-Usage: python benchmarks/viewer.py [--size 256] [--steps 40] [--display :N] [-o benchmarks/results/viewer.json]
+Usage: python -m benchmarks.viewer [--size 256] [--steps 40] [--display :N] [-o benchmarks/results/viewer.json]
 
 Runs the same steps three times: by a Run alone, by a Session that nobody watches (it stores checkpoints),
 and in the window, on the display given or a screen of its own (Xvfb, xdotool). Keys are sent by xdotool; the answer is
@@ -11,6 +11,7 @@ solver for the same cores: on a machine with a graphics card the window costs le
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import platform
@@ -22,6 +23,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+
+from tests.support.screen import own_screen
 
 ROOT = Path(__file__).resolve().parent.parent
 KEYS = 12
@@ -38,7 +41,10 @@ def main() -> None:
         source, start = phantom(given.size, Path(folder))
         plain = [seconds_alone(source, start, given.steps) for _ in range(2)]
         session = seconds_of_session(source, start, given.steps)
-        window = in_window(source, start, given.steps, given.display, Path(folder))
+        if not shutil.which("xdotool") or not (given.display or shutil.which("Xvfb")):
+            sys.exit("Xvfb and xdotool are needed, or --display of a screen and xdotool")
+        with contextlib.nullcontext(given.display) if given.display else own_screen() as display:
+            window = in_window(source, start, given.steps, display, Path(folder))
     alone = min(wall for wall, _ in plain)
     answered = window["answered_ms"]
     report = {
@@ -108,23 +114,10 @@ def seconds_of_session(source: Path, start: str, steps: int) -> tuple[float, flo
 
 
 def in_window(source: Path, start: str, steps: int, display: str, folder: Path) -> dict:
-    server = None
-    if not display:
-        if not shutil.which("Xvfb") or not shutil.which("xdotool"):
-            sys.exit("Xvfb and xdotool are needed, or --display of a screen and xdotool")
-        read, write = os.pipe()
-        server = subprocess.Popen(
-            ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x720x24", "-noreset"], pass_fds=[write],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )
-        os.close(write)
-        with os.fdopen(read) as line:
-            display = ":" + line.readline().strip()
     result_file = folder / "result.json"
     env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
-    child = subprocess.Popen(
-        [sys.executable, __file__, "--in-window", str(source), str(result_file), start, str(steps)], env=env, cwd=ROOT
-    )
+    words = [sys.executable, "-m", "benchmarks.viewer", "--in-window", str(source), str(result_file), start, str(steps)]
+    child = subprocess.Popen(words, env=env, cwd=ROOT)
     try:
         sent = []
         while not result_file.with_suffix(".running").exists() and child.poll() is None:
@@ -143,9 +136,6 @@ def in_window(source: Path, start: str, steps: int, display: str, folder: Path) 
         child.wait(60)
     finally:
         child.kill()
-        if server is not None:
-            server.terminate()
-            server.wait()
     found = json.loads(result_file.read_text())
     seen = json.loads(result_file.with_suffix(".keys").read_text())
     if len(seen) != len(sent):

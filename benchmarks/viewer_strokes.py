@@ -1,6 +1,6 @@
 """How soon the window draws what a hand does, and how soon the surface obeys, on a large volume.
 
-Usage: python benchmarks/viewer_strokes.py [--shape 256,256,256] [--display :N]
+Usage: python -m benchmarks.viewer_strokes [--shape 256,256,256] [--display :N]
 [-o benchmarks/results/viewer_strokes.json]
 
 A ball in noise is opened in the window, on the display given or a screen of its own (Xvfb). Events of the mouse are put
@@ -14,6 +14,7 @@ drawn that obeys it. Software rendering competes with the solver for the same co
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import platform
@@ -28,6 +29,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from tests.support.screen import own_screen
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Motions of a drag, a second; how many of each kind; wanted: drawn within so many ms, obeyed within so many s.
@@ -47,7 +50,10 @@ def main() -> None:
     shape = tuple(int(n) for n in given.shape.split(","))
     with tempfile.TemporaryDirectory() as folder:
         source, start = phantom(shape, Path(folder))
-        found = in_window(source, start, given.display, Path(folder))
+        if not (given.display or shutil.which("Xvfb")):
+            sys.exit("Xvfb is needed, or --display of a screen")
+        with contextlib.nullcontext(given.display) if given.display else own_screen(1600, 900) as display:
+            found = in_window(source, start, display, Path(folder))
     known = json.loads(given.output.read_text()) if given.output.exists() else {}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     report = {"cores": cores, "machine": platform.machine(), "load": round(os.getloadavg()[0], 2), **found}
@@ -78,27 +84,10 @@ def phantom(shape: Sequence[int], folder: Path) -> tuple[Path, dict[str, str]]:
 
 def in_window(source: Path, start: dict[str, str], display: str, folder: Path) -> dict[str, Any]:
     """Open the window in another process, on a screen."""
-    server = None
-    if not display:
-        if not shutil.which("Xvfb"):
-            sys.exit("Xvfb is needed, or --display of a screen")
-        read, write = os.pipe()
-        server = subprocess.Popen(
-            ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x900x24", "-noreset"], pass_fds=[write],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )
-        os.close(write)
-        with os.fdopen(read) as line:
-            display = ":" + line.readline().strip()
     result_file = folder / "result.json"
     env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
-    words = [sys.executable, __file__, "--in-window", str(source), str(result_file), json.dumps(start)]
-    try:
-        subprocess.run(words, env=env, cwd=ROOT, check=True, timeout=1800)
-    finally:
-        if server is not None:
-            server.terminate()
-            server.wait()
+    words = [sys.executable, "-m", "benchmarks.viewer_strokes", "--in-window", str(source), str(result_file)]
+    subprocess.run([*words, json.dumps(start)], env=env, cwd=ROOT, check=True, timeout=1800)
     return json.loads(result_file.read_text())
 
 

@@ -237,5 +237,5 @@ def bids_text(entries: Iterable[LabelEntry]) -> str:
     >>> print(bids_text([LabelEntry(1, "liver", (200, 60, 60))]).splitlines()[-1].expandtabs(1))
     1 liver #c83c3c
     """
-    rows = ["\t".join((str(one.id), one.name, "#{:02x}{:02x}{:02x}".format(*one.color))) for one in entries]
+    rows = ["\t".join((str(one.id), one.name, one.hex)) for one in entries]
     return "\n".join(["index\tname\tcolor", *rows]) + "\n"

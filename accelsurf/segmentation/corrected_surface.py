@@ -61,6 +61,12 @@ def counted_from(box: Box, corner: Corner) -> Box:
     return z, y, x
 
 
+def placed_at(box: Box, corner: Corner) -> Box:
+    """A box of an array counted as its first voxel, ``corner``, is; the inverse of `counted_from`."""
+    z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(box, corner, strict=True))
+    return z, y, x
+
+
 def part_of_image(before: Box, corner: Corner, now: CorrectedSurface, prepared: PreprocessedInput) -> Box:
     """The part of the image of one of several objects after a correction.
 

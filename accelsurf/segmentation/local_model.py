@@ -21,7 +21,7 @@ from accelsurf.energies.seeded.sureness import Sureness, corrections_with, suren
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to
-from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from
+from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from, placed_at
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.near_region import around_clicks, automatic_near
 from accelsurf.segmentation.preprocessing import PreprocessedInput
@@ -176,8 +176,7 @@ class LocalModel:
         if _is_near_border(marched[0].reshape(field.shape), box, self.state.clicks.shape):
             return None
         after = with_click(here, field, own, marched)
-        back = (-corner[0], -corner[1], -corner[2])
-        return dataclasses.replace(after, box=counted_from(after.box, back), clicks=(*answer.clicks, click))
+        return dataclasses.replace(after, box=placed_at(after.box, corner), clicks=(*answer.clicks, click))
 
     def undo(self, change: ModelChange) -> None:
         """Take back the last change."""

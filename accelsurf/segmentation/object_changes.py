@@ -19,7 +19,7 @@ from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.setup import SolverSetup
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, widened
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.pyramid import Level
@@ -31,6 +31,7 @@ from accelsurf.segmentation.corrected_surface import (
     count_inside,
     counted_from,
     part_of_image,
+    placed_at,
     stop_of_whole,
 )
 from accelsurf.segmentation.local_evolution import LocalOutcome, OnStep, measures_of
@@ -137,7 +138,7 @@ def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | No
     for one in others:
         inside = bounding_box(one.psi < 0)
         if inside is not None:
-            boxes.append(counted_from(inside, (-one.corner[0], -one.corner[1], -one.corner[2])))
+            boxes.append(placed_at(inside, one.corner))
     for box in boxes:
         taken = box if taken is None else enclosing(taken, box)
     if taken is None:
@@ -172,13 +173,9 @@ def _to_rest(
 
 def _surface(id: int, corner: tuple[int, int, int], outcome: LocalOutcome, objects: RefinedObjects) -> CorrectedSurface:
     """A new surface on the box that it needs."""
-    psi = outcome.psi
-    box = bounding_box(psi < 0, AROUND) or box_at((0, 0, 0), psi.shape)
-    z, y, x = (c + s.start for c, s in zip(corner, box, strict=True))
-    own = np.ascontiguousarray(psi[box])
-    inside = count_inside(own)
+    inside = count_inside(outcome.psi)
     stop = stop_of_whole(outcome.stop, inside, math.prod(objects.shape))
-    return CorrectedSurface(id, (z, y, x), own, inside, outcome.history, stop)
+    return _on_tight_box(CorrectedSurface(id, corner, outcome.psi, inside, outcome.history, stop))
 
 
 def _known(
@@ -296,23 +293,20 @@ def split(
     rest = here._replace(psi=np.where(own, away, here.psi))
     tight = bounding_box(own)
     assert tight is not None
-    back = (-here.corner[0], -here.corner[1], -here.corner[2])
     objects.models.split(
-        number, here.id, new, BoxMask(counted_from(tight, back), own[tight]), point_click(voxel, new)
+        number, here.id, new, BoxMask(placed_at(tight, here.corner), own[tight]), point_click(voxel, new)
     )
-    rest, part = _measured(rest, objects, workers), _measured(_tight(part), objects, workers)
+    rest, part = _measured(rest, objects, workers), _measured(_on_tight_box(part), objects, workers)
     known = objects.known(here.id)
     others = [one for one in objects.surfaces if one.id != here.id]
     objects.replace([*others, rest, part], {new: _known(part, objects, base, known.terms, known.learned)})
     return rest, part
 
 
-def _tight(one: CorrectedSurface) -> CorrectedSurface:
-    """A surface on the array that it needs."""
-    box = bounding_box(one.psi < 0, AROUND)
-    assert box is not None
-    z, y, x = (c + s.start for c, s in zip(one.corner, box, strict=True))
-    return one._replace(corner=(z, y, x), psi=np.ascontiguousarray(one.psi[box]))
+def _on_tight_box(one: CorrectedSurface) -> CorrectedSurface:
+    """A surface on the array that it needs; on its own where it has no voxel."""
+    box = bounding_box(one.psi < 0, AROUND) or whole_box(one.psi.shape)
+    return one._replace(corner=corner_of(placed_at(box, one.corner)), psi=np.ascontiguousarray(one.psi[box]))
 
 
 def remove(objects: RefinedObjects, id: int) -> int:

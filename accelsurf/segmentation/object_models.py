@@ -204,12 +204,6 @@ def point_click(voxel: Sequence[int], id: int) -> Click:
     return Click("inside", (z, y, x), np.ones((1, 1, 1), np.bool_), id)
 
 
-def part_on_grid(part: BoxMask, corner: tuple[int, int, int]) -> BoxMask:
-    """A mask whose box is counted from voxel ``corner`` of the grid, counted from the grid's first."""
-    z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(part.box, corner, strict=True))
-    return BoxMask((z, y, x), part.mask)
-
-
 def check_id(id: int, ids: Sequence[int], what: str) -> None:
     """Refuse an object that there is not.
 

@@ -36,6 +36,7 @@ from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near
 from accelsurf.segmentation.local_model import basin_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
 from accelsurf.segmentation.new_clicks import check_object, clicks_of, clicks_on, placed_clicks, refuse_contradictions
+from accelsurf.segmentation.object_models import point_click
 from accelsurf.segmentation.refined_objects import RefinedObjects
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.result import Result
@@ -117,10 +118,7 @@ class Refiner:
 
         Those of the others (but for the object ``own``, which begins anew), and for one in which the place lies.
         """
-        voxel = np.rint(place).astype(int)
-        (z, y, x) = (slice(int(i), int(i) + 1) for i in voxel)
-        click = Click("inside", (z, y, x), np.ones((1, 1, 1), np.bool_))
-        ids = self._objects.ids
+        ids, click = self._objects.ids, point_click(np.rint(place).astype(int).tolist(), own)
         takes = {*self._objects.holders([click]), *([ids.index(own)] if own in ids else [])}
         return object_changes.taken_voxels(self._objects, frozenset(takes))
 

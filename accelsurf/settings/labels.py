@@ -37,6 +37,11 @@ class LabelEntry:
     name: str
     color: Color
 
+    @property
+    def hex(self) -> str:
+        """The colour as ``#rrggbb``."""
+        return "#{:02x}{:02x}{:02x}".format(*self.color)
+
 
 @dataclass(frozen=True)
 class LabelTable:

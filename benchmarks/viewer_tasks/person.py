@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +18,6 @@ ROOT = Path(__file__).resolve().parents[2]
 
 class GaveUp(Exception):
     """What was waited for has not come."""
-
-
-@contextlib.contextmanager
-def screen(width: int, height: int) -> Iterator[str]:
-    """A screen of its own (Xvfb); gives its name."""
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24", "-noreset", "-nolisten", "tcp"],
-        pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )
-    os.close(write)
-    try:
-        with os.fdopen(read) as line:
-            yield f":{line.readline().strip()}"
-    finally:
-        server.terminate()
-        server.wait(20)
 
 
 class Person:

@@ -18,16 +18,14 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.viewer_tasks.person import ROOT, Person, screen
+from benchmarks.viewer_tasks.person import ROOT, Person
+from tests.support.screen import own_screen
+from tests.support.viewing import CHROMIUM_FLAGS
 
 WINDOWS = ((1280, 720, 1.0), (1920, 1080, 1.0), (2880, 1800, 2.0))
 PAGES = ((700, 900), (1280, 720), (1920, 1080))
 THEMES = ("dark", "light")
 STEPS = 40
-FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
 
 
 def main() -> None:
@@ -50,7 +48,7 @@ def main() -> None:
 
 def window_picture(words: list[str], width: int, height: int, factor: float, theme: str, folder: Path) -> None:
     """A picture of the window after some steps."""
-    with tempfile.TemporaryDirectory() as home, screen(width, height) as display:
+    with tempfile.TemporaryDirectory() as home, own_screen(width, height) as display:
         person = Person(display, Path(home), [*words, "--theme", theme], size=(width, height), scale=factor)
         person.key("space")
         person.until(lambda now: now["step"] >= STEPS or now["stop"], 300)
@@ -71,7 +69,7 @@ def page_pictures(words: list[str], theme: str, folder: Path) -> None:
     address = server.stdout.readline().strip()
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium") or shutil.which("google-chrome") or ""
-    for flag in FLAGS:
+    for flag in CHROMIUM_FLAGS:
         options.add_argument(flag)
     browser = webdriver.Chrome(options=options)
     try:

@@ -25,7 +25,8 @@ from scipy import ndimage
 
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
-from benchmarks.viewer_tasks.person import ROOT, Person, screen
+from benchmarks.viewer_tasks.person import ROOT, Person
+from tests.support.screen import own_screen
 
 #: Strokes at most after the first result, and the Dice at which a person is content.
 MAX_STROKES, CONTENT = 5, 0.93
@@ -59,7 +60,7 @@ def main() -> None:
     given = options.parse_args()
     width, height = (int(side) for side in given.size.split("x"))
     results = {}
-    with screen(width, height) as display:
+    with own_screen(width, height) as display:
         for name in given.tasks or TASKS:
             with tempfile.TemporaryDirectory() as folder:
                 size = (width, height)

@@ -19,6 +19,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from tests.support import viewing
+from tests.support.screen import own_screen
 
 MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
 MISSING += [name for name in ("PySide6", "pyvistaqt") if importlib.util.find_spec(name) is None]
@@ -33,23 +34,14 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 @pytest.fixture(scope="module")
 def screen():
     """A screen of its own, 1280 x 720."""
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x720x24", "-noreset", "-nolisten", "tcp"],
-        pass_fds=[write], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )
-    os.close(write)
-    with os.fdopen(read) as line:
-        number = line.readline().strip()
-    env = {**os.environ, "DISPLAY": f":{number}"}
-    end = time.monotonic() + 30
-    while subprocess.run(["xdotool", "getmouselocation"], env=env, capture_output=True).returncode:
-        if time.monotonic() > end:
-            pytest.fail(f"Xvfb does not answer on display {number!r}")
-        time.sleep(0.2)
-    yield f":{number}"
-    server.terminate()
-    server.wait(20)
+    with own_screen() as display:
+        env = {**os.environ, "DISPLAY": display}
+        end = time.monotonic() + 30
+        while subprocess.run(["xdotool", "getmouselocation"], env=env, capture_output=True).returncode:
+            if time.monotonic() > end:
+                pytest.fail(f"Xvfb does not answer on display {display!r}")
+            time.sleep(0.2)
+        yield display
 
 
 @pytest.fixture(scope="module")
@@ -96,9 +88,32 @@ class Person:
             self.do("mousemove", str(x), str(y), "sleep", "0.15")
         self.do("mouseup", "1")
 
+    def reach(self, place):
+        """Scroll the panels until a place in them is on the screen; return it."""
+        for _ in range(40):
+            x, y, *rest = self.at_rest(place)
+            if 90 < y < 600:
+                return (x, y, *rest)
+            self.do("mousemove", "1100", "300", "click", "5" if y >= 600 else "4")
+        raise AssertionError("it cannot be reached")
+
+    def at_rest(self, place):
+        """A place once the panels do not move any more."""
+        before = None
+        while (now := place(self.now())) != before:
+            before = now
+            time.sleep(0.4)
+        return now
+
+    def end(self):
+        """End the window, if it is still there."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
     def slide(self, name, share):
         """Draw a slider from its left end to a share of its length."""
-        x, y, width = self.now()["buttons"][name]
+        x, y, width = self.reach(lambda now: now["buttons"][name])
         self.drag((x + 7, y), (x + 0.5 * share * width, y), (x + 7 + share * (width - 14), y))
 
     def now(self):
@@ -135,9 +150,7 @@ class Person:
 def person(screen, scan, tmp_path):
     made = Person(screen, scan, tmp_path, start="ball:24,24,20,6", result=tmp_path / "out")
     yield made
-    if made.process.poll() is None:
-        made.process.kill()
-        made.process.wait()
+    made.end()
 
 
 @needs_screen
@@ -226,6 +239,14 @@ def test_balls_points_brushes_undo(person):
     person.leave()
 
 
+def at_left_ball(screen, folder, values):
+    """A person at a window that has an image with two balls, clicked in the left one; and the image."""
+    io.write(Volume.from_array(values.astype(np.float32)), folder / "scan.nii")
+    image = io.read(folder / "scan.nii")
+    place = ",".join(f"{v:g}" for v in image.geometry.index_to_world((12, 20, 16)))
+    return Person(screen, folder / "scan.nii", folder, inside=f"ball:{place},4", result=folder / "out"), image
+
+
 @needs_screen
 def test_strokes_history_and_where_to_click_next(screen, tmp_path):
     """Two bright balls with a bridge that has hardly an edge; strokes by mouse, the list of changes by clicks."""
@@ -233,10 +254,7 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
     balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
     bridge = (abs(y - 20) < 4) & (abs(z - 12) < 4) & (x > 16) & (x < 48)
     values = 100.0 * balls + 80.0 * bridge * ~balls + np.random.default_rng(0).normal(0, 20, balls.shape)
-    io.write(Volume.from_array(values.astype(np.float32)), tmp_path / "scan.nii")
-    image = io.read(tmp_path / "scan.nii")
-    place = ",".join(f"{v:g}" for v in image.geometry.index_to_world((12, 20, 16)))
-    person = Person(screen, tmp_path / "scan.nii", tmp_path, inside=f"ball:{place},4", result=tmp_path / "out")
+    person, image = at_left_ball(screen, tmp_path, values)
     try:
         person.key("space")
         first = person.until(lambda now: now["stop"] and not now["playing"], 120)
@@ -264,9 +282,7 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
         person.until(lambda now: "saved in" in now["message"], 120)
         person.leave()
     finally:
-        if person.process.poll() is None:
-            person.process.kill()
-            person.process.wait()
+        person.end()
     config = RunConfig.from_toml(tmp_path / "out/run.toml")
     assert len(config.refine) == 2 and config.refine[0].inside[0].startswith("path:")
     labels = segment(image, config=config).labels
@@ -277,11 +293,7 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
 def test_two_objects_are_built_named_and_saved_by_mouse_and_keys(screen, tmp_path):
     z, y, x = np.indices((24, 40, 64))
     balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
-    values = 100.0 * balls + np.random.default_rng(0).normal(0, 6, balls.shape)
-    io.write(Volume.from_array(values.astype(np.float32)), tmp_path / "scan.nii")
-    image = io.read(tmp_path / "scan.nii")
-    place = ",".join(f"{v:g}" for v in image.geometry.index_to_world((12, 20, 16)))
-    person = Person(screen, tmp_path / "scan.nii", tmp_path, inside=f"ball:{place},4", result=tmp_path / "out")
+    person, image = at_left_ball(screen, tmp_path, 100.0 * balls + np.random.default_rng(0).normal(0, 6, balls.shape))
     try:
         person.key("space")
         first = person.until(lambda now: now["stop"] and not now["playing"], 120)
@@ -315,7 +327,7 @@ def test_two_objects_are_built_named_and_saved_by_mouse_and_keys(screen, tmp_pat
         assert sorted(np.unique(labels)) == [0, 1, 2] and np.array_equal(labels, again)
         person.leave()
     finally:
-        person.process.kill()
+        person.end()
 
 
 @needs_screen

@@ -1,7 +1,5 @@
 """Settings, histogram, force and box in the window, by mouse and keys."""
 
-import time
-
 import pytest
 
 from accelsurf import io
@@ -15,30 +13,11 @@ __all__ = ["person", "scan", "screen"]
 
 def fill(person, key, text):
     """Click on the line of a setting, replace what is in it, press Return."""
-    x, y = reach(person, lambda now: now["rows"][key][1])
+    x, y = person.reach(lambda now: now["rows"][key][1])
     person.do("mousemove", str(x), str(y), "click", "1")
     person.do("key", "ctrl+a")
     person.do("type", "--delay", "5", text)
     return lambda: person.do("key", "Return")
-
-
-def reach(person, place):
-    """Scroll the panels until a place in them is on the screen; return it."""
-    for _ in range(40):
-        x, y, *rest = at_rest(person, place)
-        if 90 < y < 600:
-            return (x, y, *rest)
-        person.do("mousemove", "1100", "300", "click", "5" if y >= 600 else "4")
-    raise AssertionError("it cannot be reached")
-
-
-def at_rest(person, place):
-    """A place once the panels do not move any more."""
-    before = None
-    while (now := place(person.now())) != before:
-        before = now
-        time.sleep(0.4)
-    return now
 
 
 @needs_screen
@@ -64,7 +43,7 @@ def test_a_run_set_up_by_hand_is_the_same_from_the_command_line(person, scan, tm
     person.until(lambda now: now["settings"]["energy"] == "threshold:40,400")
     person.until(lambda now: now["rows"]["threshold-0-LO"] and len(now["state"]["bounds"]) == 2)
     # A bound on the histogram.
-    x, y, width = reach(person, lambda now: now["histogram"])
+    x, y, width = person.reach(lambda now: now["histogram"])
     said = person.now()["state"]
     ends, low = said["histogram"], said["bounds"][0]["value"]
     pixel = x + round((width - 1) * (low - ends["low"]) / (ends["high"] - ends["low"]))

@@ -13,7 +13,7 @@ from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of
 from accelsurf.report.preview_content import marks_of
 from accelsurf.segmentation.clicked_voxels import on_image
-from accelsurf.segmentation.corrected_surface import counted_from
+from accelsurf.segmentation.corrected_surface import counted_from, placed_at
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.refine import state_at_end
 from accelsurf.segmentation.refiner import Change, Refiner
@@ -151,7 +151,7 @@ class CorrectedRun:
 def _box_of_inside(inside: NDArray[np.bool_], corner: Corner) -> Box | None:
     """The box around what is inside, on the grid of the region of interest."""
     box = bounding_box(inside)
-    return None if box is None else counted_from(box, (-corner[0], -corner[1], -corner[2]))
+    return None if box is None else placed_at(box, corner)
 
 
 def _around(box: Box | None, other: Box) -> Box:

@@ -173,6 +173,16 @@ class SurfaceFrame:
             return False
         return bool(self.psi[tuple(place)] < 0)
 
+    @property
+    def _stands_for(self) -> int:
+        """Voxels of the image that one of psi stands for."""
+        return math.prod(self.level.factors) * math.prod(self.stride if n > 1 else 1 for n in self.level.shape)
+
+    @property
+    def voxels(self) -> int:
+        """Voxels of the image that the object has, see `overlap`."""
+        return self._stands_for * int(np.count_nonzero(self.psi < 0))
+
     def overlap(self, labels: NDArray[np.bool_]) -> tuple[int, int]:
         """Voxels of the image that the object has in common with ``labels`` (nz, ny, nx), and its voxels.
 
@@ -183,8 +193,7 @@ class SurfaceFrame:
             np.clip(np.rint(self.to_image(np.stack([np.arange(m)] * 3, axis=-1))[:, axis]), 0, n - 1).astype(int)
             for axis, (m, n) in enumerate(zip(self.psi.shape, labels.shape, strict=True))
         ]
-        each = math.prod(self.level.factors) * math.prod(self.stride if n > 1 else 1 for n in self.level.shape)
-        return each * int((inside & labels[np.ix_(*places)]).sum()), each * int(inside.sum())
+        return self._stands_for * int((inside & labels[np.ix_(*places)]).sum()), self.voxels
 
     def sample(self, name: str, places: ArrayLike) -> NDArray[np.float32]:
         """A quantity at places on the surface.

@@ -65,13 +65,7 @@ def distance_of(
     z, y, x = (slice(max(s.start - c, 0), max(s.stop - c, 0)) for s, c in zip(box, corner, strict=True))
     part = psi[z, y, x]
     own = place - np.array(corner) - np.array([z.start, y.start, x.start])
-    voxel = np.rint(own).astype(int)
-    if (voxel >= 0).all() and (voxel < part.shape).all() and part[tuple(voxel)] < 0:
-        return float(part[tuple(voxel)])
-    inside = np.argwhere(part < 0)
-    if not inside.size:
-        return float("inf")
-    return float(np.linalg.norm((inside - own) * spacing, axis=1).min())
+    return _depth(part, own) or _away(np.argwhere(part < 0), own, spacing)
 
 
 def _as_ball(where: str, geometry: Geometry) -> str:
@@ -94,13 +88,20 @@ def _distance(one: EvolvingObject, place: np.ndarray) -> float:
     if surface.size == 0:
         return float("inf")
     own = place - one.corner
-    voxel = np.rint(own).astype(int)
-    if (voxel >= 0).all() and (voxel < surface.shape).all():
-        psi = float(surface.psi[tuple(voxel)])
-        if psi < 0:
-            return psi
     cells = surface.band.cells[surface.band.psi < 0]
-    if not cells.size:
-        return float("inf")
-    offsets = np.stack(np.unravel_index(cells, surface.shape), axis=1) - own
-    return float(np.linalg.norm(offsets * one.grid.spacing, axis=1).min())
+    inside = np.stack(np.unravel_index(cells, surface.shape), axis=1)
+    return _depth(surface.psi, own) or _away(inside, own, one.grid.spacing)
+
+
+def _depth(psi: NDArray[np.float32], place: NDArray[np.float64]) -> float:
+    """Psi at the voxel of a place where that is inside, which is below 0; else 0."""
+    voxel = np.rint(place).astype(int)
+    is_there = (voxel >= 0).all() and (voxel < psi.shape).all()
+    return min(float(psi[tuple(voxel)]), 0.0) if is_there else 0.0
+
+
+def _away(
+    voxels: NDArray[np.int64], place: NDArray[np.float64], spacing: tuple[float, float, float]
+) -> float:
+    """Distance, mm, of a place from the nearest of some voxels (n, 3); inf where there are none."""
+    return float(np.linalg.norm((voxels - place) * spacing, axis=1).min(initial=np.inf))

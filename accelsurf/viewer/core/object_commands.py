@@ -16,6 +16,7 @@ from accelsurf.report.label_names import table_of
 from accelsurf.settings.labels import LabelTable, colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
+from accelsurf.viewer.core.restarted import FROM_CLICKS
 from accelsurf.viewer.core.size_drag import SizeDrag
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ class ObjectCommands:
         (drag, object_id), self._drag = self._drag, None
         size, ids = drag.size_text(drag_mm), self.ids
         if len(ids) == 1 and object_id in (None, ids[0]) and not self.has_ids:
-            settings: dict[str, Any] = {"inside": (drag.click,), "outside": (), "start": ("clicks",)}
+            settings: dict[str, Any] = {"inside": (drag.click,), "outside": (), "start": FROM_CLICKS}
             settings |= {"energy": "seeded", "size": size}
             return self._timeline.start_with(settings, f"inside: {drag.click}, size {size}")
         own = object_id or ids[0]

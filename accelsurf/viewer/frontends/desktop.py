@@ -140,14 +140,15 @@ class Window(QMainWindow):
         for key in dict.fromkeys((*self.workplace.keys, *own)):
             action = QAction(self)
             action.setShortcut(QKeySequence(key))
-            action.triggered.connect(own.get(key) or functools.partial(self._ask, "key", key))
+            work = own.get(key) or functools.partial(self._ask, "key", key)
+            action.triggered.connect(lambda _=False, work=work: work())
             self.addAction(action)
 
     # -- actions of the user ------------------------------------------------------------------------------
 
     def _ask(self, name: str, *values: Any) -> None:
         """Ask the workplace, and draw what that has changed."""
-        self.workplace.request(name, *values[: 1 if name == "key" else None])
+        self.workplace.request(name, *values)
         self.refresh()
 
     def save(self) -> None:

@@ -11,6 +11,7 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.viewer.scene.colors import MARK
 from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.scene.shapes import box_edges
 from accelsurf.viewer.scene.slices import SliceTile
 
 #: Over contours and the cursor's lines, in the order of drawing.
@@ -78,7 +79,8 @@ class BoxOverlay:
         for name, tile in scene.slice_tiles.items():
             self._draw(name, tile.renderer, empty if box is None else _rectangle(tile, box))
         if scene.space is not None and in_space:
-            self._draw("space", scene.space.renderer, empty if box is None else self._edges(box))
+            edges = empty if box is None else box_edges(scene.geometry, box.low, box.high)
+            self._draw("space", scene.space.renderer, edges)
 
     def sides_at(self, tile: SliceTile, index: NDArray[np.float64]) -> dict[int, int]:
         """Sides of the box within reach of an index in a slice: array axis -> 0 for the lower, 1 for the upper."""
@@ -97,12 +99,6 @@ class BoxOverlay:
             if not box.low[axis] - 0.5 - margin <= index[axis] <= box.high[axis] + 0.5 + margin:
                 return {}
         return found
-
-    def _edges(self, box: VoxelBox) -> pv.PolyData:
-        ends = np.array([np.array(box.low) - 0.5, np.array(box.high) + 0.5])
-        corners = np.array([[ends[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
-        lines = [(2, i, i | 1 << axis) for i in range(8) for axis in range(3) if not i >> axis & 1]
-        return pv.PolyData(self._scene.geometry.index_to_world(corners), lines=np.array(lines).ravel())
 
     def _draw(self, name: str, renderer: pv.Renderer, mesh: pv.PolyData) -> None:
         if name not in self._actors:

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.viewer.scene.colors import SHADES, color_range
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.scene.shapes import GreyTexture
+from accelsurf.viewer.scene.shapes import ColorTexture
 from accelsurf.viewer.scene.slices import SliceTile
 
 #: Opacity of the largest force; and how far towards the ends of the colour map it goes, which are almost black.
@@ -35,7 +34,7 @@ class _Layer(NamedTuple):
     """What is over a tile: an actor and its picture."""
 
     actor: pv.Actor
-    texture: GreyTexture
+    texture: ColorTexture
 
 
 class ForceOverlay:
@@ -72,7 +71,7 @@ class ForceOverlay:
         for name, one in forces.items():
             tile = self._scene.slice_tiles[name]
             layer = self._layers.get(name) or self._make(name, tile)
-            layer.texture.show_colors(force_colors(tile.hung(one.values), self.scale, self._table))
+            layer.texture.show(force_colors(tile.hung(one.values), self.scale, self._table))
             self._scene.tiles.redraw.mark(tile.renderer)
 
     @property
@@ -90,18 +89,9 @@ class ForceOverlay:
             layer.actor.SetVisibility(name in shown)
 
     def _make(self, name: str, tile: SliceTile) -> _Layer:
-        left, right, bottom, top = tile.extent
-        middle = (0.5 * (left + right), 0.5 * (bottom + top), DEPTH)
-        mapper = vtkPolyDataMapper()
-        sides = {"i_size": right - left, "j_size": top - bottom}
-        mapper.SetInputData(pv.Plane(center=middle, i_resolution=1, j_resolution=1, **sides))
-        mapper.ScalarVisibilityOff()
-        actor, texture = pv.Actor(mapper=mapper), GreyTexture()
-        texture.interpolate(False)
-        actor.prop.color, actor.prop.lighting = "white", False
-        actor.SetTexture(texture.texture)
+        texture = ColorTexture()
+        actor = tile.add_picture(texture, DEPTH)
         actor.ForceTranslucentOn()
-        tile.renderer.add_actor(actor, reset_camera=False, render=False)
         self._layers[name] = _Layer(actor, texture)
         return self._layers[name]
 

@@ -65,11 +65,6 @@ class Redraw:
         self._shown = set(renderers)
         self.begin_anew()
 
-    @property
-    def is_waiting(self) -> bool:
-        """Whether something has changed and is not drawn."""
-        return bool(self._due())
-
     def draw(self) -> None:
         """Draw what has changed."""
         due = self._due()

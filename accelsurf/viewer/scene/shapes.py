@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pyvista as pv
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from vtkmodules.vtkFiltersCore import vtkFlyingEdges2D, vtkFlyingEdges3D
 from vtkmodules.vtkRenderingCore import vtkTexture
@@ -122,9 +122,17 @@ def slice_of(surface: SurfaceFrame, axis: int, index: float) -> NDArray[np.float
     return np.asarray((1 - share) * first + share * surface.psi.take(low + 1, axis=axis))
 
 
-def box_edges(geometry: Geometry) -> pv.PolyData:
-    """The edges of the volume, along the outer faces of its border voxels."""
-    ends = [(-0.5, n - 0.5) for n in geometry.shape]
+def box_edges(geometry: Geometry, low: ArrayLike = (0, 0, 0), high: ArrayLike | None = None) -> pv.PolyData:
+    """The edges of a box, along the outer faces of its border voxels, in world mm.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    low, high : (z, y, x), optional
+        The first and the last voxel; those of the volume unless given.
+    """
+    last = np.array(geometry.shape) - 1 if high is None else np.asarray(high)
+    ends = np.stack([np.asarray(low) - 0.5, last + 0.5], axis=1)
     corners = np.array([[z, y, x] for z in ends[0] for y in ends[1] for x in ends[2]])
     edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
     lines = np.array([(2, a, b) for a, b in edges])
@@ -146,13 +154,7 @@ class GreyTexture:
 
     def show(self, rows: NDArray[np.uint8]) -> None:
         """Show a picture (rows, columns), its first row at the lower edge of the quad."""
-        self.show_colors(np.repeat(rows[..., None], 3, axis=2))
-
-    def show_colors(self, rows: NDArray[np.uint8]) -> None:
-        """Show a picture in colours (rows, columns, 3), or with opacities (rows, columns, 4)."""
-        image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
-        image.point_data["colors"] = rows.reshape(-1, rows.shape[2])
-        self.texture.SetInputData(image)
+        self.texture.SetInputData(_picture(np.repeat(rows[..., None], 3, axis=2)))
 
 
 class ColorTexture:
@@ -166,9 +168,14 @@ class ColorTexture:
 
     def show(self, rows: NDArray[np.uint8]) -> None:
         """Show a picture (rows, columns, 4), its first row at the lower edge of the quad."""
-        image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
-        image.point_data["color"] = rows.reshape(-1, 4)
-        self.texture.SetInputData(image)
+        self.texture.SetInputData(_picture(rows))
+
+
+def _picture(rows: NDArray[np.uint8]) -> pv.ImageData:
+    """Colours (rows, columns, 3), or with opacities (rows, columns, 4), as VTK has them."""
+    image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
+    image.point_data["colors"] = rows.reshape(-1, rows.shape[2])
+    return image
 
 
 def _to_world(

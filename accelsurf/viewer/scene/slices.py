@@ -83,8 +83,7 @@ class SliceTile:
         left, right, bottom, top = self.extent
         self._middle, self._zoom = np.array([0.5 * (left + right), 0.5 * (bottom + top)]), 1.0
         middle = (*self._middle, 0.0)
-        quad = pv.Plane(center=middle, i_size=right - left, j_size=top - bottom, i_resolution=1, j_resolution=1)
-        self._add(quad, "white").SetTexture(self._texture.texture)
+        self.add_picture(self._texture, 0.0)
         camera = renderer.camera
         camera.parallel_projection = True
         camera.focal_point, camera.position, camera.up = middle, (middle[0], middle[1], 100.0), (0.0, 1.0, 0.0)
@@ -257,8 +256,11 @@ class SliceTile:
         lines = [place + size * sides for place in here for size in (1.4, 2.4)]
         self._draw_lines("places", np.concatenate(lines) if lines else np.zeros((0, 2, 2)), CURSOR, 2.5)
 
-    def add_picture(self, quad: pv.PolyData, texture: ColorTexture) -> pv.Actor:
-        """Draw a picture over the image."""
+    def add_picture(self, texture: GreyTexture | ColorTexture, depth: float) -> pv.Actor:
+        """Draw a picture of the whole slice; what has a larger ``depth`` lies over what has a smaller one."""
+        left, right, bottom, top = self.extent
+        middle = (0.5 * (left + right), 0.5 * (bottom + top), depth)
+        quad = pv.Plane(center=middle, i_size=right - left, j_size=top - bottom, i_resolution=1, j_resolution=1)
         actor = self._add(quad, "white")
         actor.SetTexture(texture.texture)
         return actor

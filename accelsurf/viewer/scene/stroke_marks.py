@@ -98,10 +98,7 @@ class _Layer:
         self.tile, self._texture = tile, ColorTexture()
         rows, columns = (n for axis, n in enumerate(shape) if axis != tile.axis)
         self._sides, self._is_empty = np.zeros((rows, columns), np.uint8), True
-        left, right, bottom, top = tile.extent
-        middle = (0.5 * (left + right), 0.5 * (bottom + top), DEPTH)
-        quad = pv.Plane(center=middle, i_size=right - left, j_size=top - bottom, i_resolution=1, j_resolution=1)
-        self._actor = tile.add_picture(quad, self._texture)
+        self._actor = tile.add_picture(self._texture, DEPTH)
         self._actor.SetVisibility(False)
 
     def show(self, pieces: Sequence[Click]) -> bool:

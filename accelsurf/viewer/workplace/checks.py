@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from accelsurf.errors import UsageError
@@ -64,6 +65,25 @@ def text(value: Any, letters: int) -> str:
     if not isinstance(value, str) or len(value) > letters or not value.isprintable():
         raise UsageError(f"{short(value)} was given, expected a text of at most {letters} letters")
     return value.strip()
+
+
+def carry_out(requests: Mapping[str, Callable[..., None]], name: Any, values: Sequence[Any]) -> None:
+    """Carry out a request that a page has sent.
+
+    Raises
+    ------
+    UsageError
+        When there is none of this name, or it takes another number of values; and what it raises itself.
+    """
+    work = requests.get(name) if isinstance(name, str) else None
+    if work is None:
+        raise UsageError(f"request: {short(name)} is not known")
+    try:
+        work(*values)
+    except TypeError as error:
+        if "argument" not in str(error):
+            raise
+        raise UsageError(f"{name}: {len(values)} values were given, another number expected") from None
 
 
 def short(value: Any) -> str:

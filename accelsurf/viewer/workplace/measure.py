@@ -15,6 +15,7 @@ from accelsurf.errors import UsageError
 from accelsurf.io.files import write_bytes
 from accelsurf.report import output_folder
 from accelsurf.report.tables import csv_text
+from accelsurf.settings.refinements import MAX_ID
 from accelsurf.settings.wording import in_unit, size_text
 from accelsurf.viewer.core.figures import Figures
 from accelsurf.viewer.core.measurements import COLUMNS, Measurement, Measurements
@@ -25,9 +26,6 @@ from accelsurf.viewer.workplace.feature import Feature
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.measure_tools import Angle, Distance
 from accelsurf.viewer.workplace.tool import Tool
-
-#: Largest id of an object.
-MAX_ID = 2**32
 
 
 class MeasureFeature(Feature):

@@ -130,7 +130,8 @@ class MouseFeature(Feature):
                 self.tool.move(at)
         else:
             self._look_around(right, up)
-        self._read(self.workplace.scene.pick(*pixel))
+            at = self.workplace.scene.pick(*pixel)
+        self._read(at)
         self.workplace.changed = True
 
     def _look_around(self, right: float, up: float) -> None:

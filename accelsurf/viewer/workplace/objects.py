@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from accelsurf.errors import UsageError
 from accelsurf.settings.labels import MAX_NAME
 from accelsurf.settings.refinements import MAX_ID
-from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS
 from accelsurf.viewer.scene.object_styles import ObjectStyle
 from accelsurf.viewer.scene.picking import Picked
 from accelsurf.viewer.workplace.checks import number, short, text, whole, word
 from accelsurf.viewer.workplace.feature import Feature, Key
-from accelsurf.viewer.workplace.tool import Tool
+from accelsurf.viewer.workplace.tool import Tool, numbers_text
 
 #: In place of an id: the object that is nearest to where a stroke begins.
 NEAREST = "nearest"
@@ -84,7 +80,7 @@ class ObjectsFeature(Feature):
         }
 
     def update(self, view: View) -> None:
-        self._drawn = {one.id: _Drawn(one.record.volume_mm3, _voxels(one)) for one in view.frame.surfaces}
+        self._drawn = {one.id: _Drawn(one.record.volume_mm3, one.voxels) for one in view.frame.surfaces}
         self._show(view.status)
 
     # -- what is shown -------------------------------------------------------------------------------------
@@ -102,7 +98,7 @@ class ObjectsFeature(Feature):
             usual = self._palette.setdefault(own, OBJECT_COLORS[len(self._palette) % len(OBJECT_COLORS)])
             said = status.labels.entries.get(own)
             name = f"object {own}" if said is None else said.name
-            color = usual if said is None else f"#{said.color[0]:02x}{said.color[1]:02x}{said.color[2]:02x}"
+            color = usual if said is None else said.hex
             styles[own] = ObjectStyle(name, color, own not in self._hidden, self._opacity.get(own, 1.0))
         return styles
 
@@ -200,13 +196,5 @@ class ObjectsFeature(Feature):
             self.workplace.object_id = ids[0]
 
     def _split(self, x: Any, y: Any, z: Any) -> None:
-        place = ",".join(f"{number(one, -1e9, 1e9):.6g}" for one in (x, y, z))
+        place = numbers_text(number(one, -1e9, 1e9) for one in (x, y, z))
         self.workplace.ask(self.workplace.session.objects(lambda objects: objects.split(f"point:{place}")))
-
-
-def _voxels(surface: SurfaceFrame) -> int:
-    """Voxels of the image that an object has; a voxel of a coarser grid counts as those that it stands for."""
-    each = math.prod(surface.level.factors) * math.prod(
-        surface.stride if n > 1 else 1 for n in surface.level.shape
-    )
-    return each * int(np.count_nonzero(surface.psi < 0))

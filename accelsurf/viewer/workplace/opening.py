@@ -31,7 +31,7 @@ from accelsurf.viewer.core.opening import (
 from accelsurf.viewer.core.recent_files import RecentFiles
 from accelsurf.viewer.core.served_folder import ServedFolder
 from accelsurf.viewer.core.status import error_line
-from accelsurf.viewer.workplace.checks import short, text, whole, word
+from accelsurf.viewer.workplace.checks import carry_out, text, whole, word
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.workplace import Workplace
 
@@ -78,6 +78,7 @@ class Opening:
         self._folder = served.root if served is not None else None
         self._phantoms = phantom_texts()
         self._lists: dict[str, Any] = {}
+        self._requests = dict(self.requests())
         self._renew_lists()
 
     # -- to ask -------------------------------------------------------------------------------------------
@@ -99,20 +100,12 @@ class Opening:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the requests that there are."""
-        return tuple(self.requests())
+        return tuple(self._requests)
 
     def request(self, name: Any, *values: Any) -> None:
         """Carry out a request; what is wrong with it becomes `message`. Raises nothing."""
         try:
-            work = self.requests().get(name) if isinstance(name, str) else None
-            if work is None:
-                raise UsageError(f"request: {short(name)} is not known")
-            try:
-                work(*values)
-            except TypeError as error:
-                if "argument" not in str(error):
-                    raise
-                raise UsageError(f"{name}: {len(values)} values were given, another number expected") from None
+            carry_out(self._requests, name, values)
         except Exception as error:
             self._fail(error)
 

@@ -12,12 +12,12 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, TypeVar
 
-from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.errors import AccelsurfError
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.box import BoxFeature
-from accelsurf.viewer.workplace.checks import short
+from accelsurf.viewer.workplace.checks import carry_out
 from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.force import ForceFeature
@@ -100,8 +100,7 @@ class Workplace:
         self._requests: dict[str, Callable[..., None]] = {"key": self._key}
         self._requests |= {name: work for feature in self.features for name, work in feature.requests().items()}
         self.tools: dict[str, Tool] = {tool.name: tool for feature in self.features for tool in feature.tools()}
-        uses = {tool.key: Key("tool", (tool.name,), tool.text.lower()) for tool in self.tools.values()}
-        self.keys: dict[str, Key] = uses
+        self.keys = {tool.key: Key("tool", (tool.name,), tool.text.lower()) for tool in self.tools.values()}
         self.keys |= {key: does for feature in self.features for key, does in feature.keys().items()}
 
     def feature(self, kind: type[P]) -> P:
@@ -117,18 +116,10 @@ class Workplace:
 
     def request(self, name: Any, *values: Any) -> None:
         """Carry out a request; what is wrong with it becomes `message`. Raises nothing."""
+        if isinstance(name, str) and name not in QUIET:
+            self.message = ""
         try:
-            work = self._requests.get(name) if isinstance(name, str) else None
-            if work is None:
-                raise UsageError(f"request: {short(name)} is not known")
-            if name not in QUIET:
-                self.message = ""
-            try:
-                work(*values)
-            except TypeError as error:
-                if "argument" not in str(error):
-                    raise
-                raise UsageError(f"{name}: {len(values)} values were given, another number expected") from None
+            carry_out(self._requests, name, values)
         except Exception as error:
             self._say(error)
 
