@@ -271,6 +271,9 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
         person.until(lambda now: now["state"]["tool"] == "outside")
         person.drag((x + 45, y - 6), (x + 45, y + 6))
         cut = person.until(lambda now: len(now["state"]["changes"]) == 2 and now["drawn"][1] != grown["drawn"][1])
+        x_list, y_list = person.now()["buttons"]["change 2"]
+        person.do("mousemove", str(x_list), str(y_list), "click", "--repeat", "3", "4")  # the list is at its end
+        person.at_rest(lambda now: now["buttons"]["change 0"])
         person.click("change 0")
         back = person.until(lambda now: now["drawn"][1] == first["drawn"][1])
         assert [one["done"] for one in back["state"]["changes"]] == [False, False]
