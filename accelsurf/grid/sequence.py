@@ -1,0 +1,114 @@
+"""A sequence of images on one grid: frames that are read when they are asked for, and their times."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
+
+
+class ImageSequence(ABC):
+    """Frames on one grid. Nothing is held of a frame once it has been given out.
+
+    Attributes
+    ----------
+    times : tuple of float
+        Time of each frame, rising, in ``time_unit``.
+    time_unit : {"s", "frame"}
+        "frame" where neither the file nor the user says how long a frame is.
+    geometry : Geometry
+        Grid of every frame.
+    source : str
+        File or folder, or what else the frames come from.
+    """
+
+    times: tuple[float, ...]
+    time_unit: str
+    geometry: Geometry
+    source: str
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.times)
+
+    def frame(self, number: int) -> Volume:
+        """The image ``number``, from 0; its first channel where it has several.
+
+        Raises
+        ------
+        UsageError
+            When there is no such frame.
+        InputError
+            When it cannot be read.
+        """
+        return self.channels(number)[0]
+
+    def channels(self, number: int) -> list[Volume]:
+        """All channels of the image ``number``; errors as `frame`."""
+        if not 0 <= number < len(self):
+            raise UsageError(f"frame {number} given, expected 0 to {len(self) - 1}")
+        return self._channels(number)
+
+    @abstractmethod
+    def _channels(self, number: int) -> list[Volume]:
+        """Read a frame that exists."""
+
+
+class VolumeSequence(ImageSequence):
+    """Frames that lie in memory.
+
+    Parameters
+    ----------
+    volumes : sequence of Volume
+        On one grid.
+    times : sequence of float, optional
+        Rising; 0, 1, 2, ... frames by default.
+    time_unit : {"s", "frame"}
+    source : str
+
+    Raises
+    ------
+    InputError
+        When there is no frame, grids differ, or the times do not rise.
+    """
+
+    def __init__(
+        self,
+        volumes: Sequence[Volume],
+        times: Sequence[float] | None = None,
+        time_unit: str = "frame",
+        source: str = "",
+    ) -> None:
+        if not volumes:
+            raise InputError("a sequence of no frames given, at least one expected")
+        self._volumes = tuple(volumes)
+        self.times = tuple(float(n) for n in (range(len(volumes)) if times is None else times))
+        self.time_unit, self.source, self.geometry = time_unit, source, volumes[0].geometry
+        if len(self.times) != len(volumes):
+            raise InputError(f"{len(self.times)} times given for {len(volumes)} frames, one for each expected")
+        check_times(self.times)
+        for number, volume in enumerate(volumes):
+            if difference := self.geometry.difference(volume.geometry):
+                raise InputError(f"frame {number} lies on another grid than frame 0: {difference}")
+
+    def _channels(self, number: int) -> list[Volume]:
+        return [self._volumes[number]]
+
+
+def check_times(times: Sequence[float]) -> None:
+    """Refuse times of frames that do not rise.
+
+    Raises
+    ------
+    InputError
+        Naming the frame.
+    """
+    for number in range(1, len(times)):
+        if not times[number] > times[number - 1]:
+            raise InputError(
+                f"frame {number} is at {times[number]:g}, frame {number - 1} at {times[number - 1]:g}: rising times "
+                "expected"
+            )

@@ -1,0 +1,1 @@
+"""Objects through a sequence of images: a surface that keeps its momentum from frame to frame."""
