@@ -75,9 +75,10 @@ def build(
 
 def describe_sequence(sequence: ImageSequence) -> dict[str, Any]:
     """Return the report's entry about what was tracked."""
-    entry = describe_input(sequence.source, geometry=sequence.geometry) if sequence.source else {"path": None}
+    entry: dict[str, Any] = {"path": None, "sha256": None}
     if sequence.source:
-        entry["sha256"] = _checksum(Path(sequence.source))
+        checksum = _checksum(Path(sequence.source))
+        entry = describe_input(sequence.source, geometry=sequence.geometry, checksum=checksum)
     return entry | {"times": list(sequence.times), "time_unit": sequence.time_unit}
 
 

@@ -9,7 +9,7 @@ import json
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,6 +46,13 @@ class ObjectRow:
         vx, vy, vz = (float(v) for v in one.velocity)
         numbers = float(one.volume_mm3), float(one.area_mm2), float(one.quality)
         return cls(int(one.id), bool(one.seen), (x, y, z), (vx, vy, vz), *numbers)
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any]) -> ObjectRow:
+        """The numbers as they stand in the file of a frame."""
+        (x, y, z), (vx, vy, vz) = values["centroid"], values["velocity"]
+        numbers = values["volume_mm3"], values["area_mm2"], values["quality"]
+        return cls(values["id"], values["seen"], (x, y, z), (vx, vy, vz), *numbers)
 
 
 @dataclass(frozen=True)
@@ -134,6 +141,11 @@ class FrameStore:
                     labels[_box(arrays, one.id)][_mask(arrays, one.id)] = one.id
         return labels
 
+    def shown(self, number: int) -> list[int]:
+        """The ids in the label map of a frame."""
+        with self._opened(number) as arrays:
+            return [one.id for one in _row_of(arrays).objects if one.seen and arrays[f"mask_{one.id}"].any()]
+
     def drawn(self, number: int) -> list[DrawnObject]:
         """What pictures show of a frame; psi is exact to 1/1000 of the distance, and flat far from the surface."""
         found = []
@@ -192,6 +204,14 @@ class TrackSet:
             return self.store.labels(number, self.geometry, self.label_type)
         return np.zeros(self.geometry.shape, self.label_type)
 
+    def frames_shown(self) -> dict[int, list[int]]:
+        """Of each object the frames whose label map has a voxel of it, rising."""
+        frames: dict[int, list[int]] = {}
+        for row in self.rows:
+            for own in self.store.shown(row.frame):
+                frames.setdefault(own, []).append(row.frame)
+        return frames
+
     def of_object(self, own: int) -> Iterator[tuple[FrameRow, ObjectRow]]:
         """The frames of an object in which it is seen or predicted, rising."""
         for row in self.rows:
@@ -226,11 +246,8 @@ def _corner(values: NDArray[np.int64]) -> Corner:
 
 def _row_of(arrays: Mapping[str, NDArray[Any]]) -> FrameRow:
     found = json.loads(arrays["row"].tobytes())
-    objects = tuple(
-        ObjectRow(**{f.name: tuple(v) if isinstance(v := one[f.name], list) else v for f in fields(ObjectRow)})
-        for one in found.pop("objects")
-    )
-    return FrameRow(objects=objects, **found)
+    objects = tuple(ObjectRow.read(one) for one in found["objects"])
+    return FrameRow(found["frame"], found["time"], found["seconds"], objects)
 
 
 def _box(arrays: Mapping[str, NDArray[Any]], own: int) -> Box:

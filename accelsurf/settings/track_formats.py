@@ -1,4 +1,4 @@
-"""What may be written of tracked objects beside label maps, meshes and tables: one entry each, the values of ``--also``.
+"""What may be written of tracked objects beside label maps, meshes and tables: an entry each, the values of ``--also``.
 
 Functions are named as in `accelsurf.settings.file_formats`.
 """
@@ -42,6 +42,11 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
         "ctc", "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame", "RES",
         "accelsurf.report.challenge_files:write",
     ),
+    TrackFormat(
+        "geff", "folder of the Graph Exchange File Format", "tracks.geff", "accelsurf.report.geff_file:write",
+        "accelsurf.report.geff_file:check",
+    ),
+    TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.report.trackmate_file:write"),
 )
 
 
