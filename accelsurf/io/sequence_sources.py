@@ -103,7 +103,8 @@ class SliceFrames(FileSequence):
         form, header = headers.parse(path, options)
         if getattr(header, "time_points", 1) > 1:
             raise InputError(
-                f"{header.time_points} time points are in it: its slices are no frames", "leave out --frames-from-slices"
+                f"{header.time_points} time points are in it: its slices are no frames",
+                "leave out --frames-from-slices (frames_from_slices=True)",
             )
         self._volume = self._opened(form, header)
         nz, ny, nx = self._volume.shape

@@ -26,6 +26,8 @@ from accelsurf.settings.registry import load
 
 #: Digits of the numbers of files, at least.
 _DIGITS = 4
+#: Types of values that all formats of volumes hold.
+_TYPES = (*(f"{kind}{bits}" for kind in ("uint", "int") for bits in (8, 16, 32, 64)), "float32", "float64")
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +190,7 @@ class SequenceWriter:
                 names = self._write_each()
             else:
                 names = [self.path.name]
+                assert self._form.write_frames is not None
                 load(self._form.write_frames)(self._files.drafts / self.path.name, self._frames)
                 self._check()
             self._frames.path.unlink()
@@ -282,7 +285,7 @@ def _written_form(path: Path, dtype: np.dtype[Any], geometry: Geometry) -> Image
         )
     if each and path.name.count("*") > 1:
         raise UsageError(f"{path}: one star expected, for the number of the frame")
-    if dtype.kind not in "uif" or (form.types and dtype.name not in form.types) or dtype.name in ("float16", "float128"):
+    if dtype.name not in (form.types or _TYPES):
         raise UsageError(f"values of type {dtype} given, which a sequence in {suffix} does not hold", "convert them")
     if form.only_2d and geometry.shape[0] > 1:
         raise UsageError(f"frames of {geometry.shape[0]} slices given, a {suffix} holds one")

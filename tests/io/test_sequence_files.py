@@ -5,7 +5,7 @@ import pytest
 
 import accelsurf
 from accelsurf import io
-from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 
 TURNED = Geometry((3, 4, 5), (3.0, 0.5, 0.7), (5.5, -6.0, 7.25), [[0, -1, 0], [1, 0, 0], [0, 0, 1]])

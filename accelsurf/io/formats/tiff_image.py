@@ -36,8 +36,8 @@ from accelsurf.io.formats.tiff_directories import (
 )
 from accelsurf.io.formats.tiff_pages import TiffPages, library
 from accelsurf.io.formats.tiff_stack import TiffStack, stack_of
-from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout, VoxelSource
 from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout, VoxelSource
 from accelsurf.io.levels import checked_level
 from accelsurf.io.memory import check_memory
 from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY, with_warnings

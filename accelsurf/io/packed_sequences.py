@@ -60,7 +60,7 @@ class _PackedFrames(FileFrames):
     def _unpack(self) -> IO[bytes]:
         """Unpack the voxels, which are all there then."""
         header = self.header
-        file: IO[bytes] = tempfile.NamedTemporaryFile(prefix="accelsurf-")  # noqa: SIM115
+        file: IO[bytes] = tempfile.NamedTemporaryFile(prefix="accelsurf-")
         free = shutil.disk_usage(Path(file.name).parent).free
         if header.claimed_bytes > free:
             raise InputError(
