@@ -233,26 +233,20 @@ class TrackOutputs:
         return kinds
 
     def _write_frames(self, tracks: TrackSet) -> list[str]:
-        """Write a label map for each frame that was reached; their names."""
+        """Write a label map for each frame that was reached, all of one type, with the ids as they are; their names."""
         names = []
         for row in tracks.rows:
             volume = Volume(tracks.labels(row.frame), tracks.geometry)
             names.append(labels_name(self.name, f"{row.frame:0{self._digits}d}", self.files.labels))
-            io.write_labels(volume, self._set.drafts / names[-1])
+            io.write(volume, self._set.drafts / names[-1])
         return names
 
     def _write_sequence(self, tracks: TrackSet, path: Path) -> None:
         """Write the label maps of all frames as one file with time."""
-        from accelsurf.io.sequences import SequenceWriter
-
-        sequence = self.sequence
-        writer = SequenceWriter(path, sequence.geometry, sequence.times, sequence.time_unit, tracks.label_type)
-        try:
+        sequence, kind = self.sequence, tracks.label_type
+        with io.SequenceWriter(path, sequence.geometry, sequence.times, sequence.time_unit, kind) as writer:
             for number in range(len(sequence)):
                 writer.write(number, tracks.labels(number))
-            writer.commit()
-        finally:
-            writer.abort()
 
     def _commit(self, report: str, failed: bool = False) -> None:
         written = [path.name for path in self._set.drafts.iterdir()]

@@ -2,6 +2,7 @@ import csv
 import hashlib
 import io as text_io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,28 @@ def test_label_maps_have_the_objects_that_a_frame_shows(folder):
     assert set(np.unique(io.read_labels(folder / "cells_labels_t002.nrrd").array)) == {0, 2}
 
 
+@pytest.mark.parametrize("labels", ["nii.gz", "tif", "ome.zarr"])
+def test_label_maps_in_one_file_with_time(tmp_path, labels):
+    made = dividing_cells()
+    written(tmp_path, made, TrackFiles(labels=labels), order=-1)
+    found = io.read_sequence(tmp_path / f"cells_labels.{labels}")
+    assert (found.times, found.time_unit) == (made.sequence.times, "s")
+    for result in made.results:
+        np.testing.assert_array_equal(found.frame(result.frame).array, result.labels())
+
+
+def test_one_object_with_id_1_is_1_in_every_format(tmp_path):
+    made = flat_cells()
+    alone = made._replace(results=tuple(replace(one, objects=one.objects[:1]) for one in made.results[:2]))
+    for labels, per_frame, name in (("png", True, "a"), ("tif", True, "b"), ("tif", False, "c")):
+        written(tmp_path, alone, TrackFiles(labels=labels, per_frame=per_frame), name=name)
+    found = [io.read(tmp_path / f"{name}_labels_t000.{end}").array for name, end in (("a", "png"), ("b", "tif"))]
+    found.append(io.read_sequence(tmp_path / "c_labels.tif").frame(0).array)
+    assert [set(np.unique(one).tolist()) for one in found] == [{0, 1}] * 3
+    with pytest.raises(UsageError, match="one file of it holds no time"):
+        written(tmp_path, alone, TrackFiles(labels="png"), name="d")
+
+
 def test_meshes_are_those_of_the_surfaces(folder):
     names = sorted(path.name for path in folder.glob("*.ply"))
     assert names == [
@@ -114,6 +137,8 @@ def test_contours_of_frames_of_one_slice(tmp_path):
     places = np.array([[float(line["x_lps_mm"]), float(line["y_lps_mm"])] for line in lines])
     np.testing.assert_allclose(np.linalg.norm(places - [4.5, 6.0], axis=1), 2.0, atol=0.03)
     assert lines_of(tmp_path / "flat_tracks.csv")[-1]["parent"] == "1;2"
+    alone = io.read(tmp_path / "flat_labels_t003.png").array  # ids as they are: no 255 for a map of 0 and 1
+    assert set(np.unique(alone)) == {0, 3}
     with pytest.raises(UsageError, match="mesh: stl was given for frames of one slice, expected vtp, csv"):
         written(tmp_path, flat_cells(), TrackFiles(mesh=("stl",)))
 
