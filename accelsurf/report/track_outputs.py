@@ -16,7 +16,7 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
-from accelsurf.report import output_folder, result_sets, track_document, track_tables
+from accelsurf.report import film_strip, output_folder, result_sets, track_document, track_tables, volume_curves
 from accelsurf.report.file_entries import describe_drafts
 from accelsurf.report.track_files import TrackFiles, labels_name, mesh_name
 from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits
@@ -226,6 +226,10 @@ class TrackOutputs:
         texts = {"tracks": track_tables.tracks_csv(tracks), "curves": track_tables.curves_csv(tracks)}
         for kind, text in (texts | ({"config": self._toml} if self._toml else {})).items():
             write_bytes(self._set.drafts / names[kind], text.encode())
+            kinds[names[kind]] = kind
+        pictures = {"preview": film_strip.film_strip_png(tracks), "curves-picture": volume_curves.curves_png(tracks)}
+        for kind, picture in pictures.items():
+            write_bytes(self._set.drafts / names[kind], picture)
             kinds[names[kind]] = kind
         for kind in self.files.also:
             load(TRACK_FORMATS[kind].write)(tracks, self._set.drafts / names[kind])

@@ -50,6 +50,15 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
         "accelsurf.report.geff_file:check", mark=".zattrs",
     ),
     TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.report.trackmate_file:write"),
+    TrackFormat(
+        "mp4", "movie of slices, prediction beside correction", "movie.mp4", "accelsurf.report.track_movie:write",
+        "accelsurf.report.track_movie:check_mp4",
+    ),
+    TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.report.track_movie:write"),
+    TrackFormat(
+        "webp", "the same as WebP", "movie.webp", "accelsurf.report.track_movie:write",
+        "accelsurf.report.track_movie:check_webp",
+    ),
 )
 
 
