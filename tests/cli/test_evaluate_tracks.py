@@ -9,6 +9,9 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.grid.volume import Volume
+from accelsurf.report.track_files import TrackFiles
+from accelsurf.report.track_outputs import TrackOutputs
+from tests.support.trackings import dividing_cells
 
 #: Two objects in three frames: 1 is 4 voxels, 2 is 6.
 TWO = np.array([[[0, 0, 1, 1, 1, 1, 0, 0, 2, 2, 2, 2, 2, 2, 0, 0]] * 2], np.uint16)
@@ -109,3 +112,33 @@ def test_options_of_label_maps_are_refused(reference, said):
         code, _, err = said(reference, reference, *words)
         assert (code, f"{words[0]}: was given with --tracks" in err) == (2, True)
     assert said(reference)[0] == 2
+
+
+def test_label_maps_with_time_and_their_table_are_as_the_folder_of_the_challenge(tmp_path, said):
+    made = dividing_cells()
+    with TrackOutputs(tmp_path, "cells", made.sequence, TrackFiles(labels="nrrd", also=("ctc",))) as outputs:
+        for result in made.results:
+            outputs.add(result)
+        outputs.finish(made.lineage)
+    labels, folder = tmp_path / "cells_labels.nrrd", tmp_path / "cells_RES"
+    for pair in ((labels, folder), (folder, labels)):
+        code, out, _ = said(*pair)
+        values = dict(row.split() for row in out.splitlines())
+        assert code == 0
+        assert [values[name] for name in ("SEG", "DET", "TRA", "AOGM")] == ["1", "1", "1", "0"]
+    (tmp_path / "cells_tracks.csv").unlink()
+    code, out, _ = said(labels, folder)
+    values = dict(row.split(maxsplit=1) for row in out.splitlines() if not row.startswith("note"))
+    assert values["missing_edges"] == "2"  # of the division; a gap can be seen in the label maps themselves
+    assert "note: cells_labels.nrrd: no table of tracks beside it" in out
+
+
+def test_a_table_that_lacks_a_column_is_refused(tmp_path, reference, said):
+    with io.SequenceWriter(tmp_path / "a_labels.nrrd", Volume.from_array(TWO).geometry, (0, 1, 2), "frame",
+                           np.uint16) as writer:  # fmt: skip
+        for number in range(3):
+            writer.write(number, TWO)
+    for text, message in (("frame,name\n0,1\n", "no column id"), ("frame,id\n0,x\n", "line 2: not a line of a table")):
+        (tmp_path / "a_tracks.csv").write_text(text)
+        code, _, err = said(tmp_path / "a_labels.nrrd", reference)
+        assert (code, message in err) == (3, True)

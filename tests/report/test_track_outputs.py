@@ -160,7 +160,7 @@ def test_report_says_how_objects_fared(folder):
 
 
 def test_files_are_all_new_or_all_old(tmp_path):
-    written(tmp_path, dividing_cells(), EVERY)
+    written(tmp_path, dividing_cells())
     before = contents(tmp_path)
 
     def fail(tracks, path):
@@ -175,9 +175,10 @@ def test_files_are_all_new_or_all_old(tmp_path):
 
 
 def test_a_new_set_takes_the_files_of_the_old_one_away(tmp_path):
-    written(tmp_path, dividing_cells(), EVERY)
+    meshes = TrackFiles(labels="nrrd", per_frame=True, mesh=("ply",), also=("ctc",))
+    written(tmp_path, dividing_cells(), meshes)
     with pytest.raises(OutputError, match="exists already"):
-        written(tmp_path, dividing_cells(), EVERY)
+        written(tmp_path, dividing_cells(), meshes)
     (tmp_path / "cells_surface_1_t000.ply").write_bytes(b"somebody's own")
     written(tmp_path, flat_cells(), TrackFiles(labels="nrrd", per_frame=True), overwrite=True)
     own = {"cells_surface_1_t000.ply"}  # changed since: not the run's any more
@@ -188,8 +189,9 @@ def test_a_new_set_takes_the_files_of_the_old_one_away(tmp_path):
 
 
 def test_folders_are_replaced(tmp_path):
-    written(tmp_path, dividing_cells(), EVERY)
-    written(tmp_path, flat_cells(), EVERY.__class__(per_frame=True, also=("ctc", "geff")), overwrite=True)
+    folders = TrackFiles(also=("ctc", "geff"))
+    written(tmp_path, dividing_cells(), folders)
+    written(tmp_path, flat_cells(), folders, overwrite=True)
     assert (tmp_path / "cells_RES" / "res_track.txt").read_text() == "1 0 2 0\n2 0 2 0\n3 3 3 1\n"
     assert len(list((tmp_path / "cells_RES").glob("mask*.tif"))) == 4
 
