@@ -86,6 +86,6 @@ def picked(rows: tuple[FrameRow, ...]) -> list[FrameRow]:
 
 
 def _title(tracks: TrackSet) -> str:
-    count = len({one.id for row in tracks.rows for one in row.objects})
+    count = len(tracks.by_object)
     objects = "one object" if count == 1 else f"{count} objects"
     return f"{tracks.name}: {objects} in {len(tracks.rows)} of {len(tracks.sequence)} frames"

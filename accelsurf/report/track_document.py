@@ -97,7 +97,7 @@ def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
     """Return an entry for each identity: its life, where it came from, and how large it was."""
     entries, beats = [], beats_of(tracks)
     for track in tracks.lineage.tracks:
-        seen = [one for _, one in tracks.of_object(track.id) if one.seen]
+        seen = [one for _, one in tracks.by_object.get(track.id, ()) if one.seen]
         volumes = [one.volume_mm3 * ML for one in seen]
         entries.append({
             "id": track.id,

@@ -52,8 +52,10 @@ class TrackOutputs:
     overwrite : bool
         Whether files of the same names are replaced.
     store : Path, optional
-        A folder for the frames that survives a run that is killed or interrupted, for ``--resume``; it is removed when
-        the files are complete. By default they lie in a hidden folder, which goes with the run.
+        A folder for the frames that survives a run that is killed or interrupted; it is removed when the files are
+        complete. By default they lie in a hidden folder, which goes with the run.
+    resume : bool
+        Whether the frames that an earlier run has left in ``store`` count; else they are removed.
 
     Raises
     ------
@@ -75,6 +77,7 @@ class TrackOutputs:
         argv: Sequence[str] = (),
         overwrite: bool = False,
         store: Path | None = None,
+        resume: bool = False,
     ) -> None:
         self.name, self.sequence, self.files = name, sequence, files or TrackFiles()
         self.files.check(sequence.geometry)
@@ -83,7 +86,7 @@ class TrackOutputs:
             self._set = stack.enter_context(output_folder.opened_set(folder, name))
             output_folder.refuse_existing(self.files.paths(folder, name), overwrite)
             self._own_store = store is not None
-            self._store = FrameStore(self._set.drafts.parent / "frames" if store is None else store)
+            self._store = FrameStore(self._set.drafts.parent / "frames" if store is None else store, resume)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> TrackOutputs:
@@ -95,7 +98,7 @@ class TrackOutputs:
         self.abort(error)
 
     def frames(self) -> list[int]:
-        """The numbers of the frames that are there, rising: after a resumed run also those of the earlier one."""
+        """The numbers of the frames that are there, rising: of a resumed run also those of the earlier one."""
         return self._store.numbers()
 
     def add(self, result: FrameResult) -> None:

@@ -12,7 +12,7 @@ from accelsurf.grid.boxes import Box as VoxelBox
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
-from accelsurf.grid.orientation import DisplayOrientation
+from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.grid.volume import Volume
 from accelsurf.report.canvas import DARK, REFERENCE, SOLID, Box, Canvas, Dashes
 from accelsurf.report.slice_plot import (
@@ -58,7 +58,7 @@ class TrackView:
         geometry = tracks.geometry
         order = DisplayOrientation.of(geometry).order
         plane = native_plane(geometry) if geometry.slice_axis is None else order.index(geometry.slice_axis)
-        ids = sorted({one.id for row in tracks.rows for one in row.objects})
+        ids = list(tracks.by_object)
         boxes = [box for row in tracks.rows for box in _boxes(tracks.store.drawn(row.frame))]
         return cls(
             plane, _ranges(boxes, geometry), _window(tracks), {own: object_color(n) for n, own in enumerate(ids)}
@@ -123,14 +123,25 @@ def _draw_piece(
     shown: Slice, piece: SurfacePiece, color: str, dashes: Dashes, geometry: Geometry
 ) -> NDArray[np.float32] | None:
     """Draw where a slice cuts a surface; its section, None where it does not."""
-    plane = shown.up.order[shown.view.plane]
-    count = geometry.shape[plane]
-    index = count - 1 - shown.view.index if shown.up.flips[shown.view.plane] else shown.view.index
-    if not piece.box[plane].start <= index < piece.box[plane].stop or not piece.psi.size:
-        return None
-    whole = np.full(geometry.shape, float(np.abs(piece.psi).max()), np.float32)
-    whole[piece.box] = piece.psi
-    section = shown.section(whole)
+    up, psi = shown.up, shown.up.reorient(piece.psi)
+    parts: list[slice] = []
+    places: list[slice] = []
+    for axis, (low, high) in enumerate(shown.ranges):
+        own = up.order[axis]
+        first = piece.corner[own]
+        if up.flips[axis]:
+            first = geometry.shape[own] - first - psi.shape[axis]
+        if axis == shown.view.plane:
+            low, high = shown.view.index, shown.view.index + 1
+        begin, end = max(first, low), min(first + psi.shape[axis], high)
+        if begin >= end:
+            return None
+        parts.append(slice(begin - first, end - first))
+        places.append(slice(begin - low, end - low))
+    section = np.full([high - low for low, high in (shown.ranges[axis] for axis in IN_PLANE[shown.view.plane])],
+                      float(np.abs(piece.psi).max()), np.float32)  # fmt: skip
+    vertical, horizontal = IN_PLANE[shown.view.plane]
+    section[places[vertical], places[horizontal]] = psi[tuple(parts)].squeeze(axis=shown.view.plane)
     draw_contour(shown, section, color, dashes)
     return section
 

@@ -20,8 +20,8 @@ WIDTH, HEIGHT = 900, 460
 def beats_of(tracks: TrackSet) -> dict[int, Beat]:
     """The beat of each object that has one, over the frames in which it is seen."""
     found = {}
-    for own in _ids(tracks):
-        seen = [(row.time, one.volume_mm3) for row, one in tracks.of_object(own) if one.seen]
+    for own, life in tracks.by_object.items():
+        seen = [(row.time, one.volume_mm3) for row, one in life if one.seen]
         beat = find_beat(*zip(*seen, strict=True)) if len(seen) > 1 else None
         if beat is not None:
             found[own] = beat
@@ -36,11 +36,11 @@ def curves_png(tracks: TrackSet) -> bytes:
     bytes
         A PNG file.
     """
-    ids, beats = _ids(tracks), beats_of(tracks)
+    ids, beats = list(tracks.by_object), beats_of(tracks)
     largest = max((one.volume_mm3 for row in tracks.rows for one in row.objects), default=0.0)
     unit, scale = ("mm\u00b3", 1.0) if largest < 1e3 * SMALL else ("ml", 1e-3)
     curves = {
-        own: [(row.time, scale * one.volume_mm3 if one.seen else np.nan) for row, one in tracks.of_object(own)]
+        own: [(row.time, scale * one.volume_mm3 if one.seen else np.nan) for row, one in tracks.by_object[own]]
         for own in ids[:MAX_CURVES]
     }
     canvas = Canvas(WIDTH, HEIGHT, fitting(_title(tracks, beats), 17, WIDTH - 40))
@@ -62,10 +62,6 @@ def curves_png(tracks: TrackSet) -> bytes:
             canvas.line([(right + 14, y), (right + 40, y)], color, 2.5)
             canvas.text((right + 46, y), f"object {own}", LABEL_SIZE, anchor="lm")
     return canvas.png()
-
-
-def _ids(tracks: TrackSet) -> list[int]:
-    return sorted({one.id for row in tracks.rows for one in row.objects})
 
 
 def _title(tracks: TrackSet, beats: dict[int, Beat]) -> str:

@@ -213,10 +213,34 @@ def test_a_resumed_run_goes_on_from_the_frames_that_are_there(folder, tmp_path):
     with TrackOutputs(tmp_path / "out", "cells", made.sequence, EVERY, store=store) as outputs:
         for result in made.results[:3]:
             outputs.add(result)
-    with TrackOutputs(tmp_path / "out", "cells", made.sequence, EVERY, store=store, toml="frame = 0\n") as outputs:
-        assert outputs.frames() == [0, 1, 2]
-        for result in made.results[2:]:
+    (store / "frame_000001.npz").write_bytes(b"the machine stopped")
+    more = {"store": store, "resume": True, "toml": "frame = 0\n"}
+    with TrackOutputs(tmp_path / "out", "cells", made.sequence, EVERY, **more) as outputs:
+        assert outputs.frames() == [0, 2]
+        for result in made.results[1:]:
             outputs.add(result)
         outputs.finish(made.lineage)
     assert contents(tmp_path / "out") == contents(folder)
     assert not store.exists()
+
+
+def test_frames_of_an_earlier_run_do_not_count_unless_it_is_resumed(tmp_path):
+    made, store = dividing_cells(), tmp_path / "cells_frames"
+    with TrackOutputs(tmp_path / "out", "cells", made.sequence, PLAIN, store=store) as outputs:
+        outputs.add(made.results[0])
+    with TrackOutputs(tmp_path / "out", "cells", made.sequence, PLAIN, store=store) as outputs:
+        assert outputs.frames() == []
+
+
+def test_an_interrupted_run_writes_the_frames_that_it_has_reached(tmp_path):
+    made, store = dividing_cells(), tmp_path / "cells_frames"
+    files = TrackFiles(labels="nrrd", also=("ctc",))
+    with TrackOutputs(tmp_path / "out", "cells", made.sequence, files, store=store) as outputs:
+        for result in made.results[:2]:
+            outputs.add(result)
+        outputs.finish(made.lineage, status="interrupted", exit_code=130)
+    document = json.loads((tmp_path / "out" / "cells_report.json").read_text())
+    assert (document["status"], document["exit_code"], len(document["frames"])) == ("interrupted", 130, 2)
+    found = io.read_sequence(tmp_path / "out" / "cells_labels.nrrd")
+    assert [bool(found.frame(n).array.any()) for n in range(5)] == [True, True, False, False, False]
+    assert store.exists()
