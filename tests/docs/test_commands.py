@@ -14,9 +14,12 @@ from accelsurf import cli, io
 from accelsurf.batch import pool
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.report.track_files import TrackFiles
+from accelsurf.report.track_outputs import TrackOutputs
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 from tests.support.batch_jobs import InlinePool
 from tests.support.dicom_series import Series, save
+from tests.support.trackings import dividing_cells
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial" / "first-scan.md")
@@ -138,6 +141,20 @@ def folder_of_a_reader():
     Path("out/run.toml").write_text("max_steps = 2\n")
 
 
+def tracked_cells():
+    """A tracking of phantoms, and the same as the reference of a challenge."""
+    made = dividing_cells()
+    with TrackOutputs(Path(), "cells", made.sequence, TrackFiles(also=("ctc",))) as outputs:
+        for result in made.results:
+            outputs.add(result)
+        outputs.finish(made.lineage)
+    reference = Path("01_GT/TRA")
+    reference.mkdir(parents=True)
+    for path in Path("cells_RES").iterdir():
+        name = path.name.replace("mask", "man_track").replace("res_track", "man_track")
+        (reference / name).write_bytes(path.read_bytes())
+
+
 def study_of_a_reader(folder):
     """A folder of DICOM with two series; the second is a ball around the world's origin."""
     Series(uid="1.2.1", changes={"SeriesNumber": 1}).stacked(4).write(folder / "thick")
@@ -179,6 +196,8 @@ def test_every_command_of_a_how_to_page_is_accepted(page, tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(pool, "LocalPool", InlinePool)
     folder_of_a_reader()
+    if "--tracks" in page.read_text(encoding="utf-8"):
+        tracked_cells()
     for name, text in FILE.findall(page.read_text(encoding="utf-8")):
         Path(name).write_text(text)
     for words in commands(page):
