@@ -14,6 +14,10 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+from scipy import ndimage
+
+from accelsurf import io
 from benchmarks.viewer_tasks.person import ROOT, Person
 from benchmarks.viewer_tasks.pictures import page_after, take
 from tests.support.screen import own_screen
@@ -32,10 +36,11 @@ def main() -> None:
         recipe = ROOT / "volumes_synth" / "vessel.toml"
         accelsurf("synth", str(recipe), "-o", home)
         image = Path(home) / "vessel.nii.gz"
-        words = ["view", str(image), "--reference", str(Path(home) / "vessel_truth.nii.gz"), "--levels", "1"]
+        truth = Path(home) / "vessel_truth.nii.gz"
+        words = ["view", str(image), "--reference", str(truth), "--levels", "1"]
         movie = ["movie", *words[1:], "--preview", "-o", str(folder / "viewer-scene.png"), "--overwrite"]
         accelsurf(*movie, "--max-steps", str(STEPS))
-        window_pictures(words, folder)
+        window_pictures(words, truth, folder)
         with page_after(words, "dark", STEPS) as browser:
             take(browser, *SIZE, folder / "viewer-browser.png")
 
@@ -45,7 +50,7 @@ def accelsurf(*words: str) -> None:
     subprocess.run([sys.executable, "-m", "accelsurf", *words], check=True, cwd=ROOT)
 
 
-def window_pictures(words: list[str], folder: Path) -> None:
+def window_pictures(words: list[str], truth: Path, folder: Path) -> None:
     """The scene alone, the window while a run runs, its keys, and the window after a stroke."""
     for theme in ("dark", "light"):
         with tempfile.TemporaryDirectory() as home, own_screen(*SIZE) as display:
@@ -60,16 +65,26 @@ def window_pictures(words: list[str], folder: Path) -> None:
                 person.key("Escape")
             else:
                 person.until(lambda now: not now["playing"], 300)
-                stroke(person)
+                stroke(person, thick_place(truth))
                 person.picture(folder / "viewer-edit.png")
             person.close()
 
 
-def stroke(person: Person) -> None:
-    """Paint an inside stroke along the trunk in the coronal slice."""
-    person.key("i")
-    person.drag([person.pixel("coronal", (0.0, 0.0, z)) for z in (-30.0, -28.0, -26.0, -24.0)])
-    person.until(lambda now: now["refinements"] > 0, 120)
+def thick_place(truth: Path) -> np.ndarray:
+    """The place deepest in the vessel, (x, y, z) mm."""
+    labels = io.read_labels(truth)
+    depth = ndimage.distance_transform_edt(labels.array)
+    place = np.unravel_index(int(depth.argmax()), depth.shape)
+    return np.asarray(labels.geometry.index_to_world(np.array([place], float))[0])
+
+
+def stroke(person: Person, place: np.ndarray) -> None:
+    """Move the slices to a place, and paint what is outside beside it in the coronal slice."""
+    person.click(person.pixel("sagittal", (0.0, place[1], place[2])))
+    person.click(person.pixel("coronal", place))
+    person.key("o")
+    person.drag([person.pixel("coronal", place + (13.0, 0.0, z)) for z in (-4.0, -2.0, 0.0, 2.0)])
+    person.until(lambda now: now["refinements"] > 0 and "correcting" not in now["message"], 120)
     time.sleep(2.0)
 
 
