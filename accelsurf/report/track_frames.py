@@ -104,7 +104,7 @@ class FrameStore:
         folder.mkdir(parents=True, exist_ok=True)
         for number in self.numbers():
             try:
-                self.row(number)
+                self.frame_row(number)
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
                 self._path(number).unlink()  # damaged when the machine stopped: it is made again
 
@@ -138,7 +138,7 @@ class FrameStore:
         np.savez_compressed(draft, **arrays)  # type: ignore[arg-type]
         os.replace(draft, self._path(result.frame))
 
-    def row(self, number: int) -> FrameRow:
+    def frame_row(self, number: int) -> FrameRow:
         """The numbers of a frame."""
         with self._opened(number) as arrays:
             return _row_of(arrays)

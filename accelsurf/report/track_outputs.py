@@ -146,7 +146,7 @@ class TrackOutputs:
             When a file cannot be written; then all are as they were.
         """
         with output_folder.naming_final(self._set):
-            rows = tuple(self._store.row(number) for number in self.frames())
+            rows = tuple(self._store.frame_row(number) for number in self.frames())
             tracks = TrackSet(self.name, self.sequence, rows, lineage, self._store)
             kinds = self._write_all(tracks)
             entries = describe_drafts(self._set, kinds)
