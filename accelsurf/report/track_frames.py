@@ -97,7 +97,7 @@ class FrameStore:
         Whether the frames in it count, those that can be read; else it is emptied.
     """
 
-    def __init__(self, folder: Path, resume: bool = False) -> None:
+    def __init__(self, folder: Path, resume: bool = True) -> None:
         self.folder = folder
         if not resume:
             shutil.rmtree(folder, ignore_errors=True)
