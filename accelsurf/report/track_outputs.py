@@ -55,7 +55,7 @@ class TrackOutputs:
         A folder for the frames that survives a run that is killed or interrupted; it is removed when the files are
         complete. By default they lie in a hidden folder, which goes with the run.
     resume : bool
-        Whether the frames that an earlier run has left in ``store`` count, as they do by default; else they are removed.
+        Whether frames that an earlier run has left in ``store`` count; else they are removed.
 
     Raises
     ------
