@@ -90,7 +90,7 @@ def test_constant_density_coasts_as_its_closed_forms(flat: bool, beta: float) ->
     exact = (7.0**power - power * 7.0 ** (power - 1.0) * beta * t) ** (1.0 / power)
     errors = [abs(radius_after(n, flat, beta, t)[0] - exact) for n in (24, 48)]
     print(f"\n{'circle' if flat else 'sphere'} {beta}: {errors}, order {math.log2(errors[0] / errors[1]):.2f}")
-    assert errors[0] < 0.03 and errors[1] < 0.5 * errors[0]
+    assert errors[0] < 0.05 and errors[1] < 0.35 * errors[0]
 
 
 def test_friction_takes_what_differs_from_the_mean() -> None:

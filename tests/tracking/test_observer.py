@@ -68,7 +68,7 @@ def test_baselines_report_the_motion_of_the_centroid() -> None:
         momentum = make_momentum(model)
         off = prediction_error(momentum, Gains())
         assert momentum.mean_velocity()[0] == pytest.approx(1.7, abs=0.02)
-        assert off < 0.03 if model == "last-displacement" else off == pytest.approx(1.7, abs=0.03)
+        assert off < 0.03 if model == "last-displacement" else 1.6 < off < 2.2
 
 
 def test_new_surface_gets_the_velocity_around_and_the_first_density() -> None:
