@@ -1,0 +1,142 @@
+"""The observer: how a predicted surface must move to be the measured one, and the surface part of the way there.
+
+A surface shows only how far it has moved along its normal (the aperture problem). The shift b of the whole is therefore
+fitted first: such that the predicted surface, shifted by b, lies on the measured one. Only what is left, delta, goes
+along the normal.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.kernels import point_sampling
+from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed
+from accelsurf.tracking.records import SurfacePiece
+
+#: What is fitted: the shift of the whole, or nothing, so that all goes along the normal.
+Fit = Literal["shift", "none"]
+#: Damping of a round of the fit, in parts of a surface that looks all ways: along a plane no shift is determined.
+DAMPING = 1e-4
+#: Rounds of the fit; it ends when a round moves by no more than this part of a voxel.
+MAX_ROUNDS, FITTED = 30, 1e-3
+#: Half width, voxels, of the band in which distances are known for the fit; further off nothing is fitted.
+FIT_WIDTH = 12.0
+#: Points more than so many voxels off count by 1/distance: a place that is really different does not draw the whole.
+ROBUST = 1.0
+
+
+class Displacement(NamedTuple):
+    """From the predicted surface to the measured one: ``shift`` (3,) of the whole, mm along the grid's axes z, y, x,
+    and ``remainder`` (n,), mm, the outward distance that is then left for each cell of the predicted band.
+    """
+
+    shift: Floats
+    remainder: NDArray[np.float64]
+
+
+def displacement(predicted: BoxedSurface, measured: BoxedSurface, fit: Fit = "shift") -> Displacement:
+    """How the ``predicted`` surface must move to be the ``measured`` one.
+
+    Parameters
+    ----------
+    predicted, measured : BoxedSurface
+        On the same frames' grid; neither empty.
+    fit : {"shift", "none"}
+    """
+    wide = measured.widened(FIT_WIDTH)
+    points = predicted.closest_points()
+    shift = np.zeros(3) if fit == "none" else _fitted_shift(predicted, points, wide)
+    # Further off than the band nothing is known but that it is far.
+    return Displacement(shift, -_psi_at(wide, points + shift)[:, 0])
+
+
+def _fitted_shift(predicted: BoxedSurface, points: Floats, measured: BoxedSurface) -> Floats:
+    """The shift of the whole: robust least squares of the distances that it leaves, by Gauss and Newton."""
+    frame, h = np.array(predicted.geometry.shape), predicted.spacing
+    _, area = predicted.surface.fraction_and_area()
+    seen = (area > 0) & ((points >= -0.5 * h) & (points <= (frame - 0.5) * h)).all(axis=1)
+    shift = np.zeros(3)
+    if not predicted.is_cut and not measured.is_cut:
+        shift = measured.centroid() - predicted.centroid()
+    for _ in range(MAX_ROUNDS):
+        change = _round(points[seen] + shift, area[seen], measured)
+        shift = shift + change
+        if float((np.abs(change) / h).max()) < FITTED:
+            break
+    return shift
+
+
+def _round(here: Floats, area: Floats, measured: BoxedSurface) -> Floats:
+    """One round: the small shift of the points ``here`` (m, 3) that brings them nearest to the measured surface."""
+    found = _psi_at(measured, here)
+    left, slope = found[:, 0], found[:, 1:]
+    h, far = measured.surface.smallest_spacing, 0.95 * float(measured.surface.gamma)
+    weight = np.where(np.abs(left) < far, area / np.maximum(1.0, np.abs(left) / (ROBUST * h)), 0.0)
+    total = float(weight.sum())
+    if total <= 0.0:
+        return np.zeros(3)
+    weighted = slope * (weight / total)[:, None]
+    # Sums in order, not by a library's threads: the same bytes on any machine.
+    normal = np.array([[float((weighted[:, a] * slope[:, b]).sum()) for b in range(3)] for a in range(3)])
+    pull = np.array([float((weighted[:, a] * left).sum()) for a in range(3)])
+    return np.asarray(-np.linalg.solve(normal + DAMPING * np.eye(3), pull))
+
+
+def _psi_at(on: BoxedSurface, points: Floats) -> Floats:
+    """Distance (mm) and its slopes at points (m, 3), mm along the grid's axes: (m, 4)."""
+    surface, out = on.surface, np.empty((len(points), 4))
+    surface.workers.parallel(
+        point_sampling.value_and_gradient_at_points, len(points), surface.dense.psi, surface.grid,
+        on.index_on_box(points), out,
+    )
+    return out
+
+
+def between(predicted: BoxedSurface, measured: BoxedSurface, found: Displacement, gain: float) -> BoxedSurface:
+    """The surface that is ``gain`` K of the way from the predicted to the measured one.
+
+    psi(y) = (1 - K) psi_predicted(y - K b) + K psi_measured(y + (1 - K) b).
+    """
+    if gain >= 1.0:
+        return measured
+    h, width = predicted.spacing, predicted.surface.requested_half_width
+    farthest = float(np.abs(found.remainder).max(initial=0.0)) / predicted.surface.smallest_spacing
+    wide = width + min(farthest, FIT_WIDTH)
+    first, second = predicted.widened(wide), measured.widened(wide)
+    ahead = predicted.closest_points() + gain * found.shift
+    places = np.concatenate([ahead, measured.closest_points() - (1.0 - gain) * found.shift]) / h
+    room = np.where(first.wide, int(np.ceil(width)) + 2, 0)
+    low = np.maximum(np.floor(places.min(axis=0)) - room, 0).astype(np.int64)
+    high = np.minimum(np.ceil(places.max(axis=0)) + room + 1, predicted.geometry.shape).astype(np.int64)
+    shape = tuple(int(n) for n in np.maximum(high - low, 1))
+    psi = (1.0 - gain) * _resampled(first, -gain * found.shift, low, shape)
+    psi += gain * _resampled(second, (1.0 - gain) * found.shift, low, shape)
+    corner = int(low[0]), int(low[1]), int(low[2])
+    return boxed(psi.astype(np.float32), corner, predicted.geometry, width, predicted.surface.workers)
+
+
+def _resampled(on: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape: tuple[int, ...]) -> Floats:
+    """Psi at the voxels of the box at ``low``, each shifted by ``shift`` mm."""
+    surface, out = on.surface, np.empty(int(np.prod(shape)))
+    target = surface.grid._replace(nz=shape[0], ny=shape[1], nx=shape[2])
+    first = shift / on.spacing + low - np.array(on.corner)
+    surface.workers.parallel(
+        point_sampling.resample_shifted, out.size, surface.dense.psi, surface.grid, first, target, out
+    )
+    return out.reshape(shape)
+
+
+def missing_velocity(predicted: BoxedSurface, found: Displacement, duration: float) -> NDArray[np.float64]:
+    """Velocity (n, 3) that the predicted band lacked: (b + delta n)/duration."""
+    far = 0.95 * FIT_WIDTH * predicted.surface.largest_spacing
+    outward = np.where(np.abs(found.remainder) < far, found.remainder, 0.0)
+    return np.asarray((found.shift - outward[:, None] * predicted.surface.normals()) / duration)
+
+
+def measured_surface(piece: SurfacePiece, predicted: BoxedSurface) -> BoxedSurface:
+    """The piece that a frame shows, as a surface with a band like the predicted one's."""
+    surface = predicted.surface
+    return boxed(piece.psi, piece.corner, predicted.geometry, surface.requested_half_width, surface.workers)
