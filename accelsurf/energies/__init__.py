@@ -6,6 +6,7 @@ and the ``..._at_front`` functions are for energies of your own.
 """
 
 from accelsurf.energies.area import AreaTerm
+from accelsurf.energies.between_frames import BetweenFrames
 from accelsurf.energies.chan_vese import ChanVese
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import normals_at_front, points_at_front, sample_at_front, slope_at_front
@@ -23,6 +24,7 @@ __all__ = [
     "Area",
     "AreaTerm",
     "Balloon",
+    "BetweenFrames",
     "ChanVese",
     "CheckedEnergy",
     "Energy",

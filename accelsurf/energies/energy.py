@@ -16,7 +16,7 @@ from accelsurf.levelset import NO_CELLS, BandChange, LevelSet
 class Energy(ABC):
     """The protocol of energies. A subclass gives `value` and `force`; all other methods have a default.
 
-    The loop calls `start` once; then, in each step, `value` and `force`, `project` after the surface has moved, and
+    The loop calls `start` once; then, in each step, `set_time`, `value` and `force`, `project` after the surface has moved, and
     `follow` after it was redistanced. What `value` computes for the surface may be stored for the `force`
     that follows. An energy with a state that goes from step to step returns it from `state` and sets it in `restore`.
 
@@ -34,6 +34,12 @@ class Energy(ABC):
 
     def follow(self, surface: LevelSet, change: BandChange) -> None:  # noqa: B027
         """Update by what the last redistancing changed, in O(band). By default nothing is updated."""
+
+    def set_time(self, surface: LevelSet, time: float) -> None:  # noqa: B027
+        """Become the energy of the flow time ``time``, that of the surface. By default it is the same at all times.
+
+        The kick of a step is centred there: it takes the speeds from half a step before to half a step after.
+        """
 
     def project(self, surface: LevelSet) -> None:  # noqa: B027
         """Bring psi back to where the energy is finite; called before redistancing. By default psi stays."""

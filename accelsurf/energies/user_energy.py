@@ -22,8 +22,8 @@ class CheckedEnergy(Energy):
     Parameters
     ----------
     energy : object
-        With ``alpha`` and the methods `METHODS` of `Energy`; it need not derive from it. ``project``, ``state`` and
-        ``restore`` are called where it has them. Only this class tests whether a method exists.
+        With ``alpha`` and the methods `METHODS` of `Energy`; it need not derive from it. ``set_time``,
+        ``project``, ``state`` and ``restore`` are called where it has them. Only this class tests whether a method exists.
 
     Attributes
     ----------
@@ -71,6 +71,11 @@ class CheckedEnergy(Energy):
     def follow(self, surface: LevelSet, change: BandChange) -> None:
         """Update the energy."""
         self._energy.follow(surface, change)
+
+    def set_time(self, surface: LevelSet, time: float) -> None:
+        """Set the energy's time, if it has the method."""
+        if self._has("set_time"):
+            self._energy.set_time(surface, time)
 
     def project(self, surface: LevelSet) -> None:
         """Bring psi back to where the energy is finite, if the energy has such places."""

@@ -42,6 +42,11 @@ class WeightedSum(Energy):
         for _, energy in self._terms:
             energy.follow(surface, change)
 
+    def set_time(self, surface: LevelSet, time: float) -> None:
+        """Set the time of every term."""
+        for _, energy in self._terms:
+            energy.set_time(surface, time)
+
     def project(self, surface: LevelSet) -> None:
         """Bring psi back to where every term is finite."""
         for _, energy in self._terms:

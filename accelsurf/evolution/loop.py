@@ -236,6 +236,7 @@ class Evolution:
         began = time.perf_counter()
         surface, flow, state = self.surface, self.flow, self.state
         visited = surface.workers.visited
+        self.energy.set_time(surface, state.time)
         fraction, area = surface.fraction_and_area()
         potential = self.energy.value(surface, fraction, area)
         if not math.isnan(state.potential_before):

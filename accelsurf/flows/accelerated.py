@@ -60,6 +60,16 @@ class Accelerated(Flow):
         if self.noise is not None:
             self.noise.start()
 
+    def start_moving(self, surface: LevelSet, fields: list[np.ndarray]) -> None:
+        """Start on ``surface`` in motion, with `fields` of this moment. Without t0 it needs a constant friction."""
+        self.start(surface)
+        self.set_fields(fields)
+        self.clock.start_moving()
+
+    @abstractmethod
+    def synchronize(self, now: StepInput) -> None:
+        """Kick the speeds, which are half a step behind the surface, up to its time, by the forces there."""
+
     def state(self) -> dict[str, Any]:
         """Copy the state that goes from step to step, without the settings."""
         noise = None if self.noise is None else self.noise.state()

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
+
+#: The last step of a clock whose speeds are those of this moment: below any step, and not 0.
+NOW = sys.float_info.min
 
 
 class Clock:
@@ -28,7 +32,7 @@ class Clock:
         self._given = 0.0 if t0 is None and (k > 1 or friction is not None) else t0
         self.t0 = self._given
         self.time = self.t0 or 0.0
-        #: The last time step, 0 right after a start from rest.
+        #: The last time step, 0 right after a start from rest, `NOW` right after one in motion.
         self.last_dt = 0.0
 
     @property
@@ -44,6 +48,10 @@ class Clock:
     def zero_momentum(self) -> None:
         """Back to the time of a start from rest."""
         self.time, self.last_dt = self.t0 or 0.0, 0.0
+
+    def start_moving(self) -> None:
+        """Start with speeds that are those of this moment, neither at rest nor half a step behind."""
+        self.last_dt = NOW
 
     def state(self) -> tuple[float | None, float, float]:
         """Return t0, the time and the last step."""

@@ -94,6 +94,16 @@ class ConstantDensity(Accelerated):
         share = clipped / max(1, int(front.sum()))
         return StepPlan(dt, self.beta, None, front_speed, share, diffusion, energy_rates, cfl_dt)
 
+    def synchronize(self, now: StepInput) -> None:
+        """Kick the speeds over the half step that they are behind."""
+        surface, dm = now.surface, 0.5 * self.clock.last_dt
+        damping, impulse = self.clock.gamma * dm, self.clock.weight() * dm
+        kick = np.float32(impulse / self.rho) * np.asarray(now.force, np.float32)
+        self.beta = self.beta.copy()
+        surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, now.front, (damping, dm))
+        surface.extend_outwards(self.beta, now.front)
+        self.clock.start_moving()
+
     def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
         """1/2 rho int beta beta' dA."""
         return 0.5 * self.rho * float(self._workers.block_sums(statistics.products, area.size, 1, area, one, other)[0])

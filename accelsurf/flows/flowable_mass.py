@@ -177,6 +177,18 @@ class FlowableMass(Accelerated):
         share = clipped / max(1, int(front.sum()))
         return StepPlan(dt, speed, self.velocity, front_speed, share, diffusion, energy_rates, cfl_dt)
 
+    def synchronize(self, now: StepInput) -> None:
+        """Kick the velocity over the half step that it is behind, and balance the mass."""
+        surface, layer = now.surface, layer_area(now.surface)
+        self._balance_mass(surface, layer)
+        self._expected = -1.0
+        normal, dm = surface.normals(), 0.5 * self.clock.last_dt
+        acceleration = self._acceleration(now, normal, self._gravity_now(now._replace(area=layer)))
+        damping, gain = self.clock.gamma * dm, np.float32(self.clock.weight() * dm) * acceleration
+        kicked = (self.velocity * np.float32(1.0 - 0.5 * damping) + gain) / np.float32(1.0 + 0.5 * damping)
+        self.velocity = self._extended(surface, kicked, now.front)
+        self.clock.start_moving()
+
     # -- mass ----------------------------------------------------------------------------------------------
 
     def _balance_mass(self, surface: LevelSet, area: np.ndarray) -> None:

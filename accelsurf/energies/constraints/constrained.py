@@ -54,6 +54,10 @@ class ConstrainedEnergy(Energy):
         """Update the energy."""
         self._energy.follow(surface, change)
 
+    def set_time(self, surface: LevelSet, time: float) -> None:
+        """Set the energy's time."""
+        self._energy.set_time(surface, time)
+
     def project(self, surface: LevelSet) -> None:
         """Bring psi back to where the energy is finite."""
         self._energy.project(surface)
