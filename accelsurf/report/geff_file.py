@@ -1,0 +1,143 @@
+"""Tracks as GEFF, the Graph Exchange File Format: a folder of Zarr with nodes, edges and what is known of them.
+
+Written to version 1 of its specification (live-image-tracking-tools/geff, MIT). Zarr of version 2, as its own library
+writes by default, and uncompressed: the arrays are small, and any reader opens them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.grid.geometry import Geometry
+from accelsurf.io.formats.zarr_voxels import library
+from accelsurf.report.track_frames import TrackSet
+from accelsurf.report.track_spots import SpotGraph, spots_of
+
+VERSION = "1.1"
+#: Unit and meaning of what is known of a node.
+_NODES = {
+    "t": ("frame", "frame number, from 0"),
+    "time": (None, "time of the frame"),
+    "z": ("millimeter", "centroid, world LPS"),
+    "y": ("millimeter", "centroid, world LPS"),
+    "x": ("millimeter", "centroid, world LPS"),
+    "vz": (None, "mean velocity, millimeter per unit of time"),
+    "vy": (None, "mean velocity, millimeter per unit of time"),
+    "vx": (None, "mean velocity, millimeter per unit of time"),
+    "id": (None, "identity of the object, its value in the label maps"),
+    "lineage": (None, "objects that come from each other have the same"),
+    "radius": ("millimeter", "of a ball of the same volume, or of a disc of the same area"),
+    "volume_ml": (None, "volume, ml"),
+    "area_mm2": (None, "area of the surface, mm2"),
+    "quality": (None, "chance that the surface is good"),
+}
+_EDGES = {
+    "division": (None, "whether the parent divides here"),
+    "merging": (None, "whether several parents merge here"),
+}
+
+
+def check(geometry: Geometry) -> None:
+    """Refuse to begin without the package that writes it.
+
+    Raises
+    ------
+    InputError
+        With how to get it.
+    """
+    library()
+
+
+def write(tracks: TrackSet, folder: Path) -> None:
+    """Write the folder; the same tracks give the same bytes.
+
+    Raises
+    ------
+    OSError
+        When it cannot be written.
+    """
+    graph = spots_of(tracks)
+    nodes, edges = _node_values(graph), _edge_values(graph)
+    root = library().create_group(folder, zarr_format=2, attributes={"geff": _metadata(tracks, nodes, edges)})
+    _put(root, "nodes/ids", np.arange(len(graph.spots), dtype=np.uint64))
+    ends = np.array([[link.source, link.target] for link in graph.links], np.uint64).reshape(-1, 2)
+    _put(root, "edges/ids", ends)
+    for group, values in (("nodes", nodes), ("edges", edges)):
+        for name, array in values.items():
+            _put(root, f"{group}/props/{name}/values", array)
+
+
+def _put(root: Any, path: str, array: NDArray[Any]) -> None:
+    chunks = tuple(max(n, 1) for n in array.shape)
+    made = root.create_array(path, shape=array.shape, dtype=array.dtype, chunks=chunks, compressors=None)
+    if array.size:
+        made[...] = array
+
+
+def _node_values(graph: SpotGraph) -> dict[str, NDArray[Any]]:
+    lineage = np.zeros(len(graph.spots), np.int64)
+    for number, members in enumerate(graph.components()):
+        lineage[list(members)] = number
+    own = [spot.own for spot in graph.spots]
+    place = np.array([one.centroid for one in own], np.float64).reshape(-1, 3)
+    velocity = np.array([one.velocity for one in own], np.float64).reshape(-1, 3)
+    return {
+        "t": np.array([spot.row.frame for spot in graph.spots], np.int64),
+        "time": np.array([spot.row.time for spot in graph.spots], np.float64),
+        **{axis: place[:, column] for axis, column in (("z", 2), ("y", 1), ("x", 0))},
+        **{f"v{axis}": velocity[:, column] for axis, column in (("z", 2), ("y", 1), ("x", 0))},
+        "id": np.array([one.id for one in own], np.int64),
+        "lineage": lineage,
+        "radius": np.array([spot.radius for spot in graph.spots], np.float64),
+        "volume_ml": np.array([one.volume_mm3 * 1e-3 for one in own], np.float64),
+        "area_mm2": np.array([one.area_mm2 for one in own], np.float64),
+        "quality": np.array([one.quality for one in own], np.float64),
+    }
+
+
+def _edge_values(graph: SpotGraph) -> dict[str, NDArray[Any]]:
+    return {kind: np.array([link.kind == kind for link in graph.links], np.bool_) for kind in _EDGES}
+
+
+def _metadata(
+    tracks: TrackSet, nodes: dict[str, NDArray[Any]], edges: dict[str, NDArray[Any]]
+) -> dict[str, Any]:
+    axes = [_axis("t", "time", "frame", nodes["t"]) | _interval(tracks)]
+    axes += [_axis(axis, "space", "millimeter", nodes[axis]) for axis in "zyx"]
+    return {
+        "geff_version": VERSION,
+        "directed": True,
+        "axes": axes,
+        "node_props_metadata": {name: _described(name, array, *_NODES[name]) for name, array in nodes.items()},
+        "edge_props_metadata": {name: _described(name, array, *_EDGES[name]) for name, array in edges.items()},
+        "sphere": "radius",
+        "track_node_props": {"lineage": "lineage"},
+        "display_hints": {
+            "display_horizontal": "x", "display_vertical": "y", "display_depth": "z", "display_time": "t"
+        },
+        "extra": {"accelsurf": {"time_unit": tracks.sequence.time_unit, "space": "LPS"}},
+    }
+
+
+def _axis(name: str, kind: str, unit: str, values: NDArray[Any]) -> dict[str, Any]:
+    ends = {"min": float(values.min()), "max": float(values.max())} if len(values) else {}
+    return {"name": name, "type": kind, "unit": unit, **ends}
+
+
+def _interval(tracks: TrackSet) -> dict[str, Any]:
+    """Seconds per frame, where the frames are evenly spaced."""
+    times = np.asarray(tracks.sequence.times)
+    steps = np.diff(times)
+    if tracks.sequence.time_unit != "s" or not len(steps) or np.ptp(steps) > 1e-6 * steps[0]:
+        return {}
+    found = {"scale": float(steps.mean()), "scaled_unit": "second"}
+    return found | ({"offset": float(times[0])} if times[0] else {})
+
+
+def _described(name: str, array: NDArray[Any], unit: str | None, words: str) -> dict[str, Any]:
+    found = {"identifier": name, "dtype": array.dtype.name, "varlength": False, "description": words}
+    return found | ({"unit": unit} if unit else {})

@@ -1,0 +1,117 @@
+"""Which files a tracking leaves, and their names."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from accelsurf.errors import UsageError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.report.result_sets import report_name
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS
+from accelsurf.settings.mesh_formats import Shape, mesh_formats
+from accelsurf.settings.registry import load
+from accelsurf.settings.track_formats import TRACK_FORMATS
+
+
+@dataclass(frozen=True)
+class TrackFiles:
+    """What is written beside the tables, the curves, the film strip and the report, which always are.
+
+    Parameters
+    ----------
+    labels : str
+        Format of the label maps, one of `accelsurf.settings.file_formats.IMAGE_FORMATS`.
+    per_frame : bool
+        Write a label map for each frame instead of one file with time.
+    mesh : tuple of str
+        Formats of a surface, or of contours where the frames have one slice, for each object in each frame; none by
+        default.
+    mesh_space : {"lps", "ras"}
+        Coordinates of meshes.
+    also : tuple of str
+        Further files, from `accelsurf.settings.track_formats.TRACK_FORMATS`.
+    """
+
+    labels: str = DEFAULT_IMAGE_FORMAT
+    per_frame: bool = False
+    mesh: tuple[str, ...] = ()
+    mesh_space: Literal["lps", "ras"] = "lps"
+    also: tuple[str, ...] = ()
+
+    def check(self, geometry: Geometry) -> None:
+        """Refuse what cannot be written of frames on a grid.
+
+        Raises
+        ------
+        UsageError
+            With what can.
+        """
+        is_2d = geometry.slice_axis is not None
+        shape: Shape = "contour" if is_2d else "surface"
+        frames = "frames of one slice" if is_2d else "volumes"
+        if self.labels not in IMAGE_FORMATS or IMAGE_FORMATS[self.labels].write is None:
+            written = ", ".join(name for name, form in IMAGE_FORMATS.items() if form.write is not None)
+            raise UsageError(f"format: {self.labels} was given, expected {written}", "nii.gz is the default")
+        if IMAGE_FORMATS[self.labels].only_2d and geometry.shape[0] > 1:
+            raise UsageError(f"format: {self.labels} was given for volumes, it holds one slice", "take nii.gz or tif")
+        for kind in self.mesh:
+            if kind not in mesh_formats(shape):
+                raise UsageError(f"mesh: {kind} was given for {frames}, expected {', '.join(mesh_formats(shape))}")
+        for name in self.also:
+            if name not in TRACK_FORMATS:
+                raise UsageError(f"also: {name} was given, expected {', '.join(TRACK_FORMATS)}")
+            check = TRACK_FORMATS[name].check
+            if check is not None:
+                load(check)(geometry)
+
+    def names(self, name: str) -> dict[str, str]:
+        """Name of every file by its kind, without those of single frames."""
+        ends = {
+            "tracks": "tracks.csv", "curves": "curves.csv", "curves-picture": "curves.png", "preview": "preview.png",
+            "config": "run.toml", **{kind: TRACK_FORMATS[kind].ending for kind in self.also},
+        }
+        files = {kind: f"{name}_{end}" for kind, end in ends.items()} | {"report": report_name(name)}
+        return files if self.per_frame else {"labels": f"{name}_labels.{self.labels}"} | files
+
+    def paths(self, folder: Path, name: str) -> dict[str, Path]:
+        """Every possible file by its kind; of those of single frames, the ones that exist already."""
+        paths = {kind: folder / own for kind, own in self.names(name).items()}
+        there = folder.iterdir() if folder.is_dir() else ()
+        return paths | {path.name: path for path in sorted(there) if is_of_frame(path.name, name)}
+
+
+def labels_name(name: str, number: str, suffix: str) -> str:
+    """Name of the label map of a frame.
+
+    Examples
+    --------
+    >>> labels_name("cells", "003", "nii.gz")
+    'cells_labels_t003.nii.gz'
+    """
+    return f"{name}_labels_t{number}.{suffix}"
+
+
+def mesh_name(name: str, shape: str, own: int, number: str, suffix: str) -> str:
+    """Name of the mesh of an object in a frame; the number of the frame is last: viewers then find a series.
+
+    Examples
+    --------
+    >>> mesh_name("cells", "surface", 7, "003", "ply")
+    'cells_surface_7_t003.ply'
+    """
+    return f"{name}_{shape}_{own}_t{number}.{suffix}"
+
+
+def is_of_frame(file: str, name: str) -> bool:
+    """Whether a file has the name of one of a single frame.
+
+    Examples
+    --------
+    >>> is_of_frame("cells_surface_7_t003.ply", "cells"), is_of_frame("cells_tracks.csv", "cells")
+    (True, False)
+    """
+    pattern = rf"{re.escape(name)}_(labels|(surface|contour)_[1-9][0-9]*)_t[0-9]{{3,}}\.[a-z0-9.]+"
+    return re.fullmatch(pattern, file) is not None

@@ -1,0 +1,269 @@
+"""Frames of a tracking on the disk while it goes on: in any order, one file each, read one at a time at the end.
+
+A frame's file is there whole or not at all, so that a tracking that was killed goes on from those that are there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.grid.boxes import Box, Corner, box_at
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.sequence import ImageSequence
+from accelsurf.io.images import label_type
+from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece, TrackedObject
+
+#: psi is written up to so many times the largest voxel size from the surface: what contours need.
+_BAND = 3.0
+_PREFIX = "frame_"
+
+
+@dataclass(frozen=True)
+class ObjectRow:
+    """One object in one frame: the numbers of `accelsurf.tracking.records.TrackedObject`, of the same names."""
+
+    id: int
+    seen: bool
+    centroid: tuple[float, float, float]
+    velocity: tuple[float, float, float]
+    volume_mm3: float
+    area_mm2: float
+    quality: float
+
+    @classmethod
+    def of(cls, one: TrackedObject) -> ObjectRow:
+        """The numbers of an object, as plain ones."""
+        x, y, z = (float(v) for v in one.centroid)
+        vx, vy, vz = (float(v) for v in one.velocity)
+        numbers = float(one.volume_mm3), float(one.area_mm2), float(one.quality)
+        return cls(int(one.id), bool(one.seen), (x, y, z), (vx, vy, vz), *numbers)
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any]) -> ObjectRow:
+        """The numbers as they stand in the file of a frame."""
+        (x, y, z), (vx, vy, vz) = values["centroid"], values["velocity"]
+        numbers = values["volume_mm3"], values["area_mm2"], values["quality"]
+        return cls(values["id"], values["seen"], (x, y, z), (vx, vy, vz), *numbers)
+
+
+@dataclass(frozen=True)
+class FrameRow:
+    """One frame without its voxels.
+
+    Attributes
+    ----------
+    frame : int
+    time : float
+    seconds : float
+        Wall time of the frame.
+    objects : tuple of ObjectRow
+        In order of their ids.
+    """
+
+    frame: int
+    time: float
+    seconds: float
+    objects: tuple[ObjectRow, ...]
+
+
+class DrawnObject(NamedTuple):
+    """What pictures show of an object: its id, whether it is seen, its surface, and where it was predicted."""
+
+    id: int
+    seen: bool
+    surface: SurfacePiece
+    predicted: SurfacePiece | None
+
+
+class FrameStore:
+    """Frames in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if it is not there; what is in it counts.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def numbers(self) -> list[int]:
+        """The frames that are there, rising."""
+        return sorted(int(path.stem.removeprefix(_PREFIX)) for path in self.folder.glob(f"{_PREFIX}*.npz"))
+
+    def put(self, result: FrameResult) -> None:
+        """Write a frame; one that is there already is replaced.
+
+        Raises
+        ------
+        OSError
+            When it cannot be written.
+        """
+        arrays: dict[str, NDArray[Any]] = {}
+        labels, band = result.labels(), _BAND * max(result.geometry.spacing)
+        for one in result.objects:
+            box = one.surface.box
+            arrays[f"corner_{one.id}"] = np.array([side.start for side in box], np.int64)
+            arrays[f"shape_{one.id}"] = np.array(one.surface.psi.shape, np.int64)
+            arrays[f"mask_{one.id}"] = np.packbits(labels[box] == one.id)
+            arrays[f"psi_{one.id}"] = _rounded(one.surface.psi, band)
+            if one.predicted is not None:
+                arrays[f"predicted_corner_{one.id}"] = np.array(one.predicted.corner, np.int64)
+                arrays[f"predicted_{one.id}"] = _rounded(one.predicted.psi, band)
+        rows = tuple(ObjectRow.of(one) for one in result.objects)
+        row = FrameRow(int(result.frame), float(result.time), float(result.seconds), rows)
+        arrays["row"] = np.frombuffer(json.dumps(asdict(row)).encode(), np.uint8)
+        draft = self.folder / f".{result.frame}.npz"
+        np.savez_compressed(draft, **arrays)  # type: ignore[arg-type]
+        os.replace(draft, self._path(result.frame))
+
+    def row(self, number: int) -> FrameRow:
+        """The numbers of a frame."""
+        with self._opened(number) as arrays:
+            return _row_of(arrays)
+
+    def labels(self, number: int, geometry: Geometry, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Label map (nz, ny, nx) of a frame: the ids of the objects that it shows."""
+        labels = np.zeros(geometry.shape, dtype)
+        with self._opened(number) as arrays:
+            for one in _row_of(arrays).objects:
+                if one.seen:
+                    labels[_box(arrays, one.id)][_mask(arrays, one.id)] = one.id
+        return labels
+
+    def shown(self, number: int) -> list[int]:
+        """The ids in the label map of a frame."""
+        with self._opened(number) as arrays:
+            return [one.id for one in _row_of(arrays).objects if one.seen and arrays[f"mask_{one.id}"].any()]
+
+    def drawn(self, number: int) -> list[DrawnObject]:
+        """What pictures show of a frame; psi is exact to 1/1000 of the distance, and flat far from the surface."""
+        found = []
+        with self._opened(number) as arrays:
+            for one in _row_of(arrays).objects:
+                surface = SurfacePiece(_corner(arrays[f"corner_{one.id}"]), _single(arrays[f"psi_{one.id}"]))
+                predicted = None
+                if f"predicted_{one.id}" in arrays:
+                    corner = _corner(arrays[f"predicted_corner_{one.id}"])
+                    predicted = SurfacePiece(corner, _single(arrays[f"predicted_{one.id}"]))
+                found.append(DrawnObject(one.id, one.seen, surface, predicted))
+        return found
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"{_PREFIX}{number:06d}.npz"
+
+    def _opened(self, number: int) -> Any:
+        return np.load(self._path(number), allow_pickle=False)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackSet:
+    """All that files of tracks are written from.
+
+    Attributes
+    ----------
+    name : str
+        First part of the names of files.
+    sequence : ImageSequence
+    rows : tuple of FrameRow
+        Rising; frames that the tracking has not reached lack.
+    lineage : Lineage
+    store : FrameStore
+        Voxels of a frame, when they are asked for.
+    """
+
+    name: str
+    sequence: ImageSequence
+    rows: tuple[FrameRow, ...]
+    lineage: Lineage
+    store: FrameStore
+
+    @property
+    def geometry(self) -> Geometry:
+        """Grid of every frame."""
+        return self.sequence.geometry
+
+    @property
+    def label_type(self) -> np.dtype[Any]:
+        """Of the label maps of all frames."""
+        return label_type(max((one.id for row in self.rows for one in row.objects), default=0))
+
+    def labels(self, number: int) -> NDArray[Any]:
+        """Label map (nz, ny, nx) of a frame; 0 in one that the tracking has not reached."""
+        if any(row.frame == number for row in self.rows):
+            return self.store.labels(number, self.geometry, self.label_type)
+        return np.zeros(self.geometry.shape, self.label_type)
+
+    def frames_shown(self) -> dict[int, list[int]]:
+        """Of each object the frames whose label map has a voxel of it, rising."""
+        frames: dict[int, list[int]] = {}
+        for row in self.rows:
+            for own in self.store.shown(row.frame):
+                frames.setdefault(own, []).append(row.frame)
+        return frames
+
+    def of_object(self, own: int) -> Iterator[tuple[FrameRow, ObjectRow]]:
+        """The frames of an object in which it is seen or predicted, rising."""
+        for row in self.rows:
+            for one in row.objects:
+                if one.id == own:
+                    yield row, one
+
+
+def frame_digits(count: int) -> int:
+    """Digits of the numbers of ``count`` frames in names of files: three, or more for longer sequences.
+
+    Examples
+    --------
+    >>> frame_digits(30), frame_digits(1001)
+    (3, 4)
+    """
+    return max(3, len(str(count - 1)))
+
+
+def _rounded(psi: NDArray[np.float32], band: float) -> NDArray[np.float16]:
+    return np.clip(psi, -band, band).astype(np.float16)
+
+
+def _single(psi: NDArray[np.float16]) -> NDArray[np.float32]:
+    return psi.astype(np.float32)
+
+
+def _corner(values: NDArray[np.int64]) -> Corner:
+    z, y, x = (int(v) for v in values)
+    return z, y, x
+
+
+def _row_of(arrays: Mapping[str, NDArray[Any]]) -> FrameRow:
+    found = json.loads(arrays["row"].tobytes())
+    objects = tuple(ObjectRow.read(one) for one in found["objects"])
+    return FrameRow(found["frame"], found["time"], found["seconds"], objects)
+
+
+def _box(arrays: Mapping[str, NDArray[Any]], own: int) -> Box:
+    return box_at(_corner(arrays[f"corner_{own}"]), tuple(int(n) for n in arrays[f"shape_{own}"]))
+
+
+def _mask(arrays: Mapping[str, NDArray[Any]], own: int) -> NDArray[np.bool_]:
+    shape = tuple(int(n) for n in arrays[f"shape_{own}"])
+    return np.unpackbits(arrays[f"mask_{own}"], count=int(np.prod(shape))).reshape(shape).view(np.bool_)
+
+
+def is_damaged(path: Path) -> bool:
+    """Whether the file of a frame cannot be read."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            _row_of(arrays)
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        return True
+    return False

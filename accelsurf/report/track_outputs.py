@@ -1,0 +1,277 @@
+"""The files of a tracking: frames are taken one at a time, in any order, and all files appear at once at the end."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from accelsurf import io
+from accelsurf.analysis import contours, surface_mesh
+from accelsurf.analysis.surface_mesh import Surface
+from accelsurf.errors import AccelsurfError
+from accelsurf.grid.sequence import ImageSequence
+from accelsurf.grid.volume import Volume
+from accelsurf.io.files import write_bytes
+from accelsurf.report import output_folder, result_sets, track_document, track_tables
+from accelsurf.report.file_entries import describe_drafts
+from accelsurf.report.track_files import TrackFiles, labels_name, mesh_name
+from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits
+from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.settings.registry import load
+from accelsurf.settings.track_formats import TRACK_FORMATS
+from accelsurf.tracking.records import FrameResult, Lineage, TrackedObject
+
+
+class TrackOutputs:
+    """Files of a tracking in one folder: all new, or all as they were.
+
+    ``add`` each frame, in any order; then ``finish`` with the lineage, or ``abort``. As a context manager it aborts at
+    the end of the block, unless it was finished. A frame lies on the disk as soon as it was added, nothing of it stays
+    in memory.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files go; made if it is not there.
+    name : str
+        First part of their names.
+    sequence : ImageSequence
+        What is tracked: grid and times of the frames, and at the end the images that pictures show.
+    files : TrackFiles
+        Which files.
+    settings : mapping, optional
+        The settings of the run, for the report.
+    toml : str, optional
+        The same as TOML, with which the run can be repeated; without it there is no ``NAME_run.toml``.
+    argv : sequence of str, optional
+        The command line, for the report.
+    overwrite : bool
+        Whether files of the same names are replaced.
+    store : Path, optional
+        A folder for the frames that survives a run that is killed or interrupted, for ``--resume``; it is removed when
+        the files are complete. By default they lie in a hidden folder, which goes with the run.
+
+    Raises
+    ------
+    OutputError
+        When a file exists already, nothing can be written there, or another run is writing files of this name.
+    UsageError
+        When a format cannot hold the results.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        sequence: ImageSequence,
+        files: TrackFiles | None = None,
+        *,
+        settings: Mapping[str, Any] | None = None,
+        toml: str = "",
+        argv: Sequence[str] = (),
+        overwrite: bool = False,
+        store: Path | None = None,
+    ) -> None:
+        self.name, self.sequence, self.files = name, sequence, files or TrackFiles()
+        self.files.check(sequence.geometry)
+        self._settings, self._toml, self._argv, self._overwrite = dict(settings or {}), toml, tuple(argv), overwrite
+        with ExitStack() as stack:
+            self._set = stack.enter_context(output_folder.opened_set(folder, name))
+            output_folder.refuse_existing(self.files.paths(folder, name), overwrite)
+            self._own_store = store is not None
+            self._store = FrameStore(self._set.drafts.parent / "frames" if store is None else store)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> TrackOutputs:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.abort(error)
+
+    def frames(self) -> list[int]:
+        """The numbers of the frames that are there, rising: after a resumed run also those of the earlier one."""
+        return self._store.numbers()
+
+    def add(self, result: FrameResult) -> None:
+        """Take a frame; one of the same number is replaced.
+
+        Raises
+        ------
+        OutputError
+            When it cannot be written.
+        """
+        with output_folder.naming_final(self._set):
+            self._write_meshes(result)
+            self._store.put(result)  # last: a frame that is there has its meshes
+
+    def finish(
+        self,
+        lineage: Lineage,
+        *,
+        status: track_document.Status = "ok",
+        exit_code: int = 0,
+        warnings: Sequence[str] = (),
+        seconds: Mapping[str, float] | None = None,
+    ) -> list[dict[str, str]]:
+        """Write all files and put them in place, the report last.
+
+        Parameters
+        ----------
+        lineage : Lineage
+        status : {"ok", "interrupted"}
+            "interrupted" where frames lack because the user has ended the run.
+        exit_code : int
+            What the command returns.
+        warnings : sequence of str
+        seconds : mapping of str to float, optional
+            Durations by part of the run.
+
+        Returns
+        -------
+        list of dict
+            ``path``, ``kind`` and ``sha256`` of each file, without the report.
+
+        Raises
+        ------
+        OutputError
+            When a file cannot be written; then all are as they were.
+        """
+        with output_folder.naming_final(self._set):
+            rows = tuple(self._store.row(number) for number in self.frames())
+            tracks = TrackSet(self.name, self.sequence, rows, lineage, self._store)
+            kinds = self._write_all(tracks)
+            entries = describe_drafts(self._set, kinds)
+            document = track_document.build(
+                tracks, status=status, exit_code=exit_code, argv=self._argv, settings=self._settings,
+                warnings=warnings, seconds=seconds or {}, outputs=entries,
+            )
+            report = result_sets.report_name(self.name)
+            write_bytes(self._set.drafts / report, track_document.to_json(document).encode())
+            self._commit(report)
+        if self._own_store and status == "ok":
+            shutil.rmtree(self._store.folder, ignore_errors=True)
+        self._stack.close()
+        return entries
+
+    def abort(self, error: BaseException | None = None) -> None:
+        """Leave the files as they were; after `finish` it does nothing.
+
+        Frames in a ``store`` of their own stay for a run that resumes.
+
+        Parameters
+        ----------
+        error : BaseException, optional
+            Why the run failed. What accelsurf has a line about gets a report, beside a result that stands there.
+        """
+        try:
+            if not self._set.committed:
+                self._set.discard()
+                if isinstance(error, AccelsurfError):
+                    self._report_failure(error)
+        finally:
+            self._stack.close()
+
+    # ----------------------------------------------------------------------------------------------------- frames
+
+    def _write_meshes(self, result: FrameResult) -> None:
+        """Write the meshes of a frame to the frames' folder; those of objects that it does not show have none."""
+        folder, number = self._mesh_folder, f"{result.frame:0{self._digits}d}"
+        for old in folder.glob(f"*_t{number}.*"):
+            old.unlink()
+        for kind in self.files.mesh:
+            for one in result.objects:
+                if one.seen and (one.surface.psi < 0).any():
+                    shape = "surface" if self.sequence.geometry.slice_axis is None else "contour"
+                    path = folder / mesh_name(self.name, shape, one.id, number, kind)
+                    self._mesh_of(one).write(path, self.files.mesh_space)
+
+    def _mesh_of(self, one: TrackedObject) -> Surface | contours.Contours:
+        """The mesh that is carried along, else that of the surface."""
+        geometry = cropped(self.sequence.geometry, one.surface.box)
+        if geometry.slice_axis is not None:
+            return contours.extract(one.surface.psi, geometry)
+        if one.mesh is not None:
+            return Surface(one.mesh.vertices, one.mesh.faces.astype("int32"))
+        return surface_mesh.extract(one.surface.psi, geometry)
+
+    @property
+    def _mesh_folder(self) -> Path:
+        folder = self._store.folder / "meshes"
+        folder.mkdir(exist_ok=True)
+        return folder
+
+    @property
+    def _digits(self) -> int:
+        return frame_digits(len(self.sequence))
+
+    # -------------------------------------------------------------------------------------------------------- end
+
+    def _write_all(self, tracks: TrackSet) -> dict[str, str]:
+        """Write the drafts of all files but the report; kind by name."""
+        names, kinds = self.files.names(self.name), {}
+        for path in sorted(self._mesh_folder.iterdir()):
+            shutil.copyfile(path, self._set.drafts / path.name)
+            kinds[path.name] = "surface" if self.sequence.geometry.slice_axis is None else "contour"
+        if self.files.per_frame:
+            kinds |= dict.fromkeys(self._write_frames(tracks), "labels")
+        else:
+            self._write_sequence(tracks, self._set.drafts / names["labels"])
+            kinds[names["labels"]] = "labels"
+        texts = {"tracks": track_tables.tracks_csv(tracks), "curves": track_tables.curves_csv(tracks)}
+        for kind, text in (texts | ({"config": self._toml} if self._toml else {})).items():
+            write_bytes(self._set.drafts / names[kind], text.encode())
+            kinds[names[kind]] = kind
+        for kind in self.files.also:
+            load(TRACK_FORMATS[kind].write)(tracks, self._set.drafts / names[kind])
+            kinds[names[kind]] = kind
+        return kinds
+
+    def _write_frames(self, tracks: TrackSet) -> list[str]:
+        """Write a label map for each frame that was reached; their names."""
+        names = []
+        for row in tracks.rows:
+            volume = Volume(tracks.labels(row.frame), tracks.geometry)
+            names.append(labels_name(self.name, f"{row.frame:0{self._digits}d}", self.files.labels))
+            io.write_labels(volume, self._set.drafts / names[-1])
+        return names
+
+    def _write_sequence(self, tracks: TrackSet, path: Path) -> None:
+        """Write the label maps of all frames as one file with time."""
+        from accelsurf.io.sequences import SequenceWriter
+
+        sequence = self.sequence
+        writer = SequenceWriter(path, sequence.geometry, sequence.times, sequence.time_unit, tracks.label_type)
+        try:
+            for number in range(len(sequence)):
+                writer.write(number, tracks.labels(number))
+            writer.commit()
+        finally:
+            writer.abort()
+
+    def _commit(self, report: str, failed: bool = False) -> None:
+        written = [path.name for path in self._set.drafts.iterdir()]
+        if not (failed or self._overwrite):  # another program may have put a file there while the run went on
+            output_folder.refuse_existing({name: self._set.folder / name for name in written}, False)
+        name = report.removesuffix("_report.json")
+        self._set.commit(last=report, remove=result_sets.outdated(self._set.folder, name, written, failed))
+
+    def _report_failure(self, error: AccelsurfError) -> None:
+        """Write the report of a run without a result, beside a result that stands."""
+        folder, name = self._set.folder, self.name
+        if result_sets.result_stands(folder, name, self.files.paths(folder, name).values()):
+            name += result_sets.FAILED
+            if result_sets.result_stands(folder, name, ()):
+                return  # of a sequence that is called so
+        document = track_document.build(
+            None, sequence=self.sequence, status="failed", exit_code=error.exit_code, argv=self._argv,
+            settings=self._settings, error=error,
+        )
+        report = result_sets.report_name(name)
+        write_bytes(self._set.drafts / report, track_document.to_json(document).encode())
+        self._commit(report, failed=True)
