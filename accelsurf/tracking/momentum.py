@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
-from accelsurf.levelset import Workers
+from accelsurf.levelset import LevelSet, SurfaceState, Workers, checkpoint_surface, restore_surface
+from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed, on_larger_box, sample_fields
+from accelsurf.tracking.observer import Displacement, Fit, between, displacement, measured_surface
 from accelsurf.tracking.records import SurfacePiece
 
 Triple = tuple[float, float, float]
@@ -31,18 +34,56 @@ class Gains(NamedTuple):
 class SurfaceMomentum(ABC):
     """A surface that coasts from frame to frame, and is corrected on each.
 
+    A subclass gives the fields that it carries on the surface, and how they move it.
+
     Parameters
     ----------
     friction : float
         a, per unit of the sequence's time.
     workers : Workers, optional
         One thread by default.
+
+    Attributes
+    ----------
+    fit : {"affine", "rigid", "translation", "none"}
+        What the observer fits of a displacement before the rest goes along the normal, see `tracking.observer`.
     """
+
+    #: Half width of the narrow band, voxels.
+    half_width: ClassVar[float] = 3.0
+    fit: ClassVar[Fit] = "affine"
 
     def __init__(self, friction: float = 0.0, workers: Workers | None = None) -> None:
         self.friction, self.workers = float(friction), workers or Workers(1)
+        self._on: BoxedSurface
+        self._fields: list[np.ndarray] = []
+        #: Material points (m, 3), mm along the grid's axes from its first voxel.
+        self._points: Floats = np.zeros((0, 3))
+
+    # -- what a model gives --------------------------------------------------------------------------------
 
     @abstractmethod
+    def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
+        """The fields (n,) on the band of a surface that moves with ``velocity`` (3,), z y x mm per unit of time."""
+
+    @abstractmethod
+    def _coast(self, duration: float) -> None:
+        """Move surface, fields and points."""
+
+    @abstractmethod
+    def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
+        """The fields (n,) on the predicted band with the velocity that was missing."""
+
+    @abstractmethod
+    def _mean_velocity(self) -> Floats:
+        """Mean velocity (3,), z y x mm per unit of time."""
+
+    def _fields_on(self, new: BoxedSurface, values: Floats, known: NDArray[np.bool_]) -> list[np.ndarray]:
+        """Fields on a corrected surface from sampled ``values`` (n, k); ``known`` (n,): False on new surface."""
+        return [np.ascontiguousarray(values[:, c], np.float32) for c in range(values.shape[1])]
+
+    # -- the life of a surface -----------------------------------------------------------------------------
+
     def start(
         self, psi: NDArray[np.float32], corner: Corner, geometry: Geometry, velocity: Triple | None = None
     ) -> SurfacePiece:
@@ -59,70 +100,168 @@ class SurfaceMomentum(ABC):
         velocity : (x, y, z), optional
             Mean velocity, world mm per unit of time; at rest by default.
         """
+        self._on = boxed(psi, corner, geometry, self.half_width, self.workers)
+        moving = np.zeros(3) if velocity is None else self._to_grid(np.array([velocity]))[0]
+        self._fields = self._fields_at_start(np.where(self._on.wide, moving, 0.0))
+        self._points = np.zeros((0, 3))
+        return self.piece
 
-    @abstractmethod
     def predict(self, duration: float) -> SurfacePiece:
         """Coast for a time, in the sequence's unit; below 0 it goes back in time. The surface moves, no force acts.
 
-        Velocities are always those of rising time, also after a step back. Returns the surface on the frame's grid; a
-        box of no voxels where it has left.
+        Velocities are always those of rising time, also after a step back; friction takes from them in both directions.
+        Returns the surface on the frame's grid: see `piece`.
         """
+        if duration != 0.0 and self._on.surface.size:
+            self._coast(duration)
+        return self.piece
 
-    @abstractmethod
     def correct(self, piece: SurfacePiece, duration: float, gains: Gains) -> SurfacePiece:
         """Correct surface and velocity by the surface that the frame shows; to be called after `predict`.
+
+        Surface that was not there before gets the mean velocity of what is nearest to it; what is lost takes its mass
+        along.
 
         Parameters
         ----------
         piece : SurfacePiece
-            The measured surface, a signed distance near it.
+            The measured surface, a signed distance near it, with something inside.
         duration : float
             As given to the last `predict`.
         gains : Gains
         """
+        predicted, measured = self._on, measured_surface(piece, self._on)
+        if not predicted.surface.size:
+            self._fields = []
+            self._on = measured
+            self._fields = self._fields_at_start(np.zeros(3))
+            return self.piece
+        found = displacement(predicted, measured, self.fit)
+        fields = self._corrected_fields(found, duration, gains.velocity)
+        new = between(predicted, measured, found, gains.psi)
+        way = found.fitted.scaled(gains.psi)
+        values, known = sample_fields(predicted, fields, way.inverse().at(new.closest_points()))
+        self._on = new
+        self._fields = self._fields_on(new, values, known)
+        if len(self._points):
+            self._points = _onto(new, way.at(self._points))
+        return self.piece
+
+    # -- what it is now ------------------------------------------------------------------------------------
 
     @property
-    @abstractmethod
     def piece(self) -> SurfacePiece:
-        """The surface now, on the frame's grid; a box of no voxels where it has left."""
+        """The surface now, on the frame's grid; a box of no voxels (shape 0, 0, 0) where it has left."""
+        return self._on.on_frame()
 
-    @abstractmethod
     def mean_velocity(self) -> Triple:
-        """Mean velocity over the surface (x, y, z), world mm per unit of time."""
+        """Mean velocity over the surface (x, y, z), world mm per unit of time; 0 without a surface."""
+        if not self._on.surface.size:
+            return 0.0, 0.0, 0.0
+        index = self._mean_velocity() / self._on.spacing
+        x, y, z = self._on.geometry.index_to_world(index) - self._on.geometry.index_to_world(np.zeros(3))
+        return float(x), float(y), float(z)
 
-    @abstractmethod
     def volume(self) -> float:
         """Volume inside, mm3, to parts of a voxel."""
+        return self._on.surface.volume(self._on.surface.fraction_and_area()[0])
 
-    @abstractmethod
     def area(self) -> float:
         """Area of the surface, mm2."""
+        return float(self._on.surface.fraction_and_area()[1].sum())
 
-    @abstractmethod
     def centroid(self) -> Triple:
-        """Centroid of the volume (x, y, z), world mm."""
+        """Centroid of the volume (x, y, z), world mm; of an empty surface, of no meaning."""
+        x, y, z = self._to_world(self._on.centroid()[None])[0]
+        return float(x), float(y), float(z)
 
-    @abstractmethod
     def attach_points(self, points: NDArray[np.float64]) -> None:
         """Attach material points (n, 3), world mm, near the surface: `predict` and `correct` move them with it."""
+        geometry = self._on.geometry
+        self._points = geometry.world_to_index(np.reshape(points, (-1, 3))) * self._on.spacing
 
     @property
-    @abstractmethod
     def points(self) -> NDArray[np.float64]:
         """The attached points (n, 3) where they are now, world mm; none by default."""
+        return self._to_world(self._points)
 
-    @abstractmethod
+    def _to_world(self, points: Floats) -> Floats:
+        """Points (n, 3), mm along the grid's axes, in the world."""
+        return self._on.geometry.index_to_world(points / self._on.spacing)
+
+    def _to_grid(self, vectors: Floats) -> Floats:
+        """World vectors (n, 3), x y z, along the grid's axes, z y x."""
+        geometry = self._on.geometry
+        return np.asarray(geometry.world_to_index(vectors + np.asarray(geometry.origin)) * self._on.spacing)
+
+    # -- several -------------------------------------------------------------------------------------------
+
     def split(self, pieces: Sequence[SurfacePiece]) -> list[SurfaceMomentum]:
         """One momentum for each piece that this surface divided into: velocities by the closest points, no points."""
+        return [self._on_surface(measured_surface(piece, self._on), [self]) for piece in pieces]
 
-    @abstractmethod
     def merged(self, others: Sequence[SurfaceMomentum]) -> SurfaceMomentum:
-        """The momentum of the union with others, each with its own velocities; without attached points."""
+        """The momentum of the union with others of the same model, each with its own velocities; without points."""
+        sources = [one for one in (self, *others) if one._on.surface.size]
+        if not sources:
+            return self._on_surface(self._on, [self])
+        return self._on_surface(_union([one._on for one in sources]), sources)
 
-    @abstractmethod
+    def _on_surface(self, new: BoxedSurface, sources: Sequence[SurfaceMomentum]) -> SurfaceMomentum:
+        """A momentum like this on another surface, with the fields of the source that is nearest to each place."""
+        made = type(self)(self.friction, self.workers)
+        made._on = new
+        points, nearest = new.closest_points(), np.full(new.surface.size, np.inf)
+        values = np.zeros((new.surface.size, len(self._fields)))
+        for one in sources:
+            if not one._on.surface.size:
+                continue
+            front = one._on.surface.front()
+            distance, _ = cKDTree(one._on.closest_points()[front]).query(points)
+            found, _ = sample_fields(one._on, one._fields, points)
+            nearer = distance < nearest
+            values[nearer], nearest[nearer] = found[nearer], distance[nearer]
+        made._fields = made._fields_on(new, values, np.ones(len(values), np.bool_))
+        return made
+
+    # -- checkpoints ---------------------------------------------------------------------------------------
+
     def state(self) -> dict[str, Any]:
         """State as a value: arrays and numbers by name, for `restore`."""
+        surface = checkpoint_surface(self._on.surface)
+        return {
+            "corner": self._on.corner, "shape": self._on.surface.shape, "points": self._points,
+            "fields": np.array(self._fields, np.float32).reshape(len(self._fields), -1),
+            **{f"surface_{name}": value for name, value in surface._asdict().items()},
+        }
 
-    @abstractmethod
     def restore(self, state: dict[str, Any], geometry: Geometry) -> None:
         """Go back to a `state` of a momentum of the same settings on the same grid; the same bytes follow."""
+        names = SurfaceState._fields
+        saved = SurfaceState(**{name: state[f"surface_{name}"] for name in names})
+        shape = tuple(int(n) for n in state["shape"])
+        surface = LevelSet(np.ones(shape, np.float32), geometry.spacing, self.half_width, self.workers)
+        restore_surface(surface, saved._replace(inside_beyond=int(saved.inside_beyond)))
+        z, y, x = (int(c) for c in state["corner"])
+        self._on = BoxedSurface(surface, (z, y, x), geometry)
+        self._fields = [np.array(field, np.float32) for field in state["fields"]]
+        self._points = np.array(state["points"], np.float64).reshape(-1, 3)
+
+
+def _onto(on: BoxedSurface, points: Floats) -> Floats:
+    """Points (m, 3) near a surface put on it; one that is not near stays where it is."""
+    band = [np.ascontiguousarray(on.surface.band.to_closest[:, c]) for c in range(3)]
+    steps, known = sample_fields(on, band, points)
+    return points + np.where(known[:, None], steps, 0.0)
+
+
+def _union(surfaces: Sequence[BoxedSurface]) -> BoxedSurface:
+    """The surface around all that is inside of one of several."""
+    first = np.min([one.corner for one in surfaces], axis=0)
+    last = np.max([np.array(one.corner) + one.surface.shape for one in surfaces], axis=0)
+    psi = np.full(tuple(int(n) for n in last - first), np.inf, np.float32)
+    for one in surfaces:
+        psi = np.minimum(psi, on_larger_box(one.surface.psi, np.array(one.corner), first, last))
+    like = surfaces[0]
+    corner = int(first[0]), int(first[1]), int(first[2])
+    return boxed(psi, corner, like.geometry, like.surface.requested_half_width, like.surface.workers)

@@ -1,0 +1,196 @@
+"""The models of momentum between frames: flowable mass, constant density, and two baselines without."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.flows import ConstantDensity, FlowableMass
+from accelsurf.levelset import Workers
+from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, transferred
+from accelsurf.tracking.coasting import coast
+from accelsurf.tracking.momentum import Gains, SurfaceMomentum
+from accelsurf.tracking.observer import Displacement, corrected_velocity
+from accelsurf.tracking.records import SurfacePiece
+
+#: Density of new surface.
+RHO = 1.0
+
+
+class FlowableMomentum(SurfaceMomentum):
+    """Flowable mass: V_t + (V . grad) V = -a (V - c(t)), psi_t = -V . grad psi; the mass flows with V.
+
+    c is the mean of V over the mass, which nothing changes while the surface coasts. The motion is made in a frame
+    that moves by whole voxels along with c: what is left for the grid to resolve is V - c and less than a voxel, so a
+    surface that only travels is as good after any distance. Friction is exact: V - c shrinks by exp(-a t).
+
+    The fields are V (z, y, x, mm per unit of time) and the density rho.
+    """
+
+    half_width = 4.0
+
+    def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
+        size = self._on.surface.size
+        return [np.full(size, value, np.float32) for value in (*velocity, RHO)]
+
+    def _mean_velocity(self) -> Floats:
+        mass = self._on.surface.fraction_and_area()[1] * self._fields[3]
+        total = float(mass.sum())
+        return np.array([float((mass * field).sum()) / total for field in self._fields[:3]])
+
+    def _coast(self, duration: float) -> None:
+        mean, h, sign = self._mean_velocity(), self._on.spacing, math.copysign(1.0, duration)
+        voxels = np.rint(mean * duration / h)
+        # Friction slows V - c: over the duration it moves as far as freely in this time.
+        free = abs(duration) if self.friction == 0 else -math.expm1(-self.friction * abs(duration)) / self.friction
+        slowed = math.exp(-self.friction * abs(duration))
+        left = (mean * duration - voxels * h) / free
+        own = [sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)]
+        fields = [np.asarray(field, np.float32) for field in (*own, self._fields[3])]
+        on = self._with_room(fields[:3], free)
+        fields = transferred(self._on, fields, on)
+        flow = FlowableMass(rho=RHO, friction=0.0, diffusion=0.0)
+        on, fields, points = coast(on, flow, fields, free, self._points)
+        shift = [int(n) for n in voxels]
+        self._on, self._points = on.shifted(shift), points + voxels * h
+        moving = [sign * slowed * (field - v) + m for field, m, v in zip(fields[:3], mean, left, strict=True)]
+        self._fields = [np.asarray(field, np.float32) for field in (*moving, fields[3])]
+
+    def _with_room(self, velocity: list[np.ndarray], duration: float) -> BoxedSurface:
+        """The surface on a box in which it can move for ``duration``, at most by the extent of the frames."""
+        h, frame = self._on.spacing, np.array(self._on.geometry.shape)
+        fastest = np.array([float(np.abs(field).max(initial=0.0)) for field in velocity])
+        room = np.minimum(np.ceil(fastest * duration / h), frame).astype(np.int64)
+        return self._on.with_room(np.where(self._on.wide, room, 0))
+
+    def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
+        velocity = np.stack(self._fields[:3], axis=1)
+        new = corrected_velocity(self._on, velocity, found, duration, gain)
+        return [*(np.ascontiguousarray(new[:, c]) for c in range(3)), self._fields[3]]
+
+    def _fields_on(self, new: BoxedSurface, values: Floats, known: NDArray[np.bool_]) -> list[np.ndarray]:
+        fields = super()._fields_on(new, values, known)
+        fields[3] = np.where(known, np.maximum(fields[3], 0.0), np.float32(RHO)).astype(np.float32)
+        return fields
+
+
+class ConstantDensityMomentum(SurfaceMomentum):
+    """Constant density (Niethammer & Tannenbaum): beta_t = 1/2 beta^2 H - a beta, psi_t = beta |grad psi|.
+
+    Not Galilean invariant: a ball that coasts is deformed. The field is beta, the speed along the inward normal.
+    """
+
+    half_width = 3.0
+
+    def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
+        return [np.asarray(self._on.surface.normals() @ velocity, np.float32)]
+
+    def _mean_velocity(self) -> Floats:
+        """That of the centroid: 1/Vol int (x - x_c) (V . n) dA."""
+        on = self._on
+        fraction, area = on.surface.fraction_and_area()
+        arm = on.closest_points() - on.centroid()
+        # The area of a single slice counts its thickness, as the volume does.
+        outward = -area * self._fields[0]
+        moved = (outward[:, None] * arm).sum(axis=0) / max(on.surface.volume(fraction), 1e-300)
+        return np.where(on.wide, moved, 0.0)
+
+    def _coast(self, duration: float) -> None:
+        sign = math.copysign(1.0, duration)
+        flow = ConstantDensity(rho=RHO, friction=self.friction, diffusion=0.0)
+        fields = [np.asarray(sign * self._fields[0], np.float32)]
+        self._on, (beta,), self._points = coast(self._on, flow, fields, abs(duration), self._points)
+        self._fields = [np.asarray(sign * beta, np.float32)]
+
+    def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
+        normal = self._on.surface.normals()
+        change = corrected_velocity(self._on, np.zeros_like(normal), found, duration, gain)
+        return [np.asarray(self._fields[0] + (change * normal).sum(axis=1), np.float32)]
+
+
+class LastDisplacement(SurfaceMomentum):
+    """Restart with the last displacement added: the surface moves rigidly as its centroid moved last. A baseline.
+
+    Attributes
+    ----------
+    moves : bool
+        Whether it coasts at all.
+    """
+
+    half_width = 4.0
+    moves: ClassVar[bool] = True
+
+    def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
+        size = self._on.surface.size
+        return [np.full(size, value, np.float32) for value in velocity]
+
+    def _mean_velocity(self) -> Floats:
+        return np.array([float(field[0]) for field in self._fields])
+
+    def _coast(self, duration: float) -> None:
+        way = self._mean_velocity() * duration
+        voxels = np.rint(way / self._on.spacing)
+        left = np.asarray(way - voxels * self._on.spacing, np.float32)
+        mean = self._mean_velocity()
+        flow = FlowableMass(rho=RHO, friction=0.0, diffusion=0.0)
+        on = self._on.with_room((0, 0, 0))
+        size = on.surface.size
+        fields = [np.full(size, value, np.float32) for value in (*left, RHO)]
+        on, _, points = coast(on, flow, fields, 1.0, self._points)
+        self._on, self._points = on.shifted([int(n) for n in voxels]), points + voxels * self._on.spacing
+        self._fields = self._fields_at_start(mean)
+
+    def correct(self, piece: SurfacePiece, duration: float, gains: Gains) -> SurfacePiece:
+        """Correct the surface; the velocity is the displacement of the centroid since the last correction."""
+        seen_before = self._on.surface.size > 0
+        before, mean = self._on.centroid(), self._mean_velocity() if seen_before and self.moves else np.zeros(3)
+        super().correct(piece, duration, gains)
+        if seen_before:
+            velocity = mean + gains.velocity / duration * (self._on.centroid() - before)
+            self._fields = self._fields_at_start(np.where(self._on.wide, velocity, 0.0))
+        return self.piece
+
+    def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
+        return self._fields
+
+
+class NoMomentum(LastDisplacement):
+    """Static restart: each frame begins where the last one ended. What everybody else has; a baseline.
+
+    The velocity that it reports is that of its centroid; it moves nothing.
+    """
+
+    moves = False
+
+    def _coast(self, duration: float) -> None:
+        """The surface stays."""
+
+
+MODELS: dict[str, type[SurfaceMomentum]] = {
+    "flowable-mass": FlowableMomentum,
+    "constant-density": ConstantDensityMomentum,
+    "last-displacement": LastDisplacement,
+    "none": NoMomentum,
+}
+
+
+def make_momentum(model: str, friction: float = 0.0, workers: Workers | None = None) -> SurfaceMomentum:
+    """A momentum without a surface yet.
+
+    Parameters
+    ----------
+    model : {"flowable-mass", "constant-density", "last-displacement", "none"}
+    friction : float
+        a, per unit of the sequence's time; of no meaning to the two baselines.
+    workers : Workers, optional
+        One thread by default.
+
+    Raises
+    ------
+    KeyError
+        When there is no such model.
+    """
+    return MODELS[model](friction, workers)
