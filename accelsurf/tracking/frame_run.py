@@ -122,7 +122,7 @@ def measure(
             break
         margin = [2 * n for n in margin]
     for one in result.objects:
-        found[one.id] = _measured(one, box, geometry)
+        found[one.id] = measured(one, box)
     for refinement in refinements:
         for id in (*refinement.merge[1:], *([refinement.remove] if refinement.remove is not None else [])):
             found.pop(id, None)
@@ -210,8 +210,8 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
     return False
 
 
-def _measured(one: SegmentedObject, box: Box, geometry: Geometry) -> Measured:
-    """What is left of an object, on the frame's grid."""
+def measured(one: SegmentedObject, box: Box) -> Measured:
+    """What a run on a box of the frame has left of an object, on the frame's grid."""
     inner = bounding_box(one.labels > 0)
     if inner is None:
         return NOTHING

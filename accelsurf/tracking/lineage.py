@@ -38,6 +38,10 @@ class Identities:
         """Note that a frame shows an object; its identity begins there if there is none."""
         self._lives.setdefault(id, _Life()).seen.add(frame)
 
+    def forget(self, id: int, frame: int) -> None:
+        """Note that a frame shows others in place of an object."""
+        self._lives[id].seen.discard(frame)
+
     def end(self, id: int, why: str) -> None:
         """Note why an object is not seen after its last frame."""
         self._lives[id].end = why
